@@ -1,0 +1,65 @@
+"""Where u touches, how hard, and how far the penalty lets it through."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import largest, total
+
+TOUCHES = 1e-8  # of the largest distance
+PRESSES = 1e-10  # of the largest pressure
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The contact of a solved problem; figures are the same on every rank.
+
+    Attributes:
+        pressure: p_i at owned dofs, negative against the upper obstacle.
+        lower: Whether a node presses against the lower obstacle.
+        upper: Likewise.
+        area: Sum of D_i over the contact nodes.
+        lower_force: Sum of D_i p_i there, >= 0.
+        upper_force: Sum of -D_i p_i there, >= 0.
+        penetration: Largest distance beyond an obstacle.
+    """
+
+    pressure: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    area: float
+    lower_force: float
+    upper_force: float
+    penetration: float
+
+
+def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
+    """Contact set, area and forces of the problem's state (collective).
+
+    Args:
+        problem: Holds the solution.
+        pressure: Its contact pressure at owned dofs.
+    """
+    comm, D = problem.level.comm, problem.weights
+    above_lower, below_upper = problem.gaps()
+    reach = [np.abs(gap[np.isfinite(gap)]) for gap in (above_lower, below_upper)]
+    near = TOUCHES * max(largest(comm, np.concatenate(reach)), 0.0)
+    least = PRESSES * max(largest(comm, np.abs(pressure)), 0.0)
+    free = ~problem.fixed
+    lower = free & (above_lower <= near) & (pressure > least)
+    upper = free & (below_upper <= near) & (-pressure > least)
+    beyond = largest(comm, np.concatenate([-above_lower[free], -below_upper[free]]))
+    return Contact(
+        pressure=pressure,
+        lower=lower,
+        upper=upper,
+        area=total(comm, D[lower | upper]),
+        lower_force=total(comm, (D * pressure)[lower]),
+        upper_force=total(comm, -(D * pressure)[upper]),
+        penetration=max(beyond, 0.0),
+    )
+
+

@@ -1,0 +1,165 @@
+"""Distances: to the exact solution, between two states on one mesh, and the dual norm of the pressure error."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
+from fenicsx_obstacle.scenes.scene import CONSTANTS, COORDINATES, Scene
+
+DEGREE = 6  # of the quadrature for formulas: exact solutions have kinks in their second derivatives
+
+
+class Formulas:
+    """The scene's formulas as UFL expressions on a mesh: data for `Effect.terms` without sampling.
+
+    Attributes:
+        dx: Integration of high degree.
+    """
+
+    def __init__(self, scene: Scene, level: Level, eps: float = 0.0):
+        self.scene, mesh = scene, level.mesh
+        self.dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
+        x = ufl.SpatialCoordinate(mesh)
+        axes = [x[i] if i < mesh.geometry.dim else 0.0 * x[0] for i in range(3)]
+        self.eps = fem.Constant(mesh, PETSc.ScalarType(eps))
+        self.alphabet = ufl_alphabet()
+        values = (*axes, ufl.sqrt(ufl.inner(x, x)), releases.atan2(axes[1], axes[0]))
+        self.names: dict[str, Any] = {**CONSTANTS, "eps": self.eps, **dict(zip(COORDINATES, values, strict=True))}
+        for key, formula in scene.define.items():
+            # a name used in sampled data only may hold what UFL cannot differentiate
+            try:
+                self.names[key] = formula.evaluate(self.names, self.alphabet)
+            except (InputError, KeyError):
+                continue
+
+    def cellwise(self, value: Formula, *, positive: bool = False) -> Any:
+        """The formula itself."""
+        return ufl.as_ufl(value.evaluate(self.names, self.alphabet))
+
+
+class Exact:
+    """The scene's exact solution on one problem; forms compile on first use."""
+
+    def __init__(self, problem: Problem):
+        self.problem, scene = problem, problem.scene
+        exact = scene.tables.exact
+        if exact is None:
+            raise InputError(f"{scene.source}: has no [exact] solution")
+        self.formula = scene.formula(exact.u, "[exact] u")
+        self.formulas = Formulas(scene, problem.level)
+        self.u = fem.Function(problem.level.V)
+        ue = self.formulas.cellwise(self.formula)
+        error, dx = ue - self.u, self.formulas.dx
+        mu = sum(effect.energy(error, problem.data) for effect in scene.effects if effect.elastic)
+        self._l2 = releases.form(error**2 * dx)
+        self._gradient = releases.form(ufl.inner(ufl.grad(error), ufl.grad(error)) * dx)
+        self._energy = releases.form(2 * mu)
+
+    def errors(self, u: fem.Function, eps: float | None) -> dict[str, float]:
+        """Energy, H1, L2 and nodal maximum error of u (collective)."""
+        comm = self.problem.level.comm
+        self.formulas.eps.value = eps or 0.0
+        self.u.x.array[:] = u.x.array
+        l2, gradient, energy = (
+            total(comm, fem.assemble_scalar(form)) for form in (self._l2, self._gradient, self._energy)
+        )
+        return {
+            "energy": math.sqrt(energy), "h1": math.sqrt(l2 + gradient), "l2": math.sqrt(l2),
+            "max": largest(comm, np.abs(self.nodal(eps) - u.x.array)),
+        }  # fmt: skip
+
+    def nodal(self, eps: float | None) -> np.ndarray:
+        """Exact values at local dofs."""
+        points = np.ascontiguousarray(self.problem.level.V.tabulate_dof_coordinates().T)
+        return self.problem.scene.at_points(self.formula, points, {"eps": eps or 0.0})
+
+    @cached_property
+    def dual(self) -> DualNorm:
+        """Dual norm of pressure errors (first use is collective)."""
+        return DualNorm(self.problem.scene, self.problem.level, self.formula)
+
+
+class DualNorm:
+    """||p - p_h||_1* = sup (p - p_h, v) / ||v||_1, by the Riesz map on the once refined mesh.
+
+    The exact pressure needs no formula: (p, v) = a(u, v) - f(v) with the exact u, which holds for measures too.
+    """
+
+    def __init__(self, scene: Scene, level: Level, formula: Formula):
+        self.fine = fine = levels.refined(level)
+        formulas, v, trial = Formulas(scene, fine), ufl.TestFunction(fine.V), ufl.TrialFunction(fine.V)
+        self.eps = formulas.eps
+        ue = formulas.cellwise(formula)
+        self.p = fem.Function(fine.V)
+        reaction = sum(effect.terms(ue, v, formulas) for effect in scene.effects)
+        self._error = releases.form(reaction - self.p * v * formulas.dx)
+        dofs, _ = Data(scene, fine).fixed
+        self._zero = fem.Function(fine.V)
+        bc = fem.dirichletbc(self._zero, dofs)
+        self.fixed = dofs[dofs < fine.owned]
+        riesz = releases.form(ufl.inner(ufl.grad(trial), ufl.grad(v)) * ufl.dx + trial * v * ufl.dx)
+        self._H = releases.create_matrix(riesz)
+        fem.petsc.assemble_matrix(self._H, riesz, [bc])
+        self._H.assemble()
+        self._b = releases.create_vector(self._error, fine.V)
+        self._ksp = PETSc.KSP().create(level.comm)
+        self._ksp.setOperators(self._H)
+        self._ksp.setType("cg")
+        self._ksp.getPC().setType("hypre")
+        self._ksp.setTolerances(rtol=1e-9)
+
+    def error(self, pressure: fem.Function, eps: float | None) -> float:
+        """||p - p_h||_1* of a nodal pressure on the coarse level (collective)."""
+        fine = self.fine
+        assert fine.ends is not None
+        self.eps.value = eps or 0.0
+        self.p.x.array[: fine.owned] = pressure.x.array[fine.ends].mean(axis=1)
+        self.p.x.scatter_forward()
+        with self._b.localForm() as local:
+            local.set(0.0)
+        fem.petsc.assemble_vector(self._b, self._error)
+        self._b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        self._b.array[self.fixed] = 0.0
+        z = self._b.duplicate()
+        self._ksp.solve(self._b, z)
+        squared = z.dot(self._b)
+        z.destroy()
+        return math.sqrt(max(squared, 0.0))
+
+
+class Distance:
+    """Norms of nodal differences on one problem; forms shared by all scenes."""
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.e = fem.Function(problem.level.V)
+        energy = sum(effect.energy(self.e, problem.data) for effect in problem.scene.effects if effect.elastic)
+        self._energy = releases.form(2 * energy)
+        self._l2 = releases.form(self.e**2 * problem.data.dx)
+
+    def energy(self, values: np.ndarray) -> float:
+        """||mu^(1/2) grad e|| of nodal values, ghosts included (collective)."""
+        return self._norm(self._energy, values)
+
+    def l2(self, values: np.ndarray) -> float:
+        """||e||_0 likewise (collective)."""
+        return self._norm(self._l2, values)
+
+    def _norm(self, form: Any, values: np.ndarray) -> float:
+        self.e.x.array[:] = values
+        return math.sqrt(max(total(self.problem.level.comm, fem.assemble_scalar(form)), 0.0))

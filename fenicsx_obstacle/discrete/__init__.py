@@ -1,0 +1,1 @@
+"""A scene on a mesh: levels, nodal data and the discrete problem."""

@@ -1,0 +1,121 @@
+"""Meshes from files: Gmsh with its physical names, XDMF with its numbered tags."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from dolfinx import io
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import on_root
+
+_LINEAR = {1: {1}, 2: {2}, 3: {4}}  # Gmsh's numbers of straight lines, triangles, tetrahedra
+
+
+def read(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]]:
+    """A mesh and the facets of each named part of it (collective).
+
+    Raises:
+        InputError: If the file is missing, broken, or has cells other than straight simplices.
+    """
+    on_root(comm, _check, path)
+    return _gmsh(path, comm) if path.suffix in (".msh", ".geo") else _xdmf(path, comm)
+
+
+def _check(path: Path) -> None:
+    if not path.exists():
+        raise InputError(f"{path}: no such mesh file ([mesh] file, relative to the scene)")
+    if path.suffix not in (".msh", ".geo", ".xdmf"):
+        raise InputError(f"{path}: a mesh file ends in .msh, .geo (Gmsh) or .xdmf")
+
+
+def _gmsh(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]]:
+    dim, gdim, names = on_root(comm, _open_gmsh, path)
+    import gmsh
+
+    mesh, _, facet_tags = releases.from_gmsh(gmsh.model, comm, gdim)
+    if comm.rank == 0:
+        gmsh.finalize()
+    facets = {name: facet_tags.find(tag) for name, (d, tag) in names.items() if d == dim - 1 and facet_tags is not None}
+    return mesh, facets
+
+
+def _open_gmsh(path: Path) -> tuple[int, int, dict[str, tuple[int, int]]]:
+    """Load the model on rank 0: its dimension, the space it lies in, its physical names."""
+    try:
+        import gmsh
+    except ImportError:
+        raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)") from None
+    gmsh.initialize([], False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    try:
+        gmsh.open(str(path))
+        if path.suffix == ".geo":
+            gmsh.model.mesh.generate(gmsh.model.getDimension())
+        return _inspect_gmsh(gmsh.model, path)
+    except InputError:
+        gmsh.finalize()
+        raise
+    except Exception as error:  # gmsh raises the base class, whatever is wrong with the file
+        gmsh.finalize()
+        raise InputError(f"{path}: Gmsh cannot read it: {error}") from None
+
+
+def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, dict[str, tuple[int, int]]]:
+    dims = [dim for dim in (1, 2, 3) if len(model.mesh.getElementTypes(dim))]
+    if not dims:
+        raise InputError(f"{path}: holds no cells")
+    dim = max(dims)
+    if set(model.mesh.getElementTypes(dim)) - _LINEAR[dim]:
+        kinds = [model.mesh.getElementProperties(kind)[0] for kind in model.mesh.getElementTypes(dim)]
+        raise InputError(f"{path}: has {', '.join(kinds)} cells; P1 needs straight lines, triangles or tetrahedra")
+    if not model.getPhysicalGroups(dim):  # only what is in a physical group becomes part of the mesh
+        model.addPhysicalGroup(dim, [tag for _, tag in model.getEntities(dim)])
+    coordinates = np.asarray(model.mesh.getNodes()[1]).reshape(-1, 3)
+    flat = np.abs(coordinates).max(axis=0) > 1e-12 * np.abs(coordinates).max()
+    gdim = max(dim, int(np.flatnonzero(flat).max(initial=0)) + 1)
+    names = {model.getPhysicalName(d, tag) or str(tag): (d, tag) for d, tag in model.getPhysicalGroups()}
+    return dim, gdim, names
+
+
+def _xdmf(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]]:
+    grid, tags = on_root(comm, _grids, path)
+    facets: dict[str, np.ndarray] = {}
+    try:
+        with io.XDMFFile(comm, str(path), "r") as file:
+            mesh = releases.from_xdmf(file, grid)
+            dim = mesh.topology.dim
+            mesh.topology.create_entities(dim - 1)
+            mesh.topology.create_connectivity(dim - 1, dim)
+            for name in tags:
+                found = file.read_meshtags(mesh, name=name)
+                if found.dim == dim - 1:
+                    facets |= {str(tag): found.find(tag) for tag in comm.allreduce({*found.values.tolist()}, op=_UNION)}
+    except RuntimeError as error:
+        raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+    return mesh, facets
+
+
+_UNION = MPI.Op.Create(lambda a, b, _: a | b, commute=True)
+
+
+def _grids(path: Path) -> tuple[str, list[str]]:
+    """Names of the mesh, and of the tags on it."""
+    try:
+        tree = ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not XDMF: {error}") from None
+    grids = [grid for grid in tree.iter("Grid") if grid.find("Topology") is not None]
+    if not grids:
+        raise InputError(f"{path}: holds no mesh")
+    for item in tree.iter("DataItem"):
+        data = path.parent / (item.text or "").strip().partition(":")[0]
+        if item.get("Format") == "HDF" and not data.exists():
+            raise InputError(f"{path}: its data file {data} is missing")
+    return grids[0].get("Name", "mesh"), [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]

@@ -1,0 +1,203 @@
+"""The discrete problem on one level: the penalised residual (3.4) in UFL, assembled for PETSc.
+
+The unknown is not u but w = u - r, with r the obstacle that a node may touch ('gap form'). In contact w = -eps p
+is tiny, and exact to its own last digit; computed as a difference of heights of order 1 the penalty w/eps would be
+round-off for eps < 1e-12.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
+from fenicsx_obstacle.forms.rules import nodal_rule
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes.scene import Scene
+
+INFINITE = 1e20  # PETSc's bound for 'no bound' is anything beyond this
+
+
+class Problem:
+    """One scene on one level, ready for a solver; forms compile once, whatever eps.
+
+    All arrays hold the owned dofs. All methods are collective.
+
+    Attributes:
+        level: The mesh and V.
+        data: The scene's data there.
+        w: The unknown, as a Function.
+        reference: r, the heights from which w counts.
+        fixed: Whether u is given at a dof.
+        weights: D_i = I(phi_i, 1), the area that belongs to a node.
+        A: The Jacobian; the same matrix for life.
+        elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
+        reaction: (1/eps) I((u - g)^+, .) at the last state.
+    """
+
+    def __init__(self, scene: Scene, level: Level):
+        self.scene, self.level = scene, level
+        self.data = data = Data(scene, level)
+        data.check()
+        V, v = level.V, ufl.TestFunction(level.V)
+        self.w, self.reference = fem.Function(V, name="w"), fem.Function(V, name="r")
+        self.eps = fem.Constant(level.mesh, PETSc.ScalarType(1.0))
+        # distances of the obstacles from r, filled in by `refer`
+        self.below = fem.Function(V) if data.lower is not None else None
+        self.above = fem.Function(V) if data.upper is not None else None
+        u = self.w + self.reference
+
+        rule = nodal_rule(releases.cell_name(level.mesh))
+        dI = rule.on(data.dx)
+        a_minus_f = sum(effect.terms(u, v, data) for effect in scene.effects)
+        energies = [effect.energy(u, data) for effect in scene.effects]
+        self.constrained = self.below is not None or self.above is not None
+        derivative = ufl.derivative(a_minus_f, self.w)
+        self._elastic, self._stiffness = releases.form(a_minus_f), releases.form(derivative)
+        self._energy = None if None in energies else releases.form(sum(energies))
+        if self.constrained:
+            gaps = {"eps": self.eps, "lower": self.below, "upper": self.above}
+            contact = penalty(self.w, v, rule=rule, **gaps)
+            self._contact = releases.form(contact)
+            self._jacobian = releases.form(derivative + ufl.derivative(contact, self.w))
+            self._contact_energy = releases.form(penalty_energy(self.w, dI=dI, **gaps))
+
+        dofs, values = data.fixed
+        owned = level.owned
+        self.fixed = np.zeros(owned, dtype=bool)
+        self.fixed[dofs[dofs < owned]] = True
+        self._bc = fem.dirichletbc(values, dofs)
+        self.A = releases.create_matrix(self._stiffness)
+        self.elastic = releases.create_vector(self._elastic, V)
+        self.reaction = releases.create_vector(self._elastic, V)
+        weights = releases.create_vector(self._elastic, V)
+        self._assemble(weights, releases.form(v * dI))
+        self.weights = weights.array.copy()
+        weights.destroy()
+        self.refer(self.cold_start())
+        self.load = self._load()
+
+    def cold_start(self) -> np.ndarray:
+        """Heights, ghosts included: the boundary values, and 0 or the nearest obstacle inside."""
+        dofs, values = self.data.fixed
+        heights = np.zeros(len(values.x.array))
+        lower, upper = self.obstacles()
+        np.clip(heights, lower, upper, out=heights)
+        heights[dofs] = values.x.array[dofs]
+        return heights
+
+    def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
+        """Heights of the obstacles, ghosts included; -inf and inf where there is none."""
+        lower, upper = self.data.lower, self.data.upper
+        return (-np.inf if lower is None else lower.x.array), (np.inf if upper is None else upper.x.array)
+
+    def refer(self, heights: np.ndarray) -> None:
+        """Count w from the obstacle nearest to `heights` (ghosts included) and let w be the state of these heights."""
+        lower, upper = self.obstacles()
+        with np.errstate(invalid="ignore"):
+            nearer_below = np.abs(heights - lower) <= np.abs(upper - heights)
+        r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(heights)
+        self.reference.x.array[:] = r
+        if self.below is not None:
+            self.below.x.array[:] = lower - r
+        if self.above is not None:
+            self.above.x.array[:] = upper - r
+        self.w.x.array[:] = heights - r
+        dofs, values = self.data.fixed
+        self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
+
+    def refer_to_contact(self) -> bool:
+        """Count w from the obstacle that each node touches now; whether that changed any (two obstacles only)."""
+        if self.below is None or self.above is None:
+            return False
+        w, r = self.w.x.array, self.reference.x.array
+        wrong_above = (w >= self.above.x.array) & (self.above.x.array > 0)
+        wrong_below = (w <= self.below.x.array) & (self.below.x.array < 0)
+        # subtract distances, never heights: the excess keeps its digits
+        w[:] = np.where(wrong_above, w - self.above.x.array, np.where(wrong_below, w - self.below.x.array, w))
+        lower, upper = self.obstacles()
+        r[:] = np.where(wrong_above, upper, np.where(wrong_below, lower, r))
+        self.below.x.array[:], self.above.x.array[:] = lower - r, upper - r
+        return total(self.level.comm, np.count_nonzero(wrong_above | wrong_below)) > 0
+
+    def heights(self) -> fem.Function:
+        """u = w + r."""
+        u = fem.Function(self.level.V, name="u")
+        u.x.array[:] = self.w.x.array + self.reference.x.array
+        return u
+
+    def state(self) -> PETSc.Vec:
+        """A vector for the solver, holding w."""
+        return releases.vec(self.w).copy()
+
+    def take(self, x: PETSc.Vec) -> None:
+        """Let w be x, ghosts included."""
+        own = self.level.owned
+        self.w.x.array[:own] = x.array_r
+        self.w.x.scatter_forward()
+
+    def residual(self, x: PETSc.Vec, out: PETSc.Vec, *, penalised: bool = True) -> None:
+        """out = a(u, .) + (1/eps) I((u - g)^+, .) - f at w = x, (3.4); 0 at fixed dofs, where x has its value."""
+        self.take(x)
+        self._assemble(self.elastic, self._elastic)
+        out_array = self.elastic.array_r.copy()
+        if self.constrained and penalised:
+            self._assemble(self.reaction, self._contact)
+            out_array += self.reaction.array_r
+        out_array[self.fixed] = 0.0
+        out.array[:] = out_array
+
+    def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
+        """Derivative of `residual` at w = x, with rows and columns of fixed dofs those of the identity."""
+        self.take(x)
+        self.A.zeroEntries()
+        form = self._jacobian if self.constrained and penalised else self._stiffness
+        fem.petsc.assemble_matrix(self.A, form, [self._bc])
+        self.A.assemble()
+        return self.A
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether the residual is the derivative of a convex energy."""
+        return self._energy is not None and all(effect.convex for effect in self.scene.effects)
+
+    def energy(self, x: PETSc.Vec, *, penalised: bool = True) -> float:
+        """a(u, u)/2 - f(u) + I((u - g)^+ ^2, 1)/(2 eps) at w = x."""
+        self.take(x)
+        comm = self.level.comm
+        value = total(comm, fem.assemble_scalar(self._energy))
+        if self.constrained and penalised:
+            value += total(comm, fem.assemble_scalar(self._contact_energy))
+        return value
+
+    def gaps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distances u - lower and upper - u at owned dofs; inf where there is no obstacle."""
+        own, w = self.level.owned, self.w.x.array
+        none = np.full(own, np.inf)
+        lower = none if self.below is None else (w - self.below.x.array)[:own]
+        upper = none if self.above is None else (self.above.x.array - w)[:own]
+        return lower, upper
+
+    def _load(self) -> float:
+        """Sum of |f_i| over free dofs: the elastic residual of u = 0."""
+        x = self.state()
+        x.array[:] = -self.reference.x.array[: self.level.owned]
+        keep = self.w.x.array.copy()
+        out = x.duplicate()
+        self.residual(x, out, penalised=False)
+        self.w.x.array[:] = keep
+        value = total(self.level.comm, np.abs(out.array_r))
+        x.destroy()
+        out.destroy()
+        return value
+
+    def _assemble(self, b: PETSc.Vec, form: object) -> None:
+        with b.localForm() as local:
+            local.set(0.0)
+        fem.petsc.assemble_vector(b, form)
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)

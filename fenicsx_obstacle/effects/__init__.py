@@ -1,0 +1,1 @@
+"""One class for each physical effect a scene can name; nothing else is ever assembled."""

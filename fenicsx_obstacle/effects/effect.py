@@ -1,0 +1,68 @@
+"""What an effect is, and the register of those that scenes can name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+
+if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
+    import ufl
+
+    from fenicsx_obstacle.scenes.formulas import Formula
+
+
+class Sampler(Protocol):
+    """Gives an effect its data on a mesh."""
+
+    def cellwise(self, value: Formula, *, positive: bool = False) -> Any:
+        """Function with one value per cell, taken at its midpoint."""
+
+    @property
+    def dx(self) -> Any:
+        """Integration over the domain."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One term of the equation. Subclasses give the form; the defaults say 'nothing'.
+
+    Attributes:
+        value: The effect's data, a number or formula from the scene.
+    """
+
+    value: Formula
+
+    key: ClassVar[str] = ""  # its name in [effects]
+    equation: ClassVar[str] = ""  # how it enters the equation, for `explain`
+    unit: ClassVar[str] = ""
+    elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
+    affine: ClassVar[bool] = True  # the term is linear in u plus a constant
+    symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
+    convex: ClassVar[bool] = True  # it has a convex energy
+
+    def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form:
+        """Its part of the residual a(u, v) - f(v)."""
+        raise TypeError(f"{type(self).__name__} has no terms")
+
+    def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
+        """Its part of the energy whose derivative `terms` is, or None."""
+        return None
+
+
+_register: dict[str, type[Effect]] = {}
+
+
+def register(effect: type[Effect]) -> type[Effect]:
+    """Class decorator: scenes may name this effect by its `key`."""
+    _register[effect.key] = effect
+    return effect
+
+
+def registered() -> dict[str, type[Effect]]:
+    """The effects that scenes can name, by key."""
+    from fenicsx_obstacle.effects import membrane  # noqa: F401  (registers its classes)
+
+    return dict(_register)
+
+

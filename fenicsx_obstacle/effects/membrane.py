@@ -1,0 +1,49 @@
+"""The membrane: tension and load."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Effect, Sampler, register
+
+if TYPE_CHECKING:
+    import ufl
+
+
+@register
+class Tension(Effect):
+    """-div(tension grad u): a(u, v) = int tension grad u . grad v, Kikuchi (2.2) with mu = tension.
+
+    One positive value per cell (the paper's mu >= mu_0 > 0, (2.5)); unit: force per length.
+    """
+
+    key = "tension"
+    equation = "-div(tension grad u)"
+    unit = "force/length"
+    elastic = True
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        mu = data.cellwise(self.value, positive=True)
+        return mu * inner(grad(u), grad(v)) * data.dx
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        return 0.5 * data.cellwise(self.value, positive=True) * inner(grad(u), grad(u)) * data.dx
+
+
+@register
+class Load(Effect):
+    """The load f of f(v) = int f v, one value per cell; unit: force per area."""
+
+    key = "load"
+    equation = "load"
+    unit = "force/area"
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return -data.cellwise(self.value) * v * data.dx
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        return -data.cellwise(self.value) * u * data.dx

@@ -1,0 +1,1 @@
+"""The discrete paper: quadrature rules (3.5)-(3.6) and the penalised residual (3.4), as pure UFL."""

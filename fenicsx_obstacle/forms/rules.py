@@ -1,0 +1,79 @@
+"""The quadrature rules I of (3.5), with positive weights at the nodes of V_h (3.6).
+
+For each pair (V_h, I) of the paper's Examples 1 and 2 the points of I are the nodes of V_h, so I(q, v) is diagonal
+in nodal values and the penalty acts node by node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import ufl
+
+from fenicsx_obstacle.errors import InputError
+
+_VERTICES = {
+    "vertex": ((),),
+    "interval": ((0.0,), (1.0,)),
+    "triangle": ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)),
+    "tetrahedron": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+}
+_VOLUME = {"vertex": 1.0, "interval": 1.0, "triangle": 1 / 2, "tetrahedron": 1 / 6}
+_DIMENSION = {"quadrilateral": 2, "hexahedron": 3}
+_LINE = {1: ((0.0, 1 / 2), (1.0, 1 / 2)), 2: ((0.0, 1 / 6), (0.5, 4 / 6), (1.0, 1 / 6))}  # trapezoid, Simpson
+_FACET = {"interval": "vertex", "triangle": "interval", "tetrahedron": "triangle",
+          "quadrilateral": "interval", "hexahedron": "quadrilateral"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Points and weights on the reference cell; the weights are positive and sum to its volume.
+
+    Attributes:
+        points: Coordinates in the reference cell.
+        weights: One positive weight per point, dimensionless.
+    """
+
+    points: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
+
+    def on(self, measure: ufl.Measure) -> ufl.Measure:
+        """The same measure, integrated by this rule."""
+        # tuples, not arrays: UFL hashes the metadata
+        return measure(metadata={
+            "quadrature_rule": "custom", "quadrature_degree": 1,
+            "quadrature_points": self.points, "quadrature_weights": self.weights,
+        })  # fmt: skip
+
+
+def nodal_rule(cell: str, degree: int = 1) -> Rule:
+    """The rule whose points are the Lagrange nodes.
+
+    Args:
+        cell: Name of the cell: interval, triangle, tetrahedron, quadrilateral, hexahedron.
+        degree: Degree of V_h: 1 for simplices (vertex rule), 1 or 2 for tensor cells (trapezoid, Simpson).
+
+    Raises:
+        InputError: Where no such rule has positive weights: P2 on triangles weighs its vertices 0, against (3.6).
+    """
+    if degree == 1 and cell in _VERTICES:
+        points = _VERTICES[cell]
+        return Rule(points, (_VOLUME[cell] / len(points),) * len(points))
+    if degree in _LINE and (cell in _DIMENSION or cell == "interval"):
+        nodes = list(product(_LINE[degree], repeat=_DIMENSION.get(cell, 1)))
+        points = tuple(tuple(x for x, _ in reversed(node)) for node in nodes)
+        return Rule(points, tuple(_product(w for _, w in node) for node in nodes))
+    raise InputError(f"degree {degree} on a {cell} has no nodal rule with positive weights (3.6); pass rule=Rule(...)")
+
+
+def facet_of(cell: str) -> str:
+    """Name of the facets of a cell."""
+    return _FACET[cell]
+
+
+def _product(factors) -> float:
+    result = 1.0
+    for factor in factors:
+        result *= factor
+    return result

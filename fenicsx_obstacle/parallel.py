@@ -1,0 +1,138 @@
+"""Acting as one on all ranks: errors, sums over owned values, writing by rank 0."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.errors import InputError, ObstacleError
+
+
+@contextmanager
+def agree(comm: MPI.Comm) -> Iterator[None]:
+    """Leave the block on all ranks with the same error, if any rank raised one (collective).
+
+    The block itself must not be collective: a rank that raised has left it.
+
+    Raises:
+        ObstacleError: On every rank, the error of the lowest rank that had one.
+    """
+    mine: ObstacleError | None = None
+    try:
+        yield
+    except ObstacleError as error:
+        mine = error
+    first = next((e for e in comm.allgather(mine) if e is not None), None)
+    if first is not None:
+        raise first
+
+
+def on_root(comm: MPI.Comm, action: Callable[..., Any], *args: Any) -> Any:
+    """Call `action` on rank 0 and give every rank its result, or its error (collective).
+
+    Raises:
+        ObstacleError: On every rank, what `action` raised; an OSError becomes an InputError.
+    """
+    result: Any = None
+    error: ObstacleError | None = None
+    if comm.rank == 0:
+        try:
+            result = action(*args)
+        except OSError as e:
+            error = InputError(f"{e.filename}: {e.strerror}" if e.filename else str(e))
+        except ObstacleError as e:
+            error = e
+    result, error = comm.bcast((result, error))
+    if error is not None:
+        raise error
+    return result
+
+
+@contextmanager
+def new_folder(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
+    """Fill a folder beside `folder`, then put it in its place in one step (collective).
+
+    Readers see the old folder or the new one, never a half-written one.
+
+    Raises:
+        InputError: If the place cannot be written to.
+    """
+
+    def begin() -> Path:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder}: is a file; --output names a folder")
+        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        scratch.chmod(0o755)
+        return scratch
+
+    def finish() -> None:
+        old = scratch.with_name(scratch.name + "-old")
+        if folder.exists():
+            folder.rename(old)
+        scratch.rename(folder)
+        shutil.rmtree(old, ignore_errors=True)
+
+    scratch: Path = on_root(comm, begin)
+    try:
+        yield scratch
+    except ObstacleError:
+        on_root(comm, lambda: shutil.rmtree(scratch, ignore_errors=True))
+        raise
+    on_root(comm, finish)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file in one step: to a temporary name, then renamed (one rank)."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".{path.name}.part")
+    scratch.write_text(text)
+    scratch.replace(path)
+
+
+def total(comm: MPI.Comm, value: Any) -> float:
+    """Sum of a number or of an array of owned values over all ranks (collective)."""
+    return float(comm.allreduce(float(np.sum(value)), op=MPI.SUM))
+
+
+def largest(comm: MPI.Comm, values: Any) -> float:
+    """Largest value over all ranks, -inf where no rank has any (collective)."""
+    return float(comm.allreduce(float(np.max(values, initial=-np.inf)), op=MPI.MAX))
+
+
+def smallest(comm: MPI.Comm, values: Any) -> float:
+    """Smallest value over all ranks, inf where no rank has any (collective)."""
+    return float(comm.allreduce(float(np.min(values, initial=np.inf)), op=MPI.MIN))
+
+
+def gathered(comm: MPI.Comm, values: np.ndarray) -> np.ndarray | None:
+    """Owned rows of all ranks, in the order of ranks, on rank 0; None elsewhere (collective)."""
+    parts = comm.gather(values)
+    return None if parts is None else np.concatenate(parts)
+
+
+def peak_memory_mb(comm: MPI.Comm) -> float:
+    """Sum over ranks of the peak resident memory, in MB of 10^6 bytes (collective)."""
+    return total(comm, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6)
+
+
+def abort_on_uncaught_errors(comm: MPI.Comm) -> None:
+    """An exception that nobody caught ends all ranks, instead of leaving them waiting."""
+
+    def hook(kind: type[BaseException], value: BaseException, trace: Any) -> None:
+        traceback.print_exception(kind, value, trace)
+        sys.stderr.flush()
+        comm.Abort(130 if issubclass(kind, KeyboardInterrupt) else 1)
+
+    if comm.size > 1:
+        sys.excepthook = hook

@@ -1,0 +1,250 @@
+"""What differs between dolfinx 0.5, 0.9 and 0.11; every other module knows one spelling only.
+
+Covered and tried: 0.5.2 (Debian 12), 0.9.0 (Debian 13), 0.11.0 (Debian sid).
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import dolfinx
+import dolfinx.fem.petsc  # from 0.7 on `dolfinx.fem` does not import it
+import numpy as np
+import ufl
+from dolfinx import cpp as _cpp
+from dolfinx import fem, io
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+from petsc4py import PETSc
+
+VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
+OLD = VERSION < (0, 7)  # ufl elements, AdjacencyList dofmaps
+NEW = VERSION >= (0, 10)  # create_vector(V), io.gmsh
+
+atan2 = getattr(ufl, "atan2", None) or ufl.atan_2
+FACET_GHOSTS = dmesh.GhostMode.shared_facet
+JIT_WAIT = 25  # seconds to wait for another process that compiles the same form
+
+
+def quiet() -> None:
+    """Keep FFCx and UFL from printing compiler command lines and remarks (local)."""
+    for name in ("UFL", "FFCx", "ffcx", "UFL_LEGACY"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    for handler in logging.getLogger().handlers + logging.getLogger("UFL").handlers:
+        if type(handler) is logging.StreamHandler:
+            handler.setLevel(logging.ERROR)
+
+
+quiet()
+
+
+def called(value: Any) -> Any:
+    """UFL turned methods such as `degree()` into properties."""
+    return value() if callable(value) else value
+
+
+def cell_name(mesh: dmesh.Mesh) -> str:
+    """'interval', 'triangle', 'tetrahedron', ..."""
+    return called(mesh.ufl_cell().cellname)
+
+
+def functionspace(mesh: dmesh.Mesh, family: str, degree: int) -> fem.FunctionSpace:
+    """Scalar space of a family and degree (collective)."""
+    make = getattr(fem, "functionspace", None) or fem.FunctionSpace
+    return make(mesh, (family, degree))
+
+
+def vec(u: fem.Function) -> PETSc.Vec:
+    """PETSc vector sharing the memory of a Function."""
+    return u.vector if OLD else u.x.petsc_vec
+
+
+def cell_dofs(V: fem.FunctionSpace) -> np.ndarray:
+    """Dofs of each local cell, shape (cells, dofs per cell)."""
+    dofs = V.dofmap.list
+    return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(dofs.num_nodes, -1)
+
+
+def geometry_dofs(mesh: dmesh.Mesh) -> np.ndarray:
+    """Rows of `mesh.geometry.x` of each local cell, shape (cells, vertices per cell)."""
+    geometry = mesh.geometry
+    dofs = geometry.dofmaps[0] if VERSION >= (0, 11) else geometry.dofmap
+    return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(dofs.num_nodes, -1)
+
+
+def dof_nodes(V: fem.FunctionSpace) -> np.ndarray:
+    """Row of `mesh.geometry.x` of each local dof of a P1 space."""
+    dofs, nodes = cell_dofs(V), geometry_dofs(V.mesh)
+    found = np.empty(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.int32)
+    found[dofs.ravel()] = nodes.ravel()
+    return found
+
+
+def form(expression: ufl.Form) -> Any:
+    """Compile a form (collective).
+
+    A process killed while compiling leaves a source without its library, on which FFCx waits
+    until it gives up: such files are removed, and the compilation is tried once more.
+    """
+    options = {"jit_params" if OLD else "jit_options": {"timeout": JIT_WAIT}}
+    try:
+        return fem.form(expression, **options)
+    except (TimeoutError, RuntimeError) as error:
+        if "timed out" not in str(error):
+            raise
+    _remove_stale_sources()
+    return fem.form(expression, **options)
+
+
+def _remove_stale_sources() -> None:
+    """Remove sources that nobody has finished compiling for longer than `JIT_WAIT` seconds."""
+    cache = Path(os.getenv("XDG_CACHE_HOME", Path.home() / ".cache")) / "fenics"
+    for source in cache.glob("libffcx_*.c"):
+        if not source.with_suffix(".c.cached").exists() and time.time() - source.stat().st_mtime > JIT_WAIT - 1:
+            source.unlink(missing_ok=True)
+
+
+def create_matrix(bilinear: Any) -> PETSc.Mat:
+    """Matrix with the sparsity of a compiled form (collective)."""
+    return fem.petsc.create_matrix(bilinear)
+
+
+def create_vector(linear: Any, V: fem.FunctionSpace) -> PETSc.Vec:
+    """Ghosted vector for a compiled linear form on V (collective)."""
+    return fem.petsc.create_vector(V if NEW else linear)
+
+
+def expression(value: Any, V: fem.FunctionSpace) -> fem.Expression:
+    """UFL expression evaluated at the nodes of V."""
+    return fem.Expression(value, called(V.element.interpolation_points))
+
+
+def diagonal(name: str) -> Any:
+    """How rectangles are cut into triangles: right, left, crossed, left_right, right_left."""
+    kinds = getattr(dmesh, "DiagonalType", None) or _cpp.mesh.DiagonalType
+    return getattr(kinds, name)
+
+
+def settle(mesh: dmesh.Mesh) -> dmesh.Mesh:
+    """Make form signatures independent of what the process compiled before.
+
+    On 0.5 the first compilation changes the variant of the coordinate element, and with it the
+    signature of every later form: without this the same form compiles twice.
+    """
+    if OLD:
+        mesh.ufl_domain().ufl_coordinate_element()._sub_element._variant = "equispaced"
+    return mesh
+
+
+def create_mesh(comm: MPI.Comm, cells: np.ndarray, points: np.ndarray, cell: str, *, stay: bool = False) -> dmesh.Mesh:
+    """Affine mesh from arrays (collective).
+
+    Args:
+        comm: Communicator.
+        cells: Rows of `points` (in global numbering), shape (n, vertices), on the ranks that hold them.
+        points: Coordinates, shape (m, gdim), in rank order.
+        cell: Name of the cell type.
+        stay: Keep each cell on the rank that passes it.
+    """
+    cells, points = np.ascontiguousarray(cells, np.int64), np.ascontiguousarray(points, np.float64)
+    gdim = points.shape[1]
+    if OLD:
+        domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell(cell, geometric_dimension=gdim), 1))
+        part = dmesh.create_cell_partitioner(*([_stay] if stay else []))
+        mesh = dmesh.create_mesh(comm, cells, points, domain, FACET_GHOSTS, part)
+    else:
+        import basix.ufl
+
+        domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(gdim,)))
+        arguments = (cells, domain, points) if NEW else (cells, points, domain)
+        mesh = dmesh.create_mesh(comm, *arguments, partitioner=_partitioner(stay))
+    return settle(mesh)
+
+
+def _partitioner(stay: bool) -> Any:
+    if stay:
+        return dmesh.create_cell_partitioner(_stay, FACET_GHOSTS)
+    if VERSION >= (0, 11):
+        return _cpp.mesh.create_cell_partitioner(FACET_GHOSTS, 2)
+    return dmesh.create_cell_partitioner(FACET_GHOSTS)
+
+
+def _stay(comm: MPI.Comm, parts: int, graph: Any, ghosting: bool) -> Any:
+    """Partition function: every cell stays on its rank and is a ghost on its neighbours' ranks."""
+    own = graph.num_nodes
+    ends = np.cumsum(comm.allgather(own))
+    offsets, links = np.asarray(graph.offsets), np.asarray(graph.array)
+    cell = np.repeat(np.arange(own), np.diff(offsets)) if ghosting else np.empty(0, int)
+    owner = np.searchsorted(ends, links if ghosting else links[:0], side="right")
+    away = owner != comm.rank
+    # one row (cell, order, rank) for the cell itself, order 0, and one for each rank beside it
+    rows = np.column_stack([cell, np.ones_like(cell), owner])[away]
+    home = np.column_stack([np.arange(own), np.zeros(own, int), np.full(own, comm.rank)])
+    rows = np.unique(np.vstack([home, rows]), axis=0)
+    starts = np.searchsorted(rows[:, 0], np.arange(own + 1))
+    return _cpp.graph.AdjacencyList_int32(rows[:, 2].astype(np.int32), starts.astype(np.int32))
+
+
+def refine(mesh: dmesh.Mesh) -> tuple[dmesh.Mesh, np.ndarray]:
+    """Uniform refinement of triangles or tetrahedra, every cell staying on its rank (collective).
+
+    Returns:
+        The refined mesh and, for each of its owned cells, the local cell of `mesh` it came from.
+    """
+    mesh.topology.create_entities(1)
+    if OLD:
+        option = _cpp.refinement.RefinementOptions.parent_cell
+        refined, raw, _ = _cpp.refinement.plaza_refine_data(mesh, False, option)
+        new = dmesh.Mesh(refined, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
+    else:
+        # 0.9 forgets ghosts unless a partitioner asks for them; 0.11 keeps them by default
+        keep: dict[str, Any] = {}
+        if not NEW:
+            keep["partitioner"] = None if mesh.comm.size == 1 else _partitioner(stay=True)
+        new, raw, _ = dmesh.refine(mesh, None, option=dmesh.RefinementOption.parent_cell, **keep)
+    # parents come in the order in which cells were made, cells have been renumbered since
+    raw = np.asarray(raw, dtype=np.int32)
+    first = mesh.comm.exscan(len(raw)) or 0
+    own = new.topology.index_map(new.topology.dim).size_local
+    parents = raw[np.asarray(new.topology.original_cell_index)[:own] - first]
+    return settle(new), parents
+
+
+def incident_entities(mesh: dmesh.Mesh, entities: np.ndarray, d0: int, d1: int) -> np.ndarray:
+    """Entities of dimension d1 that touch given entities of dimension d0 (local)."""
+    mesh.topology.create_connectivity(d0, d1)
+    mesh.topology.create_connectivity(d1, d0)
+    first = mesh if OLD else mesh.topology
+    return np.asarray(dmesh.compute_incident_entities(first, entities, d0, d1), dtype=np.int32)
+
+
+def from_gmsh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[dmesh.Mesh, Any, Any]:
+    """Mesh, cell tags and facet tags of a Gmsh model held by rank 0 (collective)."""
+    if OLD:
+        from dolfinx.io import gmshio
+
+        mesh, cells, facets = gmshio.model_to_mesh(model, comm, 0, gdim=gdim)
+    elif NEW:
+        from dolfinx.io import gmsh as reader
+
+        data = reader.model_to_mesh(model, comm, 0, gdim=gdim, partitioner=_partitioner(False))
+        mesh, cells, facets = data.mesh, data.cell_tags, data.facet_tags
+    else:
+        from dolfinx.io import gmshio
+
+        mesh, cells, facets = gmshio.model_to_mesh(model, comm, 0, gdim=gdim, partitioner=_partitioner(False))
+    return settle(mesh), cells, facets
+
+
+def from_xdmf(file: io.XDMFFile, name: str) -> dmesh.Mesh:
+    """Mesh of an open XDMF file, ghosted over facets (collective)."""
+    return settle(file.read_mesh(FACET_GHOSTS, name=name))
+
+
+def failed(solver: Any) -> bool:
+    """Whether a KSP or SNES stopped without convergence."""
+    return solver.getConvergedReason() <= 0

@@ -1,0 +1,1 @@
+"""Reading a scene: TOML tables, formulas and the shapes of domains."""

@@ -1,0 +1,242 @@
+"""Formulas such as "where(r < a, sqrt(1 - r^2), 0)": parsed, never evaluated as Python.
+
+One tree, two alphabets: NumPy arrays for data at nodes, UFL for the exact solution, whose gradient is needed.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.errors import InputError
+
+MAX_LENGTH = 2000  # characters; the parser of Python itself runs out of memory at 1e5 signs
+MAX_DEPTH = 60  # nested operations
+
+_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^", ast.Mod: "%"}
+_COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+
+# name: least and largest number of arguments
+FUNCTIONS = {
+    **dict.fromkeys("sin cos tan asin acos atan sinh cosh tanh exp ln log log10 sqrt abs sign floor".split(), (1, 1)),
+    "atan2": (2, 2),
+    "hypot": (2, 2),
+    "min": (2, 9),
+    "max": (2, 9),
+    "where": (3, 3),
+}
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A parsed formula.
+
+    Attributes:
+        text: As the user wrote it.
+        place: Where it stands, e.g. "ball.toml: [obstacle] lower", for messages.
+        tree: Its syntax tree.
+    """
+
+    text: str
+    place: str
+    tree: ast.expr
+
+    @property
+    def names(self) -> set[str]:
+        """Names of the values it needs."""
+        called = {id(node.func) for node in ast.walk(self.tree) if isinstance(node, ast.Call)}
+        return {n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and id(n) not in called}
+
+    def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
+        """Refuse names that mean nothing here.
+
+        Raises:
+            InputError: Pointing at the column, with the nearest known name.
+        """
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Name) and node.id in self.names and node.id not in known:
+                raise InputError(_at(self, node, f"unknown name '{node.id}'" + nearest(node.id, known)))
+
+    def evaluate(self, values: Mapping[str, Any], alphabet: Mapping[str, Callable[..., Any]]) -> Any:
+        """Value of the formula.
+
+        Args:
+            values: Value of each name: arrays of one shape for NumPy, expressions for UFL.
+            alphabet: Operations by sign or name, as `NUMPY` below.
+        """
+        self.check_names(values)
+        return _walk(self, self.tree, values, alphabet)
+
+    def on_arrays(self, values: Mapping[str, Any]) -> np.ndarray:
+        """Value as a float array; not-a-numbers are left for the caller to report."""
+        with np.errstate(all="ignore"):
+            return np.asarray(self.evaluate(values, NUMPY), dtype=np.float64)
+
+
+def parse(text: str | float, place: str) -> Formula:
+    """Parse a formula or a number.
+
+    Raises:
+        InputError: With the place and the column of what cannot be read.
+    """
+    if isinstance(text, bool):
+        raise InputError(f"{place}: expected a number or a formula, found {str(text).lower()}")
+    if not isinstance(text, str):
+        return Formula(repr(text), place, ast.Constant(float(text)))
+    if len(text) > MAX_LENGTH:
+        raise InputError(f"{place}: formula of {len(text)} characters; the limit is {MAX_LENGTH}")
+    bare = Formula(text, place, ast.Constant(0.0))
+    if not text.strip():
+        raise InputError(f"{place}: empty formula")
+    try:
+        tree = ast.parse(text.replace("^", "**").strip(), mode="eval").body
+    except SyntaxError as error:
+        offset = _column(text, (error.offset or 1) - 1)
+        raise InputError(_caret(bare, offset, "cannot read this formula")) from None
+    except (MemoryError, RecursionError, ValueError):
+        raise InputError(f"{place}: this formula is nested too deeply or holds strange characters") from None
+    formula = Formula(text, place, tree)
+    _check(formula, tree, 0)
+    return formula
+
+
+def nearest(word: str, known: Any) -> str:
+    """A hint naming the known word most like `word`, or what is known."""
+    close = difflib.get_close_matches(word, list(known), 1, 0.6)
+    return f"; did you mean '{close[0]}'?" if close else f" (known: {', '.join(sorted(known))})"
+
+
+def _check(formula: Formula, node: ast.expr, depth: int) -> None:
+    """Refuse whatever is not arithmetic."""
+    if depth > MAX_DEPTH:
+        raise InputError(f"{formula.place}: formula nested deeper than {MAX_DEPTH} operations")
+    children: list[ast.expr]
+    match node:
+        case ast.Constant(value=bool()) | ast.Constant(value=complex()):
+            raise InputError(_at(formula, node, "only real numbers"))
+        case ast.Constant(value=int() | float()) | ast.Name():
+            children = []
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            children = [left, right]
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() | ast.Not(), operand=operand):
+            children = [operand]
+        case ast.Compare(left=left, ops=ops, comparators=rest) if all(type(op) in _COMPARE for op in ops):
+            children = [left, *rest]
+        case ast.BoolOp(values=parts):
+            children = parts
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
+            if name not in FUNCTIONS:
+                raise InputError(_at(formula, node, f"unknown function '{name}'" + nearest(name, FUNCTIONS)))
+            least, most = FUNCTIONS[name]
+            if not least <= len(args) <= most:
+                wanted = f"{least}" if least == most else f"{least} to {most}"
+                raise InputError(_at(formula, node, f"{name} takes {wanted} arguments, not {len(args)}"))
+            children = args
+        case _:
+            raise InputError(_at(formula, node, "not allowed in a formula"))
+    for child in children:
+        _check(formula, child, depth + 1)
+
+
+def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mapping[str, Callable[..., Any]]) -> Any:
+    def condition(child: ast.expr) -> Any:
+        """Truth value: comparisons as they are, numbers by being different from zero."""
+        value = _walk(formula, child, values, do)
+        return value if _is_condition(child) else do["!="](value, 0.0)
+
+    def number(child: ast.expr) -> Any:
+        """Numeric value: a comparison counts 1 or 0."""
+        value = _walk(formula, child, values, do)
+        return do["where"](value, 1.0, 0.0) if _is_condition(child) else value
+
+    match node:
+        case ast.Constant(value=value):
+            return float(value)
+        case ast.Name(id=name):
+            return values[name]
+        case ast.BinOp(left=left, op=op, right=right):
+            return do[_BINARY[type(op)]](number(left), number(right))
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return do["not"](condition(operand))
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -number(operand)
+        case ast.UnaryOp(operand=operand):
+            return number(operand)
+        case ast.Compare(left=left, ops=ops, comparators=rest):
+            sides = [number(side) for side in (left, *rest)]
+            parts = [do[_COMPARE[type(op)]](a, b) for op, a, b in zip(ops, sides[:-1], sides[1:], strict=True)]
+            return _fold(do["and"], parts)
+        case ast.BoolOp(op=op, values=operands):
+            return _fold(do["and" if isinstance(op, ast.And) else "or"], [condition(child) for child in operands])
+        case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
+            return do["where"](condition(test), number(yes), number(no))
+        case ast.Call(func=ast.Name(id=name), args=args):
+            if name not in do:
+                raise InputError(_at(formula, node, f"{name} cannot be differentiated, so not in [exact]"))
+            parts = [number(arg) for arg in args]
+            return _fold(do[name], parts) if name in ("min", "max") else do[name](*parts)
+    raise AssertionError(ast.dump(node))  # _check let nothing else pass
+
+
+def _is_condition(node: ast.expr) -> bool:
+    return isinstance(node, ast.Compare | ast.BoolOp) or (isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not))
+
+
+def _fold(operation: Callable[[Any, Any], Any], parts: list[Any]) -> Any:
+    result = parts[0]
+    for part in parts[1:]:
+        result = operation(result, part)
+    return result
+
+
+def _column(text: str, offset: int) -> int:
+    """Column in the user's text of an offset in the parsed text, where ^ had become **."""
+    lead = len(text) - len(text.lstrip())
+    parsed = 0
+    for column, sign in enumerate(text[lead:]):
+        if parsed >= offset:
+            return lead + column
+        parsed += 2 if sign == "^" else 1
+    return len(text)
+
+
+def _at(formula: Formula, node: ast.expr, message: str) -> str:
+    return _caret(formula, _column(formula.text, getattr(node, "col_offset", 0)), message)
+
+
+def _caret(formula: Formula, column: int, message: str) -> str:
+    return f"{formula.place}: {message}\n    {formula.text}\n    {' ' * column}^"
+
+
+NUMPY: dict[str, Callable[..., Any]] = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "^": np.power, "%": np.mod,
+    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
+    "and": np.logical_and, "or": np.logical_or, "not": np.logical_not, "where": np.where,
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "ln": np.log,
+    "log": np.log, "log10": np.log10, "sqrt": np.sqrt, "abs": np.abs, "sign": np.sign, "floor": np.floor,
+    "hypot": np.hypot, "min": np.minimum, "max": np.maximum,
+}  # fmt: skip
+
+
+def ufl_alphabet() -> dict[str, Callable[..., Any]]:
+    """The same operations in UFL; `floor` and `%` have none."""
+    import ufl
+
+    from fenicsx_obstacle import releases
+
+    return {
+        "+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b, "/": lambda a, b: a / b,
+        "^": lambda a, b: a**b, "<": ufl.lt, "<=": ufl.le, ">": ufl.gt, ">=": ufl.ge, "==": ufl.eq, "!=": ufl.ne,
+        "and": ufl.And, "or": ufl.Or, "not": ufl.Not, "where": ufl.conditional,
+        "sin": ufl.sin, "cos": ufl.cos, "tan": ufl.tan, "asin": ufl.asin, "acos": ufl.acos, "atan": ufl.atan,
+        "atan2": releases.atan2, "sinh": ufl.sinh, "cosh": ufl.cosh, "tanh": ufl.tanh, "exp": ufl.exp, "ln": ufl.ln,
+        "log": ufl.ln, "log10": lambda a: ufl.ln(a) / math.log(10), "sqrt": ufl.sqrt, "abs": abs, "sign": ufl.sign,
+        "hypot": lambda a, b: ufl.sqrt(a * a + b * b), "min": ufl.min_value, "max": ufl.max_value,
+    }  # fmt: skip

@@ -1,0 +1,117 @@
+"""Recipes for shapes: points and cells, names of their sides, the projection of their curved boundary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+Sides = dict[str, Callable[[np.ndarray], np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A domain with named sides.
+
+    Attributes:
+        cell: Cell type.
+        lower: Lower corner of its box, one number per dimension.
+        upper: Upper corner.
+        cells: Cells along the first side; along the others in proportion, so that cells are about square.
+        diagonal: How rectangles are cut into triangles.
+        sides: Marks the points, shape (3, n), of each named side.
+        h: Side of the grid.
+        arrays: Makes (points, cells) where DOLFINx has no builder for the shape.
+        project: Moves boundary points, shape (n, gdim), onto the true boundary, where that is curved.
+    """
+
+    cell: str
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    cells: tuple[int, ...]
+    sides: Sides
+    h: float
+    diagonal: str = "right"
+    arrays: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None
+    project: Callable[[np.ndarray], np.ndarray] | None = field(default=None, compare=False)
+
+    @property
+    def vertices(self) -> float:
+        """About how many vertices the mesh will have."""
+        return float(np.prod([float(n) + 1 for n in self.cells])) * (2 if self.diagonal == "crossed" else 1)
+
+
+def box(cell: str, corners: list[tuple[float, float]], cells: int, diagonal: str = "right") -> Shape:
+    """Interval, rectangle or box between corners, `cells` along x."""
+    lower, upper = zip(*corners, strict=True)
+    h = (upper[0] - lower[0]) / cells
+    along = (cells, *(max(1, round((b - a) / h)) for a, b in corners[1:]))
+    tolerance = 1e-9 * max(b - a for a, b in corners)
+    names = [("left", "right"), ("bottom", "top"), ("back", "front")][: len(corners)]
+    sides = {
+        name: (lambda x, axis=axis, at=at: np.abs(x[axis] - at) < tolerance)
+        for axis, (pair, ends) in enumerate(zip(names, corners, strict=True))
+        for name, at in zip(pair, ends, strict=True)
+    }
+    return Shape(cell, lower, upper, along, sides, h, diagonal)
+
+
+def l_shape(corners: list[tuple[float, float]], cells: int) -> Shape:
+    """Rectangle without its lower right quarter; sides `outer`, and `notch` at the re-entrant corner."""
+    cells += cells % 2
+    (x0, x1), (y0, y1) = corners
+    xm, ym, tolerance = (x0 + x1) / 2, (y0 + y1) / 2, 1e-9 * (x1 - x0 + y1 - y0)
+
+    def arrays() -> tuple[np.ndarray, np.ndarray]:
+        x, y = np.meshgrid(np.linspace(x0, x1, cells + 1), np.linspace(y0, y1, cells + 1))
+        i, j = (k.ravel() for k in np.meshgrid(np.arange(cells), np.arange(cells)))
+        i, j = i[(i < cells // 2) | (j >= cells // 2)], j[(i < cells // 2) | (j >= cells // 2)]
+        corner = j * (cells + 1) + i
+        a, b, c, d = corner, corner + 1, corner + cells + 1, corner + cells + 2
+        triangles = np.vstack([np.column_stack([a, b, d]), np.column_stack([a, c, d])])
+        used, renumbered = np.unique(triangles, return_inverse=True)
+        return np.column_stack([x.ravel(), y.ravel()])[used], renumbered.reshape(-1, 3)
+
+    def notch(x: np.ndarray) -> np.ndarray:
+        vertical = (np.abs(x[0] - xm) < tolerance) & (x[1] < ym + tolerance)
+        return vertical | ((np.abs(x[1] - ym) < tolerance) & (x[0] > xm - tolerance))
+
+    def outer(x: np.ndarray) -> np.ndarray:
+        ends = [(0, x0), (0, x1), (1, y0), (1, y1)]
+        return np.any([np.abs(x[axis] - at) < tolerance for axis, at in ends], axis=0)
+
+    sides = {"outer": outer, "notch": notch}
+    return Shape("triangle", (x0, y0), (x1, y1), (cells, cells), sides, (x1 - x0) / cells, arrays=arrays)
+
+
+def disk(radius: float, cells: int) -> Shape:
+    """Disk about the origin, `cells` along its diameter; side `circle`.
+
+    Rings of six triangles more each time: no triangle is obtuse, and the area of all is alike.
+    """
+    rings = max(1, (cells + 1) // 2)
+
+    def arrays() -> tuple[np.ndarray, np.ndarray]:
+        count = np.maximum(6 * np.arange(rings + 1), 1)
+        first = np.concatenate([[0], np.cumsum(count)])
+        ring = np.repeat(np.arange(rings + 1), count)
+        angle = 2 * np.pi * (np.arange(first[-1]) - first[ring]) / count[ring]
+        points = radius / rings * ring[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        triangles = []
+        for k in range(1, rings + 1):
+            j = np.arange(6 * k)  # points of ring k; sector j // k, place j % k within it
+            inside = lambda m, k=k: first[k - 1] + m % count[k - 1]  # noqa: E731
+            below = (j // k) * (k - 1) + j % k  # point of ring k-1 below the start of edge j
+            outer = np.column_stack([first[k] + j, first[k] + (j + 1) % (6 * k), inside(below)])
+            m = j[j % k != 0]
+            sides = inside((m // k) * (k - 1) + m % k - 1), first[k] + m, inside((m // k) * (k - 1) + m % k)
+            triangles += [outer, np.column_stack(sides)]
+        return points, np.vstack(triangles)
+
+    def project(x: np.ndarray) -> np.ndarray:
+        return x * (radius / np.linalg.norm(x, axis=1))[:, None]
+
+    sides = {"circle": lambda x: np.abs(np.hypot(x[0], x[1]) - radius) < 1e-9 * radius}
+    corner = (-radius, -radius), (radius, radius)
+    return Shape("triangle", *corner, (2 * rings, 2 * rings), sides, radius / rings, arrays=arrays, project=project)

@@ -1,0 +1,166 @@
+"""The tables of a scene and their keys, as typed structures; unknown keys and wrong types are refused."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct, field
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.formulas import nearest
+
+Value = float | str  # a number or a formula
+Positive = Annotated[int, Meta(ge=1)]
+
+
+class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """[mesh]: a shape with its corners, or a file."""
+
+    shape: Literal["interval", "rectangle", "disk", "l-shape", "box"] | None = None
+    file: str | None = None
+    x: tuple[Value, Value] = (0.0, 1.0)
+    y: tuple[Value, Value] = (0.0, 1.0)
+    z: tuple[Value, Value] = (0.0, 1.0)
+    radius: Value = 1.0
+    cells: Positive = 32
+    refine: Annotated[int, Meta(ge=0)] = 0
+    diagonal: Literal["right", "left", "crossed", "union-jack"] = "right"
+
+
+class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """[obstacle]: what u may touch but not cross."""
+
+    lower: Value | None = None
+    upper: Value | None = None
+
+
+class BoundaryTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """[[boundary]]: where, and the value of u there."""
+
+    on: str | tuple[str, ...] | None = None
+    where: str | None = None
+    value: Value | None = None
+
+
+class ExactTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """[exact]: the solution, where it is known."""
+
+    u: Value
+
+
+class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """[solve]: how to solve; the command line wins."""
+
+    element: Literal["P1"] = "P1"
+    method: Literal["penalty", "successive", "vi"] = "penalty"
+    eps: Value = "h^2"
+
+
+class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A whole scene."""
+
+    title: str = ""
+    u: str = "u"
+    define: dict[str, Value] = {}
+    mesh: MeshTable = MeshTable()
+    effects: dict[str, Any] = {}
+    obstacle: ObstacleTable = ObstacleTable()
+    boundary: tuple[BoundaryTable, ...] = ()
+    exact: ExactTable | None = None
+    solve: SolveTable = field(default_factory=SolveTable)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Tables of a file, not yet checked.
+
+    Raises:
+        InputError: If the file is missing or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+        raise InputError(f"{path}: no such scene file; 'scenes' lists the scenes that come along") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply") from None
+
+
+def checked(raw: dict[str, Any], source: str) -> Tables:
+    """The same tables, typed.
+
+    Raises:
+        InputError: Naming the table and key, and the nearest known key for an unknown one.
+    """
+    try:
+        return msgspec.convert(raw, Tables)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{source}: {_in_words(str(error), raw)}") from None
+
+
+def _in_words(message: str, raw: dict[str, Any]) -> str:
+    """msgspec's message with TOML's names for the place, the value found, and the nearest key."""
+    problem, _, path = message.partition(" - at `$")
+    path = path.rstrip("`").lstrip(".")
+    place = _place(path)
+    if match := re.match(r"Object contains unknown field `(.*)`", problem):
+        known, kind = _keys_at(path), "key" if path else "table or key"
+        return f"{place}unknown {kind} '{match[1]}'" + nearest(match[1], known)
+    if match := re.match(r"Object missing required field `(.*)`", problem):
+        return f"{place}the key '{match[1]}' is missing"
+    found = _value_at(path, raw)
+    if problem.startswith("Invalid enum value"):
+        return f"{place}= {found!r} is not known" + nearest(str(found), _choices_at(path))
+    words = {"`int`": "a whole number", "`float | str`": "a number or a formula", "`str`": "a text in quotes",
+             "`object`": "a table", "`array`": "a list", " | null": ""}  # fmt: skip
+    for word, plain in words.items():
+        problem = problem.replace(word, plain)
+    return f"{place}= {found!r}: {problem[0].lower()}{problem[1:]}"
+
+
+def _place(path: str) -> str:
+    """'mesh.cells' -> '[mesh] cells ', 'boundary[0].on' -> '[[boundary]] (no. 1) on '."""
+    table, _, key = path.partition(".")
+    if match := re.match(r"boundary\[(\d+)\]", table):
+        table = f"[[boundary]] (no. {int(match[1]) + 1})"
+    elif key or table in Tables.__struct_fields__[2:]:
+        table = f"[{table}]"
+    return " ".join(part for part in (table, key) if part) + (" " if path else "")
+
+
+def _table_type(path: str) -> Any:
+    kinds = {"mesh": MeshTable, "obstacle": ObstacleTable, "exact": ExactTable, "solve": SolveTable}
+    name = path.partition(".")[0]
+    return BoundaryTable if name.startswith("boundary") else kinds.get(name, Tables)
+
+
+def _keys_at(path: str) -> tuple[str, ...]:
+    return _table_type(path).__struct_fields__
+
+
+def _choices_at(path: str) -> list[str]:
+    """Allowed words of a Literal field."""
+    key = path.partition(".")[2]
+    for info in msgspec.structs.fields(_table_type(path)):
+        if info.name == key:
+            described = msgspec.inspect.type_info(info.type)
+            options = getattr(described, "types", (described,))
+            return [word for option in options for word in getattr(option, "values", ())]
+    return []
+
+
+def _value_at(path: str, raw: Any) -> Any:
+    for step in re.findall(r"[^.\[\]]+", path.replace("[...]", "")):
+        try:
+            raw = raw[int(step)] if step.isdigit() else raw[step]
+        except (KeyError, IndexError, TypeError):
+            return raw
+    return raw

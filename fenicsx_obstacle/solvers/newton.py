@@ -1,0 +1,62 @@
+"""Semismooth Newton for the penalised problem (3.4), and the paper's successive iteration (3.4)*: one loop.
+
+The generalised derivative of t^+ is 1 where t > 0 and 0 elsewhere, at t = 0 too: with it a Newton step solves the
+linear problem of (3.4)* on the present active set.
+"""
+
+from __future__ import annotations
+
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.solvers.snes import LINEAR, Outcome, require, run, user_has_set
+from fenicsx_obstacle.solvers.stopping import Stopping
+
+NEWTON = {
+    **LINEAR,
+    "snes_type": "newtonls",
+    "snes_max_it": 500,
+    "snes_max_funcs": 100000,
+    # `Stopping` decides alone; PETSc's tests return wrong answers as converged for small eps
+    "snes_rtol": 0.0,
+    "snes_stol": 0.0,
+    "snes_divergence_tolerance": -1.0,
+}
+
+
+def solve_penalty(problem: Problem, eps: float) -> Outcome:
+    """Solve (3.4) from the problem's present state (collective).
+
+    Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
+    finite. Should they repeat, a line search on the convex energy breaks the cycle.
+
+    Args:
+        problem: Holds the start, then the solution.
+        eps: Penalty parameter, in units of u/p.
+
+    Returns:
+        The converged outcome, iterations of all attempts together.
+
+    Raises:
+        NotConverged: With PETSc's reason.
+    """
+    problem.eps.value = eps
+    outcome = _attempts(problem)
+    while outcome.converged and problem.refer_to_contact():
+        outcome = _joined(outcome, _attempts(problem))
+    return require(outcome, problem, eps)
+
+
+def _attempts(problem: Problem) -> Outcome:
+    own_search = user_has_set("penalty_snes_linesearch_type")
+    outcome = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "basic"},
+                  Stopping(problem, watch_cycles=not own_search), objective=own_search and problem.has_energy)  # fmt: skip
+    if outcome.converged or own_search or not problem.has_energy:
+        return outcome
+    searched = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "bt"}, Stopping(problem), objective=True)
+    return _joined(outcome, searched)
+
+
+def _joined(first: Outcome, second: Outcome) -> Outcome:
+    return Outcome(
+        first.solver, first.iterations + second.iterations, first.krylov + second.krylov,
+        first.history + second.history, first.seconds + second.seconds, second.reason,
+    )  # fmt: skip

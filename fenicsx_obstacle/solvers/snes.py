@@ -1,0 +1,129 @@
+"""A PETSc SNES for a problem: callbacks that never raise on one rank, defaults that options override."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from petsc4py import PETSc
+
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.solvers.stopping import Step, Stopping, in_words
+
+LINEAR = {
+    "ksp_type": "cg",
+    "ksp_norm_type": "natural",  # the energy norm: independent of eps and of units
+    "ksp_rtol": 1e-10,
+    "ksp_max_it": 500,
+    "pc_type": "hypre",
+    "pc_hypre_type": "boomeramg",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a solver did; the state is in the problem.
+
+    Attributes:
+        solver: Its name.
+        iterations: Newton steps.
+        krylov: Linear iterations in all steps.
+        history: One step per line.
+        seconds: Time of the iteration.
+        reason: PETSc's reason.
+    """
+
+    solver: str
+    iterations: int
+    krylov: int
+    history: tuple[Step, ...]
+    seconds: float
+    reason: int
+
+    @property
+    def converged(self) -> bool:
+        return self.reason > 0
+
+
+def run(
+    problem: Problem,
+    name: str,
+    options: Mapping[str, Any],
+    stopping: Stopping,
+    *,
+    penalised: bool = True,
+    objective: bool = False,
+    prepare: Callable[[PETSc.SNES], None] | None = None,
+) -> Outcome:
+    """Solve from the problem's present state; w is the last state whatever happens (collective).
+
+    Args:
+        problem: What to solve.
+        name: Name of the solver and prefix of its options.
+        options: Its defaults, without the prefix; the user's PETSc options win.
+        stopping: When to stop.
+        penalised: Whether the penalty is part of the residual.
+        objective: Give the line search the energy.
+        prepare: Called with the SNES before it solves.
+    """
+    start = time.perf_counter()
+    snes = PETSc.SNES().create(problem.level.comm)
+    x = problem.state()
+    residual = x.duplicate()
+    # a NaN is seen by PETSc on all ranks; an exception would leave the others waiting
+    snes.setFunction(lambda _, x, out: problem.residual(x, out, penalised=penalised), residual)
+    snes.setJacobian(lambda _, x, A, P: problem.jacobian(x, penalised=penalised), problem.A)
+    if objective:
+        snes.setObjective(lambda _, x: problem.energy(x, penalised=penalised))
+    snes.setOptionsPrefix(f"{name}_")
+    with _defaults(f"{name}_", options):
+        snes.setFromOptions()
+        if prepare is not None:
+            prepare(snes)
+        snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
+        snes.solve(None, x)
+    problem.take(x)
+    outcome = Outcome(
+        name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
+        time.perf_counter() - start, snes.getConvergedReason(),
+    )  # fmt: skip
+    for owner in (snes, x, residual):
+        owner.destroy()
+    return outcome
+
+
+def require(outcome: Outcome, problem: Problem, eps: float | None) -> Outcome:
+    """The outcome, if it converged.
+
+    Raises:
+        NotConverged: Otherwise: no unconverged state is ever an answer.
+    """
+    if not outcome.converged:
+        raise NotConverged(outcome.solver, in_words(outcome.reason), outcome.iterations, eps=eps, h=problem.level.h)
+    return outcome
+
+
+class _defaults:
+    """Options that hold unless the user has set them, and are gone afterwards."""
+
+    def __init__(self, prefix: str, options: Mapping[str, Any]):
+        self.database = PETSc.Options()
+        self.values = {prefix + key: value for key, value in options.items() if not self.database.hasName(prefix + key)}
+
+    def __enter__(self) -> None:
+        for key, value in self.values.items():
+            self.database[key] = value
+
+    def __exit__(self, *error: object) -> None:
+        for key in self.values:
+            self.database.delValue(key)
+
+
+def user_has_set(option: str) -> bool:
+    """Whether the user's PETSc options name this one."""
+    return bool(PETSc.Options().hasName(option))
+
+

@@ -1,0 +1,136 @@
+"""When a solver may stop: the state satisfies the discrete problem in an absolute, physical scale.
+
+PETSc's own tests compare with the first residual, which for a small eps is ~ 1/eps and makes anything look small.
+Here the unbalanced force, summed over the free nodes, is compared with the forces that act: load, supports, contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import total
+
+TOLERANCE = 1e-10  # unbalanced force / acting forces
+CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
+CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
+CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
+
+
+@dataclass(frozen=True)
+class Step:
+    """One line of a solver's history.
+
+    Attributes:
+        active: Nodes in contact.
+        changed: Nodes that entered or left since the last step.
+        unbalanced: Sum of |residual| over free nodes, a force.
+        forces: Sum of the acting forces.
+        krylov: Linear iterations of the step that led here.
+    """
+
+    active: int
+    changed: int
+    unbalanced: float
+    forces: float
+    krylov: int
+
+
+@dataclass
+class Stopping:
+    """PETSc convergence test: active set unchanged, and forces in balance.
+
+    Attributes:
+        problem: What is solved.
+        exact_bounds: Whether contact is held by bounds (SNES VI) instead of the penalty.
+        history: One `Step` per evaluation.
+    """
+
+    problem: Problem
+    exact_bounds: bool = False
+    watch_cycles: bool = False
+    history: list[Step] = field(default_factory=list)
+    _last: np.ndarray | None = None
+    _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
+    _krylov: int = 0
+
+    def __call__(self, snes: PETSc.SNES, iteration: int, norms: Any) -> int:
+        """PETSc's callback (collective); the state is the one of the last residual."""
+        problem = self.problem
+        comm = problem.level.comm
+        elastic = problem.elastic.array_r
+        active, residual = self._active(elastic)
+        changed = active != self._last if self._last is not None else active != 0
+        forces = problem.load + total(comm, np.abs(elastic[problem.fixed | (active != 0)]))
+        unbalanced = total(comm, np.abs(residual))
+        krylov = snes.getLinearSolveIterations()
+        step = Step(
+            active=int(total(comm, np.count_nonzero(active))),
+            changed=int(total(comm, np.count_nonzero(changed))),
+            unbalanced=unbalanced,
+            forces=forces,
+            krylov=krylov - self._krylov,
+        )
+        self.history.append(step)
+        self._last, self._krylov = active, krylov
+        if unbalanced <= max(TOLERANCE * forces, self._round_off(snes)):
+            # balance in this scale holds only with the right active set; nodes that still
+            # change then carry no force (contact without pressure)
+            return CONVERGED
+        if self.watch_cycles and step.changed and self._repeats(active):
+            return CYCLING
+        return CONTINUE
+
+    def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
+        problem = self.problem
+        lower, upper = problem.gaps()
+        if self.exact_bounds:
+            # complementarity: at the lower bound the support may only push up, a(u, phi) - f >= 0
+            below, above = (lower <= 0) & (elastic > 0), (upper <= 0) & (elastic < 0)
+            residual = np.where(below | above, 0.0, elastic)
+        else:
+            below, above = lower < 0, upper < 0
+            residual = elastic + problem.reaction.array_r if problem.constrained else elastic.copy()
+        residual[problem.fixed] = 0.0
+        active = above.astype(np.int8) - below.astype(np.int8)
+        active[problem.fixed] = 0
+        return active, residual
+
+    def _round_off(self, snes: PETSc.SNES) -> float:
+        """What remains of exact balance in floating point: a few machine epsilons of |A| |w|, row by row."""
+        if len(self.history) < 2:
+            return 0.0
+        diagonal = self.problem.A.getDiagonal()
+        w = self.problem.w.x.array[: self.problem.level.owned]
+        free = ~self.problem.fixed
+        # rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part
+        floor = 8 * np.finfo(float).eps * total(self.problem.level.comm, (diagonal.array_r * np.abs(w))[free])
+        diagonal.destroy()
+        return floor
+
+    def _repeats(self, active: np.ndarray) -> bool:
+        """Whether this active set was met before: Newton cycles (collective)."""
+        digests = self.problem.level.comm.allgather(blake2b(active.tobytes(), digest_size=8).digest())
+        key = tuple(digests)
+        self._seen[key] = self._seen.get(key, 0) + 1
+        return self._seen[key] > 1
+
+
+def in_words(reason: int) -> str:
+    """PETSc's reason for stopping, in words."""
+    names = {value: name for name, value in vars(PETSc.SNES.ConvergedReason).items() if isinstance(value, int)}
+    words = {
+        "DIVERGED_MAX_IT": "the limit of steps was reached",
+        "DIVERGED_LINEAR_SOLVE": "a linear system could not be solved",
+        "DIVERGED_LINE_SEARCH": "the line search found no descent",
+        "DIVERGED_FNORM_NAN": "the residual became infinite or not a number",
+        "DIVERGED_LOCAL_MIN": "the active sets repeat themselves",
+    }
+    name = names.get(reason, str(reason))
+    return f"{words.get(name, 'the nonlinear solver gave up')} ({name})"

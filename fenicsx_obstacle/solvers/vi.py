@@ -1,0 +1,63 @@
+"""The reference: the discrete variational inequality (3.13)/(3.19), by PETSc's SNES VI (reduced-space active set)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.problem import INFINITE, Problem
+from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.solvers.newton import NEWTON
+from fenicsx_obstacle.solvers.snes import Outcome, require, run
+from fenicsx_obstacle.solvers.stopping import Stopping
+
+VI = {**NEWTON, "snes_type": "vinewtonrsls"}
+
+
+def solve_vi(problem: Problem) -> Outcome:
+    """Solve a(u, v - u) >= f(v - u) for all v between the obstacles, from the present state (collective).
+
+    Args:
+        problem: Holds the start, then the solution.
+
+    Returns:
+        The converged outcome.
+
+    Raises:
+        NotConverged: With PETSc's reason.
+    """
+    own = problem.level.owned
+    x = problem.state()
+    lower, upper = x.duplicate(), x.duplicate()
+    lower.array[:] = -INFINITE if problem.below is None else problem.below.x.array[:own]
+    upper.array[:] = INFINITE if problem.above is None else problem.above.x.array[:own]
+    # fixed dofs are no contact, even where the boundary value touches the obstacle
+    lower.array[problem.fixed], upper.array[problem.fixed] = -INFINITE, INFINITE
+    x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
+    problem.take(x)
+    options = {**VI, "snes_vi_zero_tolerance": 1e-12 * _height(problem)}
+    stopping = Stopping(problem, exact_bounds=True)
+    outcome = run(problem, "vi", options, stopping, penalised=False,
+                  prepare=lambda snes: snes.setVariableBounds(lower, upper))  # fmt: skip
+    for vector in (x, lower, upper):
+        vector.destroy()
+    return require(outcome, problem, None)
+
+
+def _height(problem: Problem) -> float:
+    """Range of w: PETSc's tolerance for 'at the bound' is absolute, and heights come in any unit."""
+    w, comm = problem.w.x.array, problem.level.comm
+    return max(largest(comm, w) - smallest(comm, w), 0.0)
+
+
+def residual_pressure(problem: Problem) -> np.ndarray:
+    """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned dofs that touch an obstacle, 0 elsewhere (collective).
+
+    The last residual must be the one of the solution.
+    """
+    lower, upper = problem.gaps()
+    p = problem.elastic.array_r / problem.weights
+    tolerance = 1e-12 * _height(problem)
+    held = ((lower <= tolerance) & (p > 0)) | ((upper <= tolerance) & (p < 0))
+    return np.where(held & ~problem.fixed, p, 0.0)
+
+

@@ -1,0 +1,55 @@
+"""The unit of cost: one linear Poisson solve on the same mesh, ranks and process.
+
+Frozen: figures of different versions are comparable only as long as nothing in here changes. It takes: create and
+assemble matrix and load, set up BoomerAMG, CG from zero to 1e-8 of the unpreconditioned residual; minimum of three.
+"""
+
+from __future__ import annotations
+
+import time
+
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.levels import Level
+
+REPETITIONS = 3
+TOLERANCE = 1e-8
+
+
+def poisson_seconds(level: Level) -> float:
+    """Seconds of one Poisson solve with u = 0 on the whole boundary and load 1 (collective)."""
+    V, one = level.V, fem.Constant(level.mesh, PETSc.ScalarType(1.0))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a, f = releases.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx), releases.form(one * v * ufl.dx)
+    dofs = fem.locate_dofs_topological(V, level.mesh.topology.dim - 1, level.boundary_facets)
+    bc = fem.dirichletbc(fem.Function(V), dofs)
+    return min(_once(level, a, f, bc) for _ in range(REPETITIONS))
+
+
+def _once(level: Level, a: object, f: object, bc: object) -> float:
+    level.comm.barrier()
+    start = time.perf_counter()
+    A = releases.create_matrix(a)
+    fem.petsc.assemble_matrix(A, a, [bc])
+    A.assemble()
+    b = releases.create_vector(f, level.V)
+    fem.petsc.assemble_vector(b, f)
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    fem.petsc.set_bc(b, [bc])
+    x = b.duplicate()
+    ksp = PETSc.KSP().create(level.comm)
+    ksp.setOperators(A)
+    ksp.setType("cg")
+    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+    ksp.getPC().setType("hypre")
+    ksp.getPC().setHYPREType("boomeramg")
+    ksp.setTolerances(rtol=TOLERANCE)
+    ksp.solve(b, x)
+    level.comm.barrier()
+    seconds = time.perf_counter() - start
+    for owner in (ksp, x, b, A):
+        owner.destroy()
+    return seconds
