@@ -198,7 +198,7 @@ def refine(mesh: dmesh.Mesh) -> tuple[dmesh.Mesh, np.ndarray]:
     mesh.topology.create_entities(1)
     if OLD:
         option = _cpp.refinement.RefinementOptions.parent_cell
-        refined, raw, _ = _cpp.refinement.plaza_refine_data(mesh, False, option)
+        refined, raw, _ = _cpp.refinement.plaza_refine_data(mesh._mesh, False, option)
         new = dmesh.Mesh(refined, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
     else:
         # 0.9 forgets ghosts unless a partitioner asks for them; 0.11 keeps them by default

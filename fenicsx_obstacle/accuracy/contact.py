@@ -59,7 +59,7 @@ def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
         area=total(comm, D[lower | upper]),
         lower_force=total(comm, (D * pressure)[lower]),
         upper_force=total(comm, -(D * pressure)[upper]),
-        penetration=max(beyond, 0.0),
+        penetration=max(beyond, 0.0) + 0.0,  # no negative zero
     )
 
 

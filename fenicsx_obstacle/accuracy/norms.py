@@ -35,7 +35,8 @@ class Formulas:
         self.scene, mesh = scene, level.mesh
         self.dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
         x = ufl.SpatialCoordinate(mesh)
-        axes = [x[i] if i < mesh.geometry.dim else 0.0 * x[0] for i in range(3)]
+        self._zero = x[0] - x[0]  # gives expressions without coordinates a domain, which grad needs
+        axes = [x[i] if i < mesh.geometry.dim else self._zero for i in range(3)]
         self.eps = fem.Constant(mesh, PETSc.ScalarType(eps))
         self.alphabet = ufl_alphabet()
         values = (*axes, ufl.sqrt(ufl.inner(x, x)), releases.atan2(axes[1], axes[0]))
@@ -49,7 +50,7 @@ class Formulas:
 
     def cellwise(self, value: Formula, *, positive: bool = False) -> Any:
         """The formula itself."""
-        return ufl.as_ufl(value.evaluate(self.names, self.alphabet))
+        return value.evaluate(self.names, self.alphabet) + self._zero
 
 
 class Exact:

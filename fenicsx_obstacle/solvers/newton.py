@@ -22,7 +22,7 @@ NEWTON = {
 }
 
 
-def solve_penalty(problem: Problem, eps: float) -> Outcome:
+def solve_penalty(problem: Problem, eps: float, *, successive: bool = False) -> Outcome:
     """Solve (3.4) from the problem's present state (collective).
 
     Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
@@ -31,6 +31,7 @@ def solve_penalty(problem: Problem, eps: float) -> Outcome:
     Args:
         problem: Holds the start, then the solution.
         eps: Penalty parameter, in units of u/p.
+        successive: The paper's (3.4)*: start without contact, stop when the active set stays as it was.
 
     Returns:
         The converged outcome, iterations of all attempts together.
@@ -39,19 +40,23 @@ def solve_penalty(problem: Problem, eps: float) -> Outcome:
         NotConverged: With PETSc's reason.
     """
     problem.eps.value = eps
-    outcome = _attempts(problem)
+    if successive:
+        problem.refer(problem.cold_start())
+    outcome = _attempts(problem, successive)
     while outcome.converged and problem.refer_to_contact():
-        outcome = _joined(outcome, _attempts(problem))
+        outcome = _joined(outcome, _attempts(problem, successive))
     return require(outcome, problem, eps)
 
 
-def _attempts(problem: Problem) -> Outcome:
+def _attempts(problem: Problem, unchanged: bool) -> Outcome:
     own_search = user_has_set("penalty_snes_linesearch_type")
     outcome = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "basic"},
-                  Stopping(problem, watch_cycles=not own_search), objective=own_search and problem.has_energy)  # fmt: skip
+                  Stopping(problem, unchanged=unchanged, watch_cycles=not own_search),
+                  objective=own_search and problem.has_energy)  # fmt: skip
     if outcome.converged or own_search or not problem.has_energy:
         return outcome
-    searched = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "bt"}, Stopping(problem), objective=True)
+    searched = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "bt"},
+                   Stopping(problem, unchanged=unchanged), objective=True)  # fmt: skip
     return _joined(outcome, searched)
 
 

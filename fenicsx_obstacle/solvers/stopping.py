@@ -48,11 +48,14 @@ class Stopping:
     Attributes:
         problem: What is solved.
         exact_bounds: Whether contact is held by bounds (SNES VI) instead of the penalty.
+        unchanged: Stop only where no node at all has changed, as (3.4)* does.
+        watch_cycles: Give up where an active set comes back.
         history: One `Step` per evaluation.
     """
 
     problem: Problem
     exact_bounds: bool = False
+    unchanged: bool = False
     watch_cycles: bool = False
     history: list[Step] = field(default_factory=list)
     _last: np.ndarray | None = None
@@ -78,9 +81,10 @@ class Stopping:
         )
         self.history.append(step)
         self._last, self._krylov = active, krylov
-        if unbalanced <= max(TOLERANCE * forces, self._round_off(snes)):
-            # balance in this scale holds only with the right active set; nodes that still
-            # change then carry no force (contact without pressure)
+        # balance in this scale holds only with the right active set; nodes that still change then
+        # carry no force (contact without pressure)
+        balanced = unbalanced <= max(TOLERANCE * forces, self._round_off(snes))
+        if balanced and not (self.unchanged and step.changed):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
             return CYCLING

@@ -1,0 +1,31 @@
+"""Obstacle problems on FEniCSx and PETSc: Kikuchi's penalty finite element method with its contact pressure.
+
+Names are loaded when they are first used: importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "Answer": "answers.answer",
+    "InputError": "errors",
+    "NotConverged": "errors",
+    "ObstacleError": "errors",
+    "Scene": "scenes.scene",
+    "contact_pressure": "forms.penalty",
+    "nodal_rule": "forms.rules",
+    "penalty": "forms.penalty",
+    "solve": "answers.compute",
+    "study": "studies.convergence",
+}
+
+__all__ = ["Answer", "InputError", "NotConverged", "ObstacleError", "Scene", "contact_pressure", "nodal_rule", "penalty",
+           "solve", "study"]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'fenicsx_obstacle' has no attribute '{name}'")
+    return getattr(import_module(f"fenicsx_obstacle.{_HOME[name]}"), name)

@@ -1,0 +1,100 @@
+"""An answer: what a converged solve found, frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dolfinx import fem
+
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.stopping import Step
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.levels import Level
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A converged solution with everything known about it.
+
+    Attributes:
+        scene: What was solved, with all changes.
+        level: The mesh and its space.
+        u: Solution, in the unit of the heights.
+        pressure: Contact pressure p at the nodes, in the unit of the load; <= 0 against the upper obstacle.
+        contact: 1 at nodes in contact, else 0.
+        lower: Nodal lower obstacle, or None.
+        upper: Nodal upper obstacle, or None.
+        error: Nodal distance to the exact solution, or None.
+        history: The steps of the iteration.
+        record: All figures, as in answer.json.
+    """
+
+    scene: Scene
+    level: Level
+    u: fem.Function
+    pressure: fem.Function
+    contact: fem.Function
+    lower: fem.Function | None
+    upper: fem.Function | None
+    error: fem.Function | None
+    history: tuple[Step, ...]
+    record: Mapping[str, Any] = field(repr=False)
+
+    def functions(self) -> dict[str, fem.Function]:
+        """The fields by name, those that exist."""
+        named = {key: getattr(self, key) for key in ("u", "pressure", "contact", "lower", "upper", "error")}
+        return {key: function for key, function in named.items() if function is not None}
+
+    def summary(self) -> str:
+        """The figures in a few lines of text."""
+        r = self.record
+        size = f"{r['cells_total']} cells, {r['dofs']} unknowns, h = {r['h']:.4g}"
+        eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
+        contact = r["contact"]
+        forces = [f"force on {side} obstacle {contact[side]['force']:.6g}" for side in ("lower", "upper") if side in contact]
+        lines = [
+            f"{r['title'] or r['scene']}",
+            f"  {r['method']}{eps}; {size}; {r['ranks']} rank{'s' * (r['ranks'] > 1)}",
+            f"  {r['newton_iterations']} Newton steps, {r['krylov_iterations']} CG steps, "
+            f"{r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), {r['memory_mb']:.0f} MB",
+            f"  energy {r['energy']:.10g}; contact area {contact['area']:.6g}; " + "; ".join(forces)
+            + f"; penetration {r['penetration']:.3g}",
+        ]  # fmt: skip
+        if "errors" in r:
+            lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
+        return "\n".join(lines)
+
+    def save(self, folder: str | Path) -> None:
+        """Write answer.json, scene.toml, history.csv and fields.xdmf into a folder, in one step (collective).
+
+        Raises:
+            InputError: If the folder cannot be written.
+        """
+        from fenicsx_obstacle.answers.folder import save
+
+        save(self, Path(folder))
+
+    @classmethod
+    def read(cls, folder: str | Path) -> Answer:
+        """A saved answer, on any number of ranks (collective).
+
+        Raises:
+            InputError: If the folder does not hold one.
+        """
+        from fenicsx_obstacle.answers.folder import read
+
+        return read(Path(folder))
+
+    def plot(self, path: str | Path) -> None:
+        """Draw u, contact and pressure into a PNG file (collective).
+
+        Raises:
+            InputError: If the file cannot be written.
+        """
+        from fenicsx_obstacle.show.pictures import draw_answer
+
+        draw_answer(self, Path(path))

@@ -1,0 +1,178 @@
+"""From a scene to an answer: mesh, problem, solver, figures."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import dolfinx
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle.accuracy.contact import contact_of
+from fenicsx_obstacle.accuracy.norms import Exact
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.choose import penalty_parameter
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import peak_memory_mb
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.newton import solve_penalty
+from fenicsx_obstacle.solvers.snes import Outcome
+from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
+from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+
+_SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
+          "element": "solve.element"}  # fmt: skip
+
+
+def solve(
+    scene: Scene,
+    *,
+    eps: float | str | None = None,
+    cells: int | None = None,
+    refine: int | None = None,
+    method: str | None = None,
+    element: str | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    yardstick: bool = False,
+) -> Answer:
+    """Solve a scene (collective).
+
+    Args:
+        scene: What to solve; the other arguments replace its values.
+        eps: Penalty parameter: a number in units of u/p, or a formula in h.
+        cells: Cells per side, for shapes.
+        refine: Uniform refinements.
+        method: penalty, successive or vi.
+        element: Pair of spaces, P1.
+        comm: Communicator; a mesh of the scene's own brings its own.
+        yardstick: Time one linear Poisson solve on the same mesh as well.
+
+    Returns:
+        The answer; there is none without convergence.
+
+    Raises:
+        InputError: For bad data.
+        NotConverged: With PETSc's reason.
+    """
+    given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "element": element}
+    return Workbench(changed(scene, given), comm).answer(yardstick=yardstick)
+
+
+def changed(scene: Scene, options: dict[str, Any]) -> Scene:
+    """The scene with options that are not None; cells, refine, eps, method and element by their short names."""
+    changes = {_SHORT.get(key, key): value for key, value in options.items() if value is not None}
+    return scene.change(changes) if changes else scene
+
+
+class Workbench:
+    """A scene's mesh and problem, kept for several solves that differ in eps and method only.
+
+    Attributes:
+        problem: The discrete problem.
+    """
+
+    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD):
+        self.started = time.perf_counter()
+        comm = scene.mesh.comm if scene.mesh is not None else comm
+        level = levels.build(scene, comm)
+        self.mesh_seconds = time.perf_counter() - self.started
+        self.problem = Problem(scene, level)
+        self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
+        self._exact: Exact | None = None
+        self._poisson: float | None = None
+
+    @property
+    def exact(self) -> Exact | None:
+        """The exact solution on this mesh, if the scene has one."""
+        if self._exact is None and self.problem.scene.tables.exact is not None:
+            self._exact = Exact(self.problem)
+        return self._exact
+
+    def answer(self, scene: Scene | None = None, *, yardstick: bool = False) -> Answer:
+        """Solve with the [solve] table of `scene` (collective).
+
+        Args:
+            scene: The same scene with another [solve] table; by default the one of the problem.
+            yardstick: Time one linear Poisson solve as well.
+
+        Raises:
+            InputError: For a bad eps.
+            NotConverged: With PETSc's reason.
+        """
+        problem, scene = self.problem, scene or self.problem.scene
+        start = time.perf_counter()
+        problem.refer(problem.cold_start())
+        method, eps = scene.tables.solve.method, None
+        if method == "vi" or not problem.constrained:
+            outcome = solve_vi(problem)
+            pressure = residual_pressure(problem)
+        else:
+            eps = penalty_parameter(problem, scene.tables.solve.eps)
+            outcome = solve_penalty(problem, eps, successive=method == "successive")
+            pressure = _penalty_pressure(problem)
+        seconds = time.perf_counter() - start
+        if yardstick and self._poisson is None:
+            self._poisson = poisson_seconds(problem.level)
+        return self._answer(scene, outcome, eps, pressure, seconds)
+
+    def _answer(self, scene: Scene, outcome: Outcome, eps: float | None, p: np.ndarray, seconds: float) -> Answer:
+        problem, level = self.problem, self.problem.level
+        contact = contact_of(problem, p)
+        u = problem.heights()
+        errors: dict[str, Any] = {} if self.exact is None else {"errors": self.exact.errors(u, eps)}
+        state = problem.state()
+        energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
+        state.destroy()
+        seconds += self.setup_seconds
+        sides = {"lower": (problem.below, contact.lower_force), "upper": (problem.above, contact.upper_force)}
+        record = {
+            "scene": scene.name, "title": scene.tables.title, "method": scene.tables.solve.method,
+            "element": scene.tables.solve.element, "ranks": level.comm.size,
+            "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
+            "cells_total": level.cells, "dofs": level.dofs, "h": level.h, "h_max": level.h_max, "eps": eps,
+            "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
+            "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov,
+            "newton_total": outcome.iterations, "krylov_total": outcome.krylov,
+            "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
+            "poisson_seconds": self._poisson,
+            "poisson_units": None if self._poisson is None else seconds / self._poisson,
+            "memory_mb": peak_memory_mb(level.comm), "energy": energy, **errors,
+            "penetration": contact.penetration,
+            "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
+            "versions": versions(), "command": " ".join(sys.argv),
+        }  # fmt: skip
+        error = None
+        if self.exact is not None:
+            error = _function(level, u.x.array - self.exact.nodal(eps))
+        return Answer(
+            scene, level, u, _function(level, p), _function(level, (contact.lower | contact.upper).astype(float)),
+            problem.data.lower, problem.data.upper, error, outcome.history, record,
+        )  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Versions that figures depend on."""
+    from importlib.metadata import version
+
+    petsc = ".".join(str(part) for part in PETSc.Sys.getVersion())
+    return {"fenicsx_obstacle": version("fenicsx_obstacle"), "dolfinx": dolfinx.__version__, "petsc": petsc}
+
+
+def _penalty_pressure(problem: Problem) -> np.ndarray:
+    """(3.7)-(3.8) in the gap form: p_i = -(w - gap)^+ / eps, at free owned dofs."""
+    lower, upper = problem.gaps()
+    p = (np.maximum(-lower, 0.0) - np.maximum(-upper, 0.0)) / float(problem.eps.value)
+    return np.where(problem.fixed, 0.0, p)
+
+
+def _function(level: levels.Level, values: np.ndarray) -> fem.Function:
+    """Function from owned or all local values (collective)."""
+    function = fem.Function(level.V)
+    function.x.array[: len(values)] = values
+    function.x.scatter_forward()
+    return function

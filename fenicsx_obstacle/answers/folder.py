@@ -1,0 +1,134 @@
+"""A saved answer: a folder that ParaView opens and that is read back on any number of ranks."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import gathered, new_folder, on_root
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.stopping import Step
+
+_TOPOLOGY = {2: "Polyline", 3: "Triangle", 4: "Tetrahedron"}
+_CELL = {2: "interval", 3: "triangle", 4: "tetrahedron"}
+DERIVED = ("gap",)  # written for ParaView, not read back
+
+
+def save(answer: Answer, folder: Path) -> None:
+    """Write an answer (collective). The old folder of that name is replaced when the new one is whole."""
+    arrays = gather(answer)
+    comm = answer.level.comm
+    with new_folder(comm, folder) as scratch:
+
+        def write() -> None:
+            table = answer.scene.tables.mesh
+            scene = answer.scene
+            if table.file is not None:
+                place = os.path.relpath((scene.folder / table.file).resolve(), folder.resolve())
+                scene = scene.change({"mesh.file": place})
+            (scratch / "scene.toml").write_text(scene.toml())
+            (scratch / "answer.json").write_text(json.dumps(dict(answer.record), indent=1) + "\n")
+            (scratch / "history.csv").write_text(_history(answer.history))
+            with h5py.File(scratch / "fields.h5", "w") as file:
+                for name, values in arrays.items():
+                    file[name] = values
+            (scratch / "fields.xdmf").write_text(_xdmf(arrays))
+
+        on_root(comm, write)
+
+
+def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
+    """Read an answer (collective)."""
+
+    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], str]:
+        for name in ("answer.json", "fields.h5", "scene.toml", "history.csv"):
+            if not (folder / name).exists():
+                raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
+        with h5py.File(folder / "fields.h5") as file:
+            arrays = {name: values[()] for name, values in file.items()}
+        return json.loads((folder / "answer.json").read_text()), arrays, (folder / "history.csv").read_text()
+
+    record, arrays, history = on_root(comm, load)
+    mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")
+    gdim, kind = int(arrays.pop("gdim")), _CELL[cells.shape[1]]
+    mine = slice(None) if comm.rank == 0 else slice(0, 0)
+    mesh = releases.create_mesh(comm, cells[mine], points[mine, :gdim], kind)
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    # where each dof stood when it was saved
+    saved = np.asarray(mesh.geometry.input_global_indices)[releases.dof_nodes(V)]
+    fields: dict[str, fem.Function] = {}
+    for name in set(arrays) - set(DERIVED):
+        fields[name] = fem.Function(V)
+        fields[name].x.array[:] = arrays[name][saved]
+    steps = tuple(
+        Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
+        for r in csv.DictReader(io.StringIO(history))
+    )
+    level = Level(mesh, V, record["h"], {})
+    return Answer(
+        Scene.read(folder / "scene.toml"), level, fields["u"], fields["pressure"], fields["contact"],
+        fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
+    )  # fmt: skip
+
+
+def gather(answer: Answer) -> dict[str, np.ndarray]:
+    """Points, cells and fields of all ranks on rank 0, numbered by global dof; empty elsewhere (collective)."""
+    level = answer.level
+    comm, owned = level.comm, level.owned
+    own_cells = level.mesh.topology.index_map(level.mesh.topology.dim).size_local
+    numbering = level.V.dofmap.index_map
+    dofs = releases.cell_dofs(level.V)[:own_cells]
+    cells = np.asarray(numbering.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
+    parts = {"points": level.V.tabulate_dof_coordinates()[:owned], "cells": cells}
+    parts |= {name: function.x.array[:owned].real for name, function in answer.functions().items()}
+    found = {name: gathered(comm, values) for name, values in parts.items()}
+    if comm.rank != 0:
+        return {}
+    arrays = {name: values for name, values in found.items() if values is not None}
+    gaps = [sign * (arrays[name] - arrays["u"]) for name, sign in (("lower", -1), ("upper", 1)) if name in arrays]
+    if gaps:
+        arrays["gap"] = np.min(gaps, axis=0)
+    arrays["gdim"] = np.array(level.mesh.geometry.dim)
+    return arrays
+
+
+def _history(steps: tuple[Step, ...]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["step", *Step.__annotations__])
+    for number, step in enumerate(steps):
+        writer.writerow([number, *vars(step).values()])
+    return text.getvalue()
+
+
+def _xdmf(arrays: dict[str, np.ndarray]) -> str:
+    """One grid with all fields on it: ParaView then shows them together."""
+    points, cells = arrays["points"], arrays["cells"]
+    shape = " ".join(map(str, cells.shape))
+    attributes = "".join(
+        f'<Attribute Name="{name}" AttributeType="Scalar" Center="Node"><DataItem Dimensions="{len(points)}" '
+        f'NumberType="Float" Precision="8" Format="HDF">fields.h5:/{name}</DataItem></Attribute>\n'
+        for name in arrays
+        if name not in ("points", "cells", "gdim")
+    )
+    return (
+        '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain><Grid Name="answer" GridType="Uniform">\n'
+        f'<Topology TopologyType="{_TOPOLOGY[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
+        f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
+        'Format="HDF">fields.h5:/cells</DataItem></Topology>\n'
+        f'<Geometry GeometryType="XYZ"><DataItem Dimensions="{len(points)} 3" NumberType="Float" Precision="8" '
+        f'Format="HDF">fields.h5:/points</DataItem></Geometry>\n{attributes}</Grid></Domain></Xdmf>\n'
+    )
