@@ -61,5 +61,3 @@ def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
         upper_force=total(comm, -(D * pressure)[upper]),
         penetration=max(beyond, 0.0) + 0.0,  # no negative zero
     )
-
-

@@ -55,7 +55,9 @@ class Answer:
         size = f"{r['cells_total']} cells, {r['dofs']} unknowns, h = {r['h']:.4g}"
         eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
         contact = r["contact"]
-        forces = [f"force on {side} obstacle {contact[side]['force']:.6g}" for side in ("lower", "upper") if side in contact]
+        forces = [
+            f"force on {side} obstacle {contact[side]['force']:.6g}" for side in ("lower", "upper") if side in contact
+        ]
         lines = [
             f"{r['title'] or r['scene']}",
             f"  {r['method']}{eps}; {size}; {r['ranks']} rank{'s' * (r['ranks'] > 1)}",

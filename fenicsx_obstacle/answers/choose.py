@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
 
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.problem import Problem
+
 METHODS = {
-    "penalty": "semismooth Newton on (3.4), full steps, then a line search on the energy should active sets repeat",
-    "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set stays",
-    "vi": "SNES VI (vinewtonrsls): active sets of the discrete variational inequality (3.19), no penalty",
+    "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; should active sets repeat, a line search on the energy",
+    "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set stays as it was",
+    "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }
-LINEAR = "conjugate gradients with algebraic multigrid (hypre BoomerAMG)"
+LINEAR_SOLVER = "conjugate gradients with algebraic multigrid (hypre BoomerAMG)"
 
 
 def penalty_parameter(problem: Problem, value: float | str) -> float:
@@ -34,5 +37,5 @@ def penalty_parameter(problem: Problem, value: float | str) -> float:
         raise InputError(f"{formula.place} = {formula.text}: must be positive, it is {eps:g}")
     if "h" not in formula.names:
         return eps
-    stiffness: list[Any] = [problem.data.cellwise(effect.value) for effect in scene.effects if effect.elastic]
+    stiffness = [problem.data.cellwise(effect.value) for effect in scene.effects if effect.elastic]
     return eps / largest(problem.level.comm, stiffness[0].x.array)

@@ -124,7 +124,9 @@ class Data:
         names = (on,) if isinstance(on, str) else on
         for name in names:
             if name not in level.facets:
-                raise InputError(f"{self.scene.source}: {place} on: no part named '{name}'" + nearest(name, level.facets))
+                raise InputError(
+                    f"{self.scene.source}: {place} on: no part named '{name}'" + nearest(name, level.facets)
+                )
         return np.unique(np.concatenate([level.facets[name] for name in names])).astype(np.int32)
 
     def _points(self, V: fem.FunctionSpace) -> np.ndarray:

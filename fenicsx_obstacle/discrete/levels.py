@@ -134,7 +134,9 @@ def _shape(scene: Scene) -> shapes.Shape:
     def corner(axis: str) -> tuple[float, float]:
         a, b = (scene.number(value, f"[mesh] {axis}") for value in getattr(table, axis))
         if not a < b:
-            raise InputError(f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]: the first end must be less than the second")
+            raise InputError(
+                f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]: the first end must be less than the second"
+            )
         return a, b
 
     match table.shape:
@@ -269,4 +271,3 @@ def _free_memory() -> float:
     with open("/proc/meminfo") as file:
         lines = dict(line.split(":") for line in file)
     return 1024.0 * float(lines["MemAvailable"].split()[0])
-

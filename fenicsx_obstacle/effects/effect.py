@@ -64,5 +64,3 @@ def registered() -> dict[str, type[Effect]]:
     from fenicsx_obstacle.effects import membrane  # noqa: F401  (registers its classes)
 
     return dict(_register)
-
-

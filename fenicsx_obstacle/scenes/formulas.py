@@ -185,7 +185,9 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
 
 
 def _is_condition(node: ast.expr) -> bool:
-    return isinstance(node, ast.Compare | ast.BoolOp) or (isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not))
+    return isinstance(node, ast.Compare | ast.BoolOp) or (
+        isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+    )
 
 
 def _fold(operation: Callable[[Any, Any], Any], parts: list[Any]) -> Any:

@@ -18,7 +18,20 @@ from fenicsx_obstacle.scenes.formulas import Formula, nearest
 
 COORDINATES = ("x", "y", "z", "r", "theta")
 CONSTANTS = {"pi": math.pi}
-RESERVED = {*COORDINATES, *CONSTANTS, "t", "distance", "eps", "h", "u", "p", "contact", "slope", "flux", *formulas.FUNCTIONS}
+RESERVED = {
+    *COORDINATES,
+    *CONSTANTS,
+    "t",
+    "distance",
+    "eps",
+    "h",
+    "u",
+    "p",
+    "contact",
+    "slope",
+    "flux",
+    *formulas.FUNCTIONS,
+}
 
 
 @dataclass(frozen=True, init=False)
@@ -129,6 +142,9 @@ class Scene:
             formula.check_names(self.known_names)
         if typed.exact is not None:
             self.formula(typed.exact.u, "[exact] u").check_names({*self.known_names, "eps"})
+        eps = self.number(typed.solve.eps, "[solve] eps", {"h": 1.0})
+        if eps <= 0:
+            raise InputError(f"{source}: [solve] eps = {typed.solve.eps}: must be positive and finite")
         for number, part in enumerate(typed.boundary):
             if part.value is None:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): the key 'value' is missing")
@@ -200,9 +216,7 @@ class Scene:
                 raise InputError(f"{self.source}: [effects] {key} = {value!r}: expected a number or a formula")
         if not any(known[key].elastic for key in self.tables.effects):
             raise InputError(f"{self.source}: [effects] names no stiffness: add 'tension = 1'")
-        return tuple(
-            known[key](self.formula(value, f"[effects] {key}")) for key, value in self.tables.effects.items()
-        )
+        return tuple(known[key](self.formula(value, f"[effects] {key}")) for key, value in self.tables.effects.items())
 
     def _formulas(self) -> list[Formula]:
         obstacle, parts = self.tables.obstacle, []
@@ -216,5 +230,3 @@ class Scene:
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""
         return msgspec.toml.encode(self.tables).decode()
-
-

@@ -125,5 +125,3 @@ class _defaults:
 def user_has_set(option: str) -> bool:
     """Whether the user's PETSc options name this one."""
     return bool(PETSc.Options().hasName(option))
-
-

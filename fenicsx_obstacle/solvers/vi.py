@@ -59,5 +59,3 @@ def residual_pressure(problem: Problem) -> np.ndarray:
     tolerance = 1e-12 * _height(problem)
     held = ((lower <= tolerance) & (p > 0)) | ((upper <= tolerance) & (p < 0))
     return np.where(held & ~problem.fixed, p, 0.0)
-
-

@@ -1,0 +1,62 @@
+"""Entry point: splits off PETSc's options, turns errors into messages and exit statuses."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+from fenicsx_obstacle.cli import commands
+from fenicsx_obstacle.errors import ObstacleError
+
+_RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
+
+
+def main() -> None:
+    """Run the command line; does not return."""
+    arguments = sys.argv[1:]
+    petsc = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
+    arguments = arguments[: len(arguments) - len(petsc) - 1] if "--" in arguments else arguments
+    if set(arguments) - {"-h", "--help", "--version"} and not {"-h", "--help"} & set(arguments):
+        _begin(petsc)
+    if _RANK != 0:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  (help and messages come from rank 0 alone)
+    sys.exit(_run(arguments))
+
+
+def _run(arguments: list[str]) -> int:
+    try:
+        result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
+    except ObstacleError as error:
+        return _fail(f"Error: {error}", error.exit_status)
+    except click.ClickException as error:
+        usage = error.ctx.get_usage() + "\n" if isinstance(error, click.UsageError) and error.ctx else ""
+        return _fail(f"{usage}Error: {error.format_message()}", 2)
+    except click.Abort:
+        return _fail("interrupted", 130)
+    except BrokenPipeError:
+        return 1
+    return result if isinstance(result, int) else 0
+
+
+def _fail(message: str, status: int) -> int:
+    if _RANK == 0:
+        click.echo(message, err=True)
+    return status
+
+
+def _begin(petsc: list[str]) -> None:
+    """MPI, PETSc with its options, and an exception hook that ends all ranks."""
+    import petsc4py
+
+    petsc4py.init([sys.argv[0], *petsc])
+    from mpi4py import MPI
+
+    from fenicsx_obstacle.parallel import abort_on_uncaught_errors
+
+    abort_on_uncaught_errors(MPI.COMM_WORLD)
+
+
+if __name__ == "__main__":
+    main()

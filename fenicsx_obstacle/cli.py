@@ -1,0 +1,203 @@
+"""The command line. Nothing heavy is imported until a command needs it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fenicsx_obstacle.errors import InputError
+
+
+class _Ordered(click.Group):
+    """Commands in the order of their definition."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(cls=_Ordered, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="fenicsx_obstacle")
+def commands() -> None:
+    """Obstacle problems by the penalty finite element method, on FEniCSx and PETSc.
+
+    All commands run under mpirun; './obstacle --ranks N COMMAND' calls it. PETSc options follow --.
+    """
+
+
+def _options(*names: str) -> Callable[[Any], Any]:
+    """The shared options of these names, as one decorator."""
+    shared = {
+        "cells": click.option("--cells", type=int, metavar="N", help="Cells per side (shapes)."),
+        "refine": click.option("--refine", type=int, metavar="N", help="Uniform refinements."),
+        "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
+        "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
+        "eps": click.option("--eps", metavar="E", help="Penalty parameter: a number or a formula in h.  [h^2]"),
+        "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
+        "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
+        "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
+        "quiet": click.option("--quiet", is_flag=True, help="Errors only."),
+    }
+
+    def decorate(command: Any) -> Any:
+        for name in reversed(names):
+            command = shared[name](command)
+        return command
+
+    return decorate
+
+
+@commands.command()
+@click.argument("scene_file", metavar="SCENE")
+@_options("cells", "refine", "element", "method", "eps", "yardstick", "output", "json", "quiet")
+def solve(
+    scene_file: str, yardstick: bool, output: Path | None, json_file: str | None, quiet: bool, **given: Any
+) -> None:
+    """Solve a scene: u, contact pressure p, contact set.
+
+    Writes answer.json, scene.toml, history.csv and fields.xdmf (for ParaView) into out/SCENE.
+    """
+    from fenicsx_obstacle.answers.compute import Workbench, changed
+
+    scene = changed(_read(scene_file), _typed(given))
+    folder = output or Path("out") / scene.name
+    answer = Workbench(scene).answer(yardstick=yardstick)
+    answer.save(folder)
+    if json_file is not None:
+        _write_json(json_file, [answer.record])
+    if not quiet and json_file != "-":
+        _say(answer.summary() + f"\n  saved in {folder}")
+
+
+@commands.command()
+@click.argument("scene_file", metavar="SCENE")
+@_options("cells", "refine", "element", "method", "eps")
+def explain(scene_file: str, **given: Any) -> None:
+    """Print the equation that is assembled, the solver, and what is left out."""
+    from fenicsx_obstacle.answers.compute import changed
+    from fenicsx_obstacle.show.explain import explain
+
+    _say(explain(changed(_read(scene_file), _typed(given))))
+
+
+@commands.command()
+@click.argument("scene_file", metavar="SCENE")
+@click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
+              help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values).")  # fmt: skip
+@_options("cells", "refine", "element", "method", "eps", "output", "json", "quiet")
+def study(
+    scene_file: str, vary: tuple[str, ...], output: Path | None, json_file: str | None, quiet: bool, **given: Any
+) -> None:
+    """Solve a scene for each value of a key: errors, observed orders, time.
+
+    \b
+    study disk.toml --vary eps=1e-1..1e-8              against the SNES VI solution, h fixed
+    study ball.toml --vary cells=16..128 --eps "h^2"   against the exact solution
+    """
+    from fenicsx_obstacle.show.report import report_study
+
+    scene = _read(scene_file)
+    varied = dict(_varied(item) for item in vary)
+    folder = output or Path("out") / scene.name / "-".join(varied)
+    say = (lambda text: None) if quiet or json_file == "-" else _say
+    rows = report_study(scene, varied, _typed(given), folder, say)
+    if json_file is not None:
+        _write_json(json_file, rows)
+
+
+@commands.command()
+@click.argument("result", type=click.Path(path_type=Path))
+@click.option("--output", type=click.Path(path_type=Path), metavar="FILE", help="Picture.  [RESULT/answer.png]")
+def plot(result: Path, output: Path | None) -> None:
+    """Draw a saved result: u, contact set and pressure."""
+    from fenicsx_obstacle.answers.answer import Answer
+
+    path = output or result / "answer.png"
+    Answer.read(result).plot(path)
+    _say(str(path))
+
+
+@commands.command()
+@click.option("--output", type=click.Path(path_type=Path), default=Path("out/demo"), metavar="DIR",
+              help="Folder for results.  [out/demo]")  # fmt: skip
+def demo(output: Path) -> None:
+    """The main job on the scenes of demos/: eps- and h-study, tables, pictures."""
+    from fenicsx_obstacle.show.report import run_demo
+
+    run_demo(output, _say)
+
+
+def values_of(text: str, key: str) -> list[Any]:
+    """The values of a list A,B,C or a range A..B or A..B:N.
+
+    Raises:
+        InputError: If it is neither.
+    """
+    match = re.fullmatch(r"(.+?)\.\.(.+?)(?::(\d+))?", text)
+    if match is None:
+        return [_value(part) for part in text.split(",")]
+    first, last = _value(match[1]), _value(match[2])
+    if isinstance(first, str) or isinstance(last, str) or first <= 0 or last <= 0:
+        raise InputError(f"--vary {key}={text}: the ends of a range are positive numbers; give a list A,B,C otherwise")
+    whole = isinstance(first, int) and isinstance(last, int)
+    if match[3] is not None:
+        count = int(match[3])
+        steps = [first * (last / first) ** (i / max(count - 1, 1)) for i in range(count)]
+    else:
+        factor = 10.0 if key == "eps" else 2.0
+        ratio = factor if last >= first else 1 / factor
+        steps = [float(first)]
+        while (steps[-1] * ratio - last) * (ratio - 1) <= 1e-9 * last:
+            steps.append(steps[-1] * ratio)
+    # eps by tens: 1e-3 and not 1.0000000000000002e-3
+    return [round(step) if whole else float(f"{step:.12g}") for step in steps]
+
+
+def _varied(item: str) -> tuple[str, list[Any]]:
+    key, equals, text = item.partition("=")
+    if not equals or not text:
+        raise InputError(f"--vary {item}: expected KEY=LIST, such as cells=16..128")
+    return key.strip(), values_of(text.strip(), key.strip())
+
+
+def _value(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text.strip()
+
+
+def _typed(given: dict[str, Any]) -> dict[str, Any]:
+    return {key: _value(value) if key == "eps" and value is not None else value for key, value in given.items()}
+
+
+def _read(path: str) -> Any:
+    from fenicsx_obstacle.scenes.scene import Scene
+
+    return Scene.read(path)
+
+
+def _say(text: str) -> None:
+    """Print on rank 0."""
+    from mpi4py import MPI
+
+    if MPI.COMM_WORLD.rank == 0:
+        click.echo(text)
+
+
+def _write_json(file: str, records: Sequence[Any]) -> None:
+    from mpi4py import MPI
+
+    from fenicsx_obstacle.parallel import on_root, write_text
+
+    text = "".join(json.dumps(dict(record)) + "\n" for record in records)
+    if file == "-":
+        _say(text.rstrip("\n"))
+    else:
+        on_root(MPI.COMM_WORLD, write_text, Path(file), text)

@@ -1,0 +1,142 @@
+"""A scene in words: the equation that is assembled, its signs, the solver, and what is left out."""
+
+from __future__ import annotations
+
+from fenicsx_obstacle.answers.choose import LINEAR_SOLVER, METHODS
+from fenicsx_obstacle.effects.effect import registered
+from fenicsx_obstacle.scenes.scene import Scene
+
+def explain(scene: Scene) -> str:
+    """The text; needs no mesh."""
+    tables = scene.tables
+    parts = [
+        ("equation", _equation(scene)),
+        ("data", [f"{effect.key} = {effect.value.text}  [{effect.unit}]" for effect in scene.effects]),
+        ("obstacle", _obstacles(scene)),
+        ("boundary", _boundary(scene)),
+        ("discrete", _discrete(scene)),
+        ("mesh", [_mesh(scene)]),
+        ("solver", _solver(scene)),
+        ("exact", [] if tables.exact is None else [f"u = {tables.exact.u}: errors are reported"]),
+        ("left out", [_left_out(scene)]),
+    ]
+    lines = [tables.title or scene.name]
+    for name, texts in parts:
+        for number, text in enumerate(texts):
+            lines.append(f"  {name if number == 0 else '':10}{text}")
+    return "\n".join(lines)
+
+
+def _equation(scene: Scene) -> list[str]:
+    left = " ".join(effect.equation for effect in scene.effects if effect.elastic)
+    right = [effect.equation for effect in scene.effects if not effect.elastic]
+    contact = ["p"] if _sides(scene) else []
+    return [f"{left} = {' + '.join(right + contact) or '0'}"]
+
+
+def _sides(scene: Scene) -> list[str]:
+    obstacle = scene.tables.obstacle
+    return [side for side in ("lower", "upper") if getattr(obstacle, side) is not None]
+
+
+def _obstacles(scene: Scene) -> list[str]:
+    signs = {"lower": ("u >= lower", ">="), "upper": ("u <= upper", "<=")}
+    lines = []
+    for side in _sides(scene):
+        relation, sign = signs[side]
+        lines.append(f"{relation} = {getattr(scene.tables.obstacle, side)}")
+        lines.append(f"p {sign} 0 where u touches {side}, p = 0 elsewhere; the force on it is reported >= 0")
+    return lines or ["none: p = 0, one linear solve"]
+
+
+def _boundary(scene: Scene) -> list[str]:
+    tables, lines = scene.tables, []
+    listed: set[str] = set()
+    everywhere = False
+    for part in tables.boundary:
+        names = (part.on,) if isinstance(part.on, str) else part.on or ()
+        listed |= set(names)
+        everywhere |= part.on is None and part.where is None
+        place = ", ".join(names) or (f"where {part.where}" if part.where else "the whole boundary")
+        lines.append(f"u = {part.value} on {place}")
+    if not everywhere:
+        sides = _named_sides(scene)
+        free = [side for side in sides if side not in listed] if not any(p.where for p in tables.boundary) else []
+        place = ", ".join(free) if free else "what is not listed"
+        if free or not sides or any(p.where for p in tables.boundary):
+            lines.append(f"free: tension du/dn = 0 on {place}")
+    return lines
+
+
+def _named_sides(scene: Scene) -> tuple[str, ...]:
+    names = ("left", "right", "bottom", "top", "back", "front")
+    sides = {
+        "interval": names[:2],
+        "rectangle": names[:4],
+        "box": names,
+        "disk": ("circle",),
+        "l-shape": ("outer", "notch"),
+    }
+    return sides.get(scene.tables.mesh.shape or "", ())
+
+
+def _discrete(scene: Scene) -> list[str]:
+    sides = _sides(scene)
+    terms = ["a(u, v)"]
+    penalised = scene.tables.solve.method != "vi"
+    if penalised and "upper" in sides:
+        terms.append("+ (1/eps) I((u - upper)^+, v)")
+    if penalised and "lower" in sides:
+        terms.append("- (1/eps) I((lower - u)^+, v)")
+    lines = [
+        f"{' '.join(terms)} = f(v) for all v in V_h, continuous P1, v = 0 where u is given" + "   (3.4)" * bool(sides)
+    ]
+    if not penalised and sides:
+        lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]
+    lines.append(
+        "a(u, v) = int tension grad u . grad v" + "; f(v) = int load v" * any(e.key == "load" for e in scene.effects)
+    )
+    if sides:
+        lines.append("I: vertex rule, the weights |T|/(dim + 1) at the vertices of each cell T   (3.5), (3.6)")
+        signs = {"upper": "-(u - upper)^+ / eps", "lower": "(lower - u)^+ / eps"}
+        pressure = " + ".join(signs[side] for side in sides) if penalised else "(a(u, phi_i) - f(phi_i)) / I(phi_i, 1)"
+        lines.append(f"p = {pressure} at the vertices" + "   (3.7), (3.8)" * penalised)
+    if penalised and sides:
+        lines.append(f"eps = {scene.tables.solve.eps}" + _eps_rule(scene))
+    return lines
+
+
+def _eps_rule(scene: Scene) -> str:
+    formula = scene.formula(scene.tables.solve.eps, "[solve] eps")
+    return ", divided by the largest tension" if "h" in formula.names else ""
+
+
+def _mesh(scene: Scene) -> str:
+    table = scene.tables.mesh
+    if scene.mesh is not None:
+        return "given as a DOLFINx mesh; its geometry is the polygon of its cells"
+    refined = f", refined {table.refine} times" if table.refine else ""
+    if table.file is not None:
+        return f"{table.file}{refined}; the geometry is the file's polygon"
+    axes = {"interval": "x", "rectangle": "xy", "box": "xyz", "l-shape": "xy"}.get(table.shape or "", "")
+    corners = ", ".join(f"{axis} = [{getattr(table, axis)[0]}, {getattr(table, axis)[1]}]" for axis in axes)
+    where = corners or f"radius {table.radius}, boundary vertices stay on the circle when refined"
+    return f"{table.shape}, {where}, {table.cells} cells along x{refined}"
+
+
+def _solver(scene: Scene) -> list[str]:
+    if not _sides(scene):
+        return [f"PETSc SNES, one linear solve: {LINEAR_SOLVER}"]
+    prefix = "vi" if scene.tables.solve.method == "vi" else "penalty"
+    return [
+        METHODS[scene.tables.solve.method],
+        "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
+        f"each step: {LINEAR_SOLVER}",
+        f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
+    ]
+
+
+def _left_out(scene: Scene) -> str:
+    absent = [key for key in registered() if key not in {effect.key for effect in scene.effects}]
+    absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in _sides(scene)]
+    return "; ".join(absent) or "nothing"

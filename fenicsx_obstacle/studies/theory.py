@@ -1,0 +1,68 @@
+"""What the paper proves of the quantities that a study measures: the orders to compare with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity that tends to zero.
+
+    Attributes:
+        key: Dotted name in a row.
+        label: Head of its column.
+        order: The paper's order in the varied parameter.
+        source: Where it is stated.
+    """
+
+    key: str
+    label: str
+    order: float
+    source: str
+
+
+IN_EPS = (
+    Quantity("to_vi.energy", "|u_eps-u_h|_a", 1.0, "(5.5), h fixed"),
+    Quantity("to_vi.max", "max|u_eps-u_h|", 1.0, "u_eps - u_h <= eps max|p_h|"),
+    Quantity("to_vi.pressure_l2", "|p_eps-p_h|_0", 1.0, "Theorem 3.3, h fixed"),
+    Quantity("penetration", "penetration", 1.0, "(3.7): (u - g)^+ = -eps p"),
+)
+IN_H = (
+    Quantity("errors.h1", "|u-u_h|_1", 1.0, "(5.6), (5.9)"),
+    Quantity("errors.l2", "|u-u_h|_0", 2.0, "no statement; 2 is what P1 can give"),
+    Quantity("errors.max", "max|u-u_h|", 2.0, "no statement; 2 up to a logarithm"),
+    Quantity("errors.pressure_dual", "|p-p_h|_1*", 1.0, "(5.8), (5.9)"),
+)
+
+
+def lookup(row: Mapping[str, Any], key: str) -> Any:
+    """Value at a dotted key, or None."""
+    value: Any = row
+    for step in key.split("."):
+        value = value.get(step) if isinstance(value, Mapping) else None
+    return value
+
+
+def parameter(varied: Sequence[str]) -> str:
+    """The row's key in which orders are taken: eps, or h when meshes vary."""
+    return "eps" if varied and varied[-1] == "eps" else "h"
+
+
+def quantities(varied: Sequence[str], row: Mapping[str, Any]) -> list[Quantity]:
+    """The quantities that this study measures."""
+    candidates = IN_EPS if parameter(varied) == "eps" else IN_H
+    return [quantity for quantity in candidates if lookup(row, quantity.key) is not None]
+
+
+def order(key: str, row: Mapping[str, Any], before: Mapping[str, Any] | None, by: str) -> float | None:
+    """Observed order between two rows: log(e1/e0) / log(x1/x0)."""
+    if before is None:
+        return None
+    x1, x0, e1, e0 = (lookup(r, k) for k in (by, key) for r in (row, before))
+    if not all(isinstance(v, float) and v > 0 for v in (x1, x0, e1, e0)) or x1 == x0:
+        return None
+    return math.log(e1 / e0) / math.log(x1 / x0)
