@@ -21,8 +21,18 @@ _HOME = {
     "study": "studies.convergence",
 }
 
-__all__ = ["Answer", "InputError", "NotConverged", "ObstacleError", "Scene", "contact_pressure", "nodal_rule", "penalty",
-           "solve", "study"]  # fmt: skip
+__all__ = [
+    "Answer",
+    "InputError",
+    "NotConverged",
+    "ObstacleError",
+    "Scene",
+    "contact_pressure",
+    "nodal_rule",
+    "penalty",
+    "solve",
+    "study",
+]
 
 
 def __getattr__(name: str) -> Any:

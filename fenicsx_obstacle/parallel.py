@@ -115,6 +115,11 @@ def smallest(comm: MPI.Comm, values: Any) -> float:
     return float(comm.allreduce(float(np.min(values, initial=np.inf)), op=MPI.MIN))
 
 
+def before(comm: MPI.Comm, count: int) -> int:
+    """Sum of a count over the ranks before this one (collective)."""
+    return sum(comm.allgather(count)[: comm.rank])
+
+
 def gathered(comm: MPI.Comm, values: np.ndarray) -> np.ndarray | None:
     """Owned rows of all ranks, in the order of ranks, on rank 0; None elsewhere (collective)."""
     parts = comm.gather(values)

@@ -208,7 +208,7 @@ def refine(mesh: dmesh.Mesh) -> tuple[dmesh.Mesh, np.ndarray]:
         new, raw, _ = dmesh.refine(mesh, None, option=dmesh.RefinementOption.parent_cell, **keep)
     # parents come in the order in which cells were made, cells have been renumbered since
     raw = np.asarray(raw, dtype=np.int32)
-    first = mesh.comm.exscan(len(raw)) or 0
+    first = sum(mesh.comm.allgather(len(raw))[: mesh.comm.rank])
     own = new.topology.index_map(new.topology.dim).size_local
     parents = raw[np.asarray(new.topology.original_cell_index)[:own] - first]
     return settle(new), parents

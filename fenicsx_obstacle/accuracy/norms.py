@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import ufl
@@ -16,6 +16,7 @@ from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.effect import Sampler
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
@@ -53,6 +54,11 @@ class Formulas:
         return value.evaluate(self.names, self.alphabet) + self._zero
 
 
+def squared_energy_norm(scene: Scene, e: Any, data: Sampler) -> Any:
+    """a(e, e) = ||mu^(1/2) grad e||^2 as a form: twice the energy of the elastic effects."""
+    return sum(2 * cast(Any, effect.energy(e, data)) for effect in scene.effects if effect.elastic)
+
+
 class Exact:
     """The scene's exact solution on one problem; forms compile on first use."""
 
@@ -66,10 +72,10 @@ class Exact:
         self.u = fem.Function(problem.level.V)
         ue = self.formulas.cellwise(self.formula)
         error, dx = ue - self.u, self.formulas.dx
-        mu = sum(effect.energy(error, problem.data) for effect in scene.effects if effect.elastic)
+        energy = squared_energy_norm(scene, error, self.formulas)
         self._l2 = releases.form(error**2 * dx)
         self._gradient = releases.form(ufl.inner(ufl.grad(error), ufl.grad(error)) * dx)
-        self._energy = releases.form(2 * mu)
+        self._energy = releases.form(energy)
 
     def errors(self, u: fem.Function, eps: float | None) -> dict[str, float]:
         """Energy, H1, L2 and nodal maximum error of u (collective)."""
@@ -149,8 +155,8 @@ class Distance:
     def __init__(self, problem: Problem):
         self.problem = problem
         self.e = fem.Function(problem.level.V)
-        energy = sum(effect.energy(self.e, problem.data) for effect in problem.scene.effects if effect.elastic)
-        self._energy = releases.form(2 * energy)
+        energy = squared_energy_norm(problem.scene, self.e, problem.data)
+        self._energy = releases.form(energy)
         self._l2 = releases.form(self.e**2 * problem.data.dx)
 
     def energy(self, values: np.ndarray) -> float:

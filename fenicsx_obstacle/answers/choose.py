@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +13,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.problem import Problem
 
 METHODS = {
-    "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; should active sets repeat, a line search on the energy",
+    "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy should sets repeat",
     "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set stays as it was",
     "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }

@@ -76,7 +76,7 @@ class Data:
             place = f"[[boundary]] (no. {number + 1})"
             facets = self._facets(part.on, part.where, place)
             dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, facets)
-            formula = self.scene.formula(part.value, f"{place} value")
+            formula = self.scene.formula(0.0 if part.value is None else part.value, f"{place} value")
             function = fem.Function(level.V)
             function.x.array[dofs] = self.scene.at_points(formula, self._points(level.V)[:, dofs])
             self._refuse_infinite(formula, function)
@@ -96,7 +96,7 @@ class Data:
         dofs, values = self.fixed
         heights = [f.x.array for f in (self.lower, self.upper) if f is not None] + [values.x.array[dofs]]
         high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
-        tolerance = ROUND_OFF * (high - low) + 8 * np.finfo(float).eps * max(abs(high), abs(low))
+        tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
         if self.lower is not None and self.upper is not None:
             crossing = self.lower.x.array - self.upper.x.array
             self._refuse_gap(crossing, tolerance, f"{source}: [obstacle] lower is above upper")

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import files
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import before, largest
 from fenicsx_obstacle.scenes import shapes
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -210,7 +210,7 @@ def _halved(level: Level) -> tuple[dmesh.Mesh, np.ndarray]:
     mesh, owned = level.mesh, level.owned
     own_cells = mesh.topology.index_map(1).size_local
     dofs = releases.cell_dofs(level.V)
-    first = level.comm.exscan(owned + own_cells) or 0
+    first = before(level.comm, owned + own_cells)
     number = fem.Function(level.V)  # of each vertex among the new points; ghosts learn theirs from the owner
     number.x.array[:owned] = first + np.arange(owned)
     number.x.scatter_forward()
@@ -220,7 +220,7 @@ def _halved(level: Level) -> tuple[dmesh.Mesh, np.ndarray]:
     gdim = mesh.geometry.dim
     points = np.vstack([level.V.tabulate_dof_coordinates()[:owned], _corners(mesh)[:own_cells].mean(axis=1)])[:, :gdim]
     new = releases.create_mesh(level.comm, cells, points, "interval", stay=True)
-    start = level.comm.exscan(len(cells)) or 0
+    start = before(level.comm, len(cells))
     own = new.topology.index_map(1).size_local
     return new, (np.asarray(new.topology.original_cell_index)[:own] - start) // 2
 

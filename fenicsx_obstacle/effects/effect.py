@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
     import ufl
 

@@ -28,7 +28,7 @@ def penalty(
     rule: Rule | None = None,
     measure: ufl.Measure | None = None,
 ) -> ufl.Form:
-    """The term that turns a residual F(u; v) into the penalised obstacle problem: `F += penalty(u, v, upper=g, eps=eps)`.
+    """The term that makes a residual F(u; v) the penalised obstacle problem: `F += penalty(u, v, upper=g, eps=eps)`.
 
     (3.4): a(u, v) + (1/eps) I((u - g)^+, v) = f(v) for u <= g, and its mirror image for u >= lower.
 

@@ -6,6 +6,7 @@ in nodal values and the penalty acts node by node.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 
@@ -72,7 +73,7 @@ def facet_of(cell: str) -> str:
     return _FACET[cell]
 
 
-def _product(factors) -> float:
+def _product(factors: Iterable[float]) -> float:
     result = 1.0
     for factor in factors:
         result *= factor

@@ -22,9 +22,33 @@ MAX_DEPTH = 60  # nested operations
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^", ast.Mod: "%"}
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
+_ONE_ARGUMENT = tuple(
+    "sin cos tan asin acos atan sinh cosh tanh exp ln log log10 sqrt abs sign floor".split()  # noqa: SIM905
+)
 # name: least and largest number of arguments
 FUNCTIONS = {
-    **dict.fromkeys("sin cos tan asin acos atan sinh cosh tanh exp ln log log10 sqrt abs sign floor".split(), (1, 1)),
+    **dict.fromkeys(
+        [
+            "sin",
+            "cos",
+            "tan",
+            "asin",
+            "acos",
+            "atan",
+            "sinh",
+            "cosh",
+            "tanh",
+            "exp",
+            "ln",
+            "log",
+            "log10",
+            "sqrt",
+            "abs",
+            "sign",
+            "floor",
+        ],
+        (1, 1),
+    ),
     "atan2": (2, 2),
     "hypot": (2, 2),
     "min": (2, 9),
@@ -156,7 +180,7 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
         return do["where"](value, 1.0, 0.0) if _is_condition(child) else value
 
     match node:
-        case ast.Constant(value=value):
+        case ast.Constant(value=int() | float() as value):
             return float(value)
         case ast.Name(id=name):
             return values[name]

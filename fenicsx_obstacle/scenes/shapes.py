@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-Sides = dict[str, Callable[[np.ndarray], np.ndarray]]
+Sides = Mapping[str, Callable[[np.ndarray], np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,15 @@ def box(cell: str, corners: list[tuple[float, float]], cells: int, diagonal: str
     tolerance = 1e-9 * max(b - a for a, b in corners)
     names = [("left", "right"), ("bottom", "top"), ("back", "front")][: len(corners)]
     sides = {
-        name: (lambda x, axis=axis, at=at: np.abs(x[axis] - at) < tolerance)
+        name: _near(axis, at, tolerance)
         for axis, (pair, ends) in enumerate(zip(names, corners, strict=True))
         for name, at in zip(pair, ends, strict=True)
     }
     return Shape(cell, lower, upper, along, sides, h, diagonal)
+
+
+def _near(axis: int, at: float, tolerance: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda x: np.abs(x[axis] - at) < tolerance
 
 
 def l_shape(corners: list[tuple[float, float]], cells: int) -> Shape:

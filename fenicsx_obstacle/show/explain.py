@@ -6,12 +6,14 @@ from fenicsx_obstacle.answers.choose import LINEAR_SOLVER, METHODS
 from fenicsx_obstacle.effects.effect import registered
 from fenicsx_obstacle.scenes.scene import Scene
 
+
 def explain(scene: Scene) -> str:
     """The text; needs no mesh."""
     tables = scene.tables
     parts = [
         ("equation", _equation(scene)),
         ("data", [f"{effect.key} = {effect.value.text}  [{effect.unit}]" for effect in scene.effects]),
+        ("with", [f"{name} = {formula.text}" for name, formula in scene.define.items()]),
         ("obstacle", _obstacles(scene)),
         ("boundary", _boundary(scene)),
         ("discrete", _discrete(scene)),

@@ -38,11 +38,11 @@ def draw_convergence(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], p
     for number, quantity in enumerate(drawn):
         y = np.array([lookup(row, quantity.key) for row in rows], dtype=float)
         style = {"color": COLOURS[number], "marker": MARKERS[number], "markersize": 5}
-        axes.loglog(x, y, label=quantity.label, **style)
-        # the paper's slope, starting at the coarsest value
+        axes.loglog(x, y, label=quantity.tex, **style)
+        # the expected slope, from just below the first value
         slope = 0.75 * y[0] * (x / x[0]) ** quantity.order
         axes.loglog(x, slope, ":", color=COLOURS[number], linewidth=1)
-    axes.plot([], [], ":", color="grey", label="slopes of the paper")
+    axes.plot([], [], ":", color="grey", label="expected slopes")
     axes.set_xlabel(f"{by}   ({'h' if by == 'eps' else 'eps'}: {_other(rows, by)})")
     axes.set_ylabel("against the solution of SNES VI" if by == "eps" else "error")
     _finish(figure, axes, rows, path)
@@ -53,13 +53,14 @@ def draw_cost(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], path: Pa
     figure, axes = _figure(6.0, 4.6)
     quantity = quantities(varied, rows[-1])[0]
     seconds = [lookup(row, "seconds.solve") for row in rows]
-    axes.loglog(seconds, [lookup(row, quantity.key) for row in rows], "o-", color=COLOURS[0], label=quantity.label)
+    axes.loglog(seconds, [lookup(row, quantity.key) for row in rows], "o-", color=COLOURS[0], label=quantity.tex)
     for row, time in zip(rows, seconds, strict=True):
         label = f"{row['dofs']} unknowns" if parameter(varied) == "h" else f"eps = {row['eps']:.0e}"
         at = (time, lookup(row, quantity.key))
         axes.annotate(label, at, textcoords="offset points", xytext=(6, 4), fontsize=7)
     axes.set_xlabel("seconds of the solve")
-    axes.set_ylabel(quantity.label)
+    axes.set_ylabel(quantity.tex)
+    axes.margins(x=0.2)
     _finish(figure, axes, rows, path)
 
 

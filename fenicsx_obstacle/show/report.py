@@ -88,7 +88,7 @@ def run_demo(folder: Path, say: Say) -> None:
         say(answer.summary() + "\n")
     studies: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
         ("disk", "h fixed: u_eps tends to the solution of the variational inequality with order eps",
-         {"eps": [10.0**-k for k in range(1, 9)]}, {"cells": 64}),
+         {"eps": [10.0**-k for k in range(1, 11)]}, {"cells": 64}),
         ("disk", "eps = h^2: order 1 in H1, and at least 1 for the pressure in the dual norm",
          {"cells": [16, 32, 64, 128]}, {"eps": "h^2"}),
         ("ball", "eps = h^2 again, on Bueler's ball", {"cells": [16, 32, 64, 128]}, {"eps": "h^2"}),

@@ -49,7 +49,7 @@ class StudyTable:
         if self.by == "h" and row.get("eps") is not None:
             cells.append(("eps", "", f"{row['eps']:.1e}"))
         for quantity in measured:
-            cells.append((quantity.label, "paper:", f"{lookup(row, quantity.key):.3e}"))
+            cells.append((quantity.label, "paper:" if quantity.stated else "best:", f"{lookup(row, quantity.key):.3e}"))
             seen = order(quantity.key, row, self.last, self.by)
             cells.append(("order", f"{quantity.order:g}", "" if seen is None else f"{seen:.2f}"))
         for column in _COST:

@@ -114,7 +114,7 @@ class Stopping:
         w = self.problem.w.x.array[: self.problem.level.owned]
         free = ~self.problem.fixed
         # rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part
-        floor = 8 * np.finfo(float).eps * total(self.problem.level.comm, (diagonal.array_r * np.abs(w))[free])
+        floor = 8 * float(np.finfo(float).eps) * total(self.problem.level.comm, (diagonal.array_r * np.abs(w))[free])
         diagonal.destroy()
         return floor
 

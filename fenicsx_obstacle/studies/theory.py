@@ -15,27 +15,29 @@ class Quantity:
     Attributes:
         key: Dotted name in a row.
         label: Head of its column.
-        order: The paper's order in the varied parameter.
-        source: Where it is stated.
+        tex: The same for pictures.
+        order: The order to expect in the varied parameter.
+        stated: Whether the paper states it; otherwise it is the best that P1 can give.
     """
 
     key: str
     label: str
+    tex: str
     order: float
-    source: str
+    stated: bool
 
 
-IN_EPS = (
-    Quantity("to_vi.energy", "|u_eps-u_h|_a", 1.0, "(5.5), h fixed"),
-    Quantity("to_vi.max", "max|u_eps-u_h|", 1.0, "u_eps - u_h <= eps max|p_h|"),
-    Quantity("to_vi.pressure_l2", "|p_eps-p_h|_0", 1.0, "Theorem 3.3, h fixed"),
-    Quantity("penetration", "penetration", 1.0, "(3.7): (u - g)^+ = -eps p"),
+IN_EPS = (  # h fixed: (5.5), Theorem 3.3, and (3.7) for the penetration
+    Quantity("to_vi.energy", "|u_eps-u_h|_a", r"$\|u_\epsilon-u_h\|_a$", 1.0, True),
+    Quantity("to_vi.max", "max|u_eps-u_h|", r"$\max|u_\epsilon-u_h|$", 1.0, True),
+    Quantity("to_vi.pressure_l2", "|p_eps-p_h|_0", r"$\|p_\epsilon-p_h\|_0$", 1.0, True),
+    Quantity("penetration", "penetration", "penetration", 1.0, True),
 )
-IN_H = (
-    Quantity("errors.h1", "|u-u_h|_1", 1.0, "(5.6), (5.9)"),
-    Quantity("errors.l2", "|u-u_h|_0", 2.0, "no statement; 2 is what P1 can give"),
-    Quantity("errors.max", "max|u-u_h|", 2.0, "no statement; 2 up to a logarithm"),
-    Quantity("errors.pressure_dual", "|p-p_h|_1*", 1.0, "(5.8), (5.9)"),
+IN_H = (  # (5.6)-(5.9)
+    Quantity("errors.h1", "|u-u_h|_1", r"$\|u-u_h\|_1$", 1.0, True),
+    Quantity("errors.l2", "|u-u_h|_0", r"$\|u-u_h\|_0$", 2.0, False),
+    Quantity("errors.max", "max|u-u_h|", r"$\max|u-u_h|$", 2.0, False),
+    Quantity("errors.pressure_dual", "|p-p_h|_1*", r"$\|p-p_h\|_1^*$", 1.0, True),
 )
 
 

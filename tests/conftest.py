@@ -1,0 +1,77 @@
+"""Tests run on 1, 2 and 3 ranks: a test that fails on one rank fails on all, and none hangs."""
+
+from __future__ import annotations
+
+import gc
+import os
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import Scene
+
+COMM = MPI.COMM_WORLD
+DEMOS = Path(__file__).parent.parent / "demos"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "serial: starts processes of its own, so it runs in the session on one rank")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    if COMM.rank != 0:  # one report is enough; failures elsewhere reach it through pytest_runtest_call
+        reporter = session.config.pluginmanager.getplugin("terminalreporter")
+        reporter._tw._file = open(os.devnull, "w")  # noqa: SIM115
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if COMM.size > 1:
+        kept = [item for item in items if "serial" not in item.keywords]
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = kept
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    trouble, result = None, None
+    try:
+        result = yield
+    except BaseException as error:
+        trouble = error
+    messages = COMM.allgather(None if trouble is None else "".join(traceback.format_exception(trouble)))
+    gc.collect()
+    PETSc.garbage_cleanup()
+    if trouble is not None:
+        raise trouble
+    elsewhere = [f"on rank {rank}:\n{message}" for rank, message in enumerate(messages) if message is not None]
+    if elsewhere:
+        pytest.fail("\n".join(elsewhere), pytrace=False)
+    return result
+
+
+@pytest.fixture
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A new folder, the same on all ranks."""
+    return COMM.bcast(tmp_path_factory.mktemp("folder") if COMM.rank == 0 else None)
+
+
+@pytest.fixture
+def ball() -> Scene:
+    return Scene.read(DEMOS / "ball.toml")
+
+
+@pytest.fixture
+def disk() -> Scene:
+    return Scene.read(DEMOS / "disk.toml")
+
+
+def membrane(**given: Any) -> Scene:
+    """A membrane on the unit square with 16 cells a side, u = 0 on the boundary."""
+    data: dict[str, Any] = {"mesh": {"shape": "rectangle", "cells": 16}, "tension": 1, **given}
+    return Scene(**data)

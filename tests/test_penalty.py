@@ -1,0 +1,111 @@
+"""The public penalty(): one added line in somebody else's residual."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from petsc4py import PETSc
+
+from fenicsx_obstacle import InputError, contact_pressure, nodal_rule, penalty, releases
+from fenicsx_obstacle.forms.penalty import penalty_energy
+from fenicsx_obstacle.parallel import total
+
+
+@pytest.fixture
+def space():
+    return releases.functionspace(releases.settle(dmesh.create_unit_square(COMM, 6, 6)), "Lagrange", 1)
+
+
+def assembled(form, V):
+    compiled = releases.form(form)
+    b = releases.create_vector(compiled, V)
+    with b.localForm() as local:
+        local.set(0.0)
+    fem.petsc.assemble_vector(b, compiled)
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    return b.array.copy()
+
+
+def test_form_is_nodal(space):
+    """(3.4): row i of (1/eps) I((u - g)^+, v) is D_i (u_i - g_i)^+ / eps, and its mirror image below."""
+    u, v = fem.Function(space), ufl.TestFunction(space)
+    u.interpolate(lambda x: np.sin(5 * x[0]) * np.cos(3 * x[1]))
+    D = assembled(v * nodal_rule("triangle").on(ufl.dx), space)
+    own = u.x.array[: len(D)]
+    rows = assembled(penalty(u, v, upper=0.2, lower=-0.3, eps=1e-3), space)
+    assert np.allclose(rows, D * (np.maximum(own - 0.2, 0) - np.maximum(-0.3 - own, 0)) / 1e-3, atol=1e-12)
+
+
+def test_pressure_balances_the_penalty(space):
+    """(3.7)-(3.8): I(p, v) = -(1/eps) I((u - g)^+, v); p <= 0 above, p >= 0 below."""
+    u, v, g = fem.Function(space), ufl.TestFunction(space), fem.Function(space)
+    u.interpolate(lambda x: np.sin(5 * x[0]))
+    g.interpolate(lambda x: 0.1 + 0.2 * x[1])
+    p = contact_pressure(u, upper=g, eps=1e-2)
+    assert p.x.array.max() <= 0
+    rule = nodal_rule("triangle")
+    assert np.allclose(
+        assembled(p * v * rule.on(ufl.dx), space), -assembled(penalty(u, v, upper=g, eps=1e-2), space), atol=1e-14
+    )
+    assert contact_pressure(u, lower=g, eps=1e-2).x.array.min() >= 0
+    # an obstacle given as an expression is sampled at the nodes
+    x = ufl.SpatialCoordinate(space.mesh)
+    assert np.allclose(contact_pressure(u, upper=0.1 + 0.2 * x[1], eps=1e-2).x.array, p.x.array)
+
+
+def test_penalty_is_the_derivative_of_its_energy(space):
+    """(3.2)-(3.4): the convex functional I((u - g)^+ ^2, 1)/(2 eps)."""
+    u, v = fem.Function(space), ufl.TestFunction(space)
+    u.interpolate(lambda x: np.sin(5 * x[0]) - x[1])
+    eps = fem.Constant(space.mesh, PETSc.ScalarType(0.1))
+    energy = penalty_energy(u, eps=eps, dI=nodal_rule("triangle").on(ufl.dx), upper=0.1, lower=-0.2)
+    difference = ufl.derivative(energy, u, v) - penalty(u, v, upper=0.1, lower=-0.2, eps=eps)
+    assert np.abs(assembled(difference, space)).max() < 1e-14
+
+
+def test_on_part_of_the_boundary(space):
+    """Any measure: contact of the boundary only, by the vertex rule of the facets."""
+    u, v = fem.Function(space), ufl.TestFunction(space)
+    u.x.array[:] = 1.0
+    rows = assembled(penalty(u, v, upper=0.5, eps=1.0, measure=ufl.ds), space)
+    assert abs(total(COMM, rows) - 0.5 * 4) < 1e-13
+
+
+def test_component_of_a_vector():
+    """Any scalar UFL: the vertical displacement of a vector field against a floor."""
+    mesh = releases.settle(dmesh.create_unit_square(COMM, 3, 3))
+    W = (
+        fem.VectorFunctionSpace(mesh, ("Lagrange", 1))
+        if releases.OLD
+        else fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    )
+    w, v = fem.Function(W), ufl.TestFunction(W)
+    rows = assembled(penalty(w[1], v[1], lower=0.25, eps=0.5), W)
+    assert abs(total(COMM, rows) + 0.25 / 0.5) < 1e-14
+
+
+def test_eps_is_never_compiled_in(space):
+    """Two values of eps give the same form, with one Constant in it."""
+    u, v = fem.Function(space), ufl.TestFunction(space)
+    first, second = (penalty(u, v, upper=1.0, eps=eps) for eps in (1e-2, 1e-9))
+    assert first.signature() == second.signature()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"eps": 1.0}, "give an obstacle"),
+        ({"eps": 0.0, "upper": 1.0}, "positive"),
+        ({"eps": np.inf, "lower": 1.0}, "finite"),
+    ],
+)
+def test_mistakes(space, arguments, message):
+    u, v = fem.Function(space), ufl.TestFunction(space)
+    with pytest.raises(InputError, match=message):
+        penalty(u, v, **arguments)
+    with pytest.raises(InputError, match=message):
+        contact_pressure(u, **arguments)
+    with pytest.raises(InputError, match="test function"):
+        penalty(u, u, upper=1.0, eps=1.0)
