@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -90,21 +91,28 @@ def form(expression: ufl.Form) -> Any:
     A process killed while compiling leaves a source without its library, on which FFCx waits
     until it gives up: such files are removed, and the compilation is tried once more.
     """
+    _remove_old_stale_sources()
     options = {"jit_params" if OLD else "jit_options": {"timeout": JIT_WAIT}}
     try:
         return fem.form(expression, **options)
     except (TimeoutError, RuntimeError) as error:
         if "timed out" not in str(error):
             raise
-    _remove_stale_sources()
+    _remove_stale_sources(JIT_WAIT - 1)
     return fem.form(expression, **options)
 
 
-def _remove_stale_sources() -> None:
-    """Remove sources that nobody has finished compiling for longer than `JIT_WAIT` seconds."""
-    cache = Path(os.getenv("XDG_CACHE_HOME", Path.home() / ".cache")) / "fenics"
-    for source in cache.glob("libffcx_*.c"):
-        if not source.with_suffix(".c.cached").exists() and time.time() - source.stat().st_mtime > JIT_WAIT - 1:
+@cache
+def _remove_old_stale_sources() -> None:
+    """Once a process: what is that old has no compiler working on it, so there is no need to wait for it."""
+    _remove_stale_sources(4 * JIT_WAIT)
+
+
+def _remove_stale_sources(seconds: float) -> None:
+    """Remove sources that nobody has finished compiling for so long."""
+    folder = Path(os.getenv("XDG_CACHE_HOME", Path.home() / ".cache")) / "fenics"
+    for source in folder.glob("libffcx_*.c"):
+        if not source.with_suffix(".c.cached").exists() and time.time() - source.stat().st_mtime > seconds:
             source.unlink(missing_ok=True)
 
 

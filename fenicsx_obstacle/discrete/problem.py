@@ -83,9 +83,14 @@ class Problem:
         self.load = self._load()
 
     def cold_start(self) -> np.ndarray:
-        """Heights, ghosts included: the boundary values, and 0 or the nearest obstacle inside."""
+        """Heights, ghosts included: the boundary values, and inside their mean, or the obstacle it would cross.
+
+        The mean moves with the heights, so that nothing depends on where they are counted from.
+        """
         dofs, values = self.data.fixed
-        heights = np.zeros(len(values.x.array))
+        comm, own = self.level.comm, dofs[dofs < self.level.owned]
+        mean = total(comm, values.x.array[own]) / max(total(comm, len(own)), 1.0)
+        heights = np.full(len(values.x.array), mean)
         lower, upper = self.obstacles()
         np.clip(heights, lower, upper, out=heights)
         heights[dofs] = values.x.array[dofs]

@@ -1,0 +1,129 @@
+"""Answers: figures, the saved folder, pictures."""
+
+import json
+import os
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+
+from fenicsx_obstacle import Answer, InputError, solve, study
+from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.studies.rows import RowFile, flat
+
+KEYS = """scene method element ranks cells cells_total dofs h h_max eps converged reason newton_iterations
+krylov_iterations newton_total krylov_total seconds poisson_seconds poisson_units memory_mb energy errors penetration
+contact versions command""".split()  # noqa: SIM905
+
+
+def test_record_has_every_figure(ball):
+    """The contract of answer.json."""
+    record = solve(ball, yardstick=True).record
+    assert set(KEYS) <= set(record)
+    assert record["poisson_units"] > 0
+    assert set(record["seconds"]) == {"total", "mesh", "solve"}
+    assert set(record["errors"]) == {"energy", "l2", "h1", "max"}
+    json.dumps(dict(record))
+
+
+def test_contact_of_the_ball(ball):
+    """Contact area and force tend to pi a^2 and to the flux -2 pi r u' = 2 pi A = 4.2742 through any circle."""
+    record = solve(ball, cells=128, method="vi").record
+    assert np.isclose(record["contact"]["area"], np.pi * 0.697965148223374**2, rtol=0.1)
+    assert np.isclose(record["contact"]["lower"]["force"], 2 * np.pi * 0.680259411891719, rtol=2e-3)
+
+
+def test_force_balance(disk):
+    """Load = contact force + support reactions, to the accuracy of the solver."""
+    from fenicsx_obstacle.answers.compute import Workbench
+
+    bench = Workbench(disk)
+    record = bench.answer().record
+    problem = bench.problem
+    support = total(COMM, problem.elastic.array[problem.fixed])
+    load = 4 * 2  # f times the area of the square
+    # rows of fixed dofs hold a(u, phi) - f(phi), free rows the contact force: all rows sum to -load
+    assert np.isclose(support - record["contact"]["upper"]["force"], -load, rtol=1e-9)
+
+
+def test_saved_answer_reads_back(disk, folder):
+    """Same fields, figures and history, whatever the partition."""
+    answer = solve(disk, eps=1e-6, cells=16)
+    answer.save(folder / "answer")
+    again = Answer.read(folder / "answer")
+    assert again.record == json.loads(json.dumps(dict(answer.record)))
+    assert again.history == answer.history
+    assert again.scene.tables == answer.scene.tables
+    assert again.error is not None
+    assert again.upper is not None
+    assert again.lower is None
+
+    def moments(a, name):
+        function = a.functions()[name]
+        own, x = a.level.owned, a.level.V.tabulate_dof_coordinates()
+        values = function.x.array[:own]
+        return [total(COMM, values), total(COMM, values * x[:own, 0]), total(COMM, values * x[:own, 1] ** 2)]
+
+    for name in answer.functions():
+        assert np.allclose(moments(again, name), moments(answer, name), rtol=1e-12, atol=1e-12)
+
+
+def test_paraview_file_names_every_field(disk, folder):
+    solve(disk, cells=8).save(folder / "answer")
+    tree = ElementTree.parse(folder / "answer" / "fields.xdmf")
+    names = {attribute.get("Name") for attribute in tree.iter("Attribute")}
+    assert names == {"u", "pressure", "contact", "upper", "gap", "error"}
+
+
+@pytest.mark.parametrize("shape", ["interval", "rectangle", "disk"])
+def test_pictures(shape, folder):
+    answer = solve(membrane(mesh={"shape": shape, "cells": 8}, load=8, upper=0.1))
+    answer.plot(folder / f"{shape}.png")
+    assert (folder / f"{shape}.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_saving_replaces_whole_folders(disk, folder):
+    """The old folder goes when the new one is whole; nothing else is left behind."""
+    for cells in (4, 8):
+        solve(disk, cells=cells).save(folder / "answer")
+        COMM.barrier()
+    assert Answer.read(folder / "answer").record["cells"] == 8
+    COMM.barrier()
+    assert os.listdir(folder) == ["answer"]
+
+
+def test_folder_that_cannot_be_written(disk, folder):
+    on_root(COMM, lambda: (folder / "file").write_text(""))
+    with pytest.raises(InputError, match="file"):
+        solve(disk, cells=4).save(folder / "file" / "answer")
+    with pytest.raises(InputError, match="is a file"):
+        solve(disk, cells=4).save(folder / "file")
+    with pytest.raises(InputError, match="holds no saved answer"):
+        Answer.read(folder / "nothing")
+
+
+def test_rows_are_dicts_and_reach_the_disk_one_by_one(disk, folder):
+    """study() gives what pandas takes; rows.jsonl holds each row as soon as it is computed."""
+    file = RowFile(folder) if COMM.rank == 0 else None
+    seen = []
+
+    def on_row(row, answer):
+        if file is not None:
+            file.add(row)
+            seen.append(len((folder / "rows.jsonl").read_text().splitlines()))
+
+    rows = study(disk, {"method": ["penalty", "vi"], "cells": [4, 8]}, on_row=on_row)
+    assert [row["vary"]["cells"] for row in rows] == [4, 8, 4, 8]
+    assert all(row["poisson_units"] > 0 and row["memory_mb"] > 0 for row in rows)
+    if file is not None:
+        assert seen == [1, 2, 3, 4]
+        assert (folder / "rows.csv").read_text().count("\n") == 5
+        assert flat(rows[0])["errors.pressure_dual"] == rows[0]["errors"]["pressure_dual"]
+
+
+def test_penetration_and_sign(ball):
+    answer = solve(ball, eps=1e-3)
+    assert answer.record["penetration"] > 0
+    assert largest(COMM, -answer.pressure.x.array) <= 0  # p >= 0 against the lower obstacle
+    assert "penalty, eps = 0.001" in answer.summary()

@@ -1,0 +1,198 @@
+"""The command line as users meet it: in processes of its own, on 1, 2 and 3 ranks."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from conftest import DEMOS
+
+from fenicsx_obstacle import InputError
+from fenicsx_obstacle.cli import values_of
+
+pytestmark = pytest.mark.serial
+
+# what this process's MPI has put into the environment would confuse the mpirun started here
+CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}
+
+
+def run(*arguments, ranks=1, cwd=None, env=None):
+    command = [sys.executable, "-m", "fenicsx_obstacle", *map(str, arguments)]
+    if ranks > 1:
+        command = ["mpirun", "-q", "-n", str(ranks), "--oversubscribe", "--bind-to", "none", *command]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env or CLEAN, timeout=250, check=False)
+
+
+FIGURES = ["energy", "penetration", "dofs", "cells_total", "newton_iterations"]
+
+
+@pytest.mark.parametrize(
+    ("name", "method"), [("string", "vi"), ("disk", "penalty"), ("ball", "vi"), ("two_sided", "penalty")]
+)
+def test_same_figures_on_all_ranks(name, method, tmp_path):
+    """1, 2 and 3 ranks agree to 1e-9 in energy, errors, contact area and force."""
+    records = []
+    for ranks in (1, 2, 3):
+        file = tmp_path / f"{ranks}.json"
+        done = run("solve", DEMOS / f"{name}.toml", "--method", method, "--eps", "1e-7", "--json", file,
+                   "--output", tmp_path / "out", ranks=ranks)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        records.append(json.loads(file.read_text()))
+    for record in records[1:]:
+        assert record["ranks"] in (2, 3)
+        pairs = [(record[key], records[0][key]) for key in FIGURES]
+        pairs += [(record["errors"][key], records[0]["errors"][key]) for key in records[0]["errors"]]
+        pairs += [(record["contact"]["area"], records[0]["contact"]["area"])]
+        pairs += [(record["contact"][side]["force"], records[0]["contact"][side]["force"])
+                  for side in ("lower", "upper") if side in record["contact"]]  # fmt: skip
+        for ours, first in pairs:
+            assert np.isclose(ours, first, rtol=1e-9, atol=0 if first else 1e-15)
+
+
+def test_saved_on_three_ranks_plotted_on_one(tmp_path):
+    done = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", ranks=3)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("saved in") == 1
+    assert run("plot", tmp_path / "disk").returncode == 0
+    assert (tmp_path / "disk" / "answer.png").exists()
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
+    (tmp_path / "bad.toml").write_text('[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = "x - 1/2"\n')
+    disk = DEMOS / "disk.toml"
+    for arguments in (["solve", tmp_path / "bad.toml"], ["solve", tmp_path / "none.toml"],
+                      ["solve", disk, "--eps", "0"], ["solve", disk, "--cells", "0"], ["solve", disk, "--cels", "3"],
+                      ["study", disk, "--vary", "cels=1,2"], ["study", disk, "--vary", "cells"], ["slove"]):  # fmt: skip
+        done = run(*arguments, ranks=ranks, cwd=tmp_path)
+        assert done.returncode == 2, (arguments, done.stderr)
+        assert done.stderr.count("Error: ") == 1, done.stderr
+        assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_unconverged_exits_3_and_keeps_what_was_computed(ranks, tmp_path):
+    limit = ["--", "-penalty_snes_max_it", "8", "-penalty_snes_linesearch_type", "basic"]
+    done = run(
+        "study", DEMOS / "disk.toml", "--vary", "eps=1e-1..1e-6", "--output", tmp_path / "out", *limit, ranks=ranks
+    )
+    assert done.returncode == 3, done.stderr
+    assert "limit of steps was reached (DIVERGED_MAX_IT)" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == 3
+
+
+def test_a_failing_rank_ends_all():
+    """An exception on one rank aborts the others instead of leaving them in a collective call."""
+    code = (
+        "from mpi4py import MPI; from fenicsx_obstacle.parallel import abort_on_uncaught_errors as hook\n"
+        "hook(MPI.COMM_WORLD)\n"
+        "if MPI.COMM_WORLD.rank == 1: raise RuntimeError('on one rank')\n"
+        "MPI.COMM_WORLD.barrier()"
+    )
+    start = time.monotonic()
+    command = ["mpirun", "-q", "-n", "2", "--oversubscribe", sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=60, check=False)
+    assert done.returncode != 0
+    assert "on one rank" in done.stderr
+    assert time.monotonic() - start < 30
+
+
+def test_a_failing_test_on_one_rank_fails_on_all(tmp_path):
+    """The test-suite itself: no hang, and rank 0 reports what rank 1 met."""
+    (tmp_path / "conftest.py").write_text((DEMOS.parent / "tests" / "conftest.py").read_text())
+    (tmp_path / "test_one.py").write_text(
+        "from mpi4py import MPI\n\ndef test_it():\n    assert MPI.COMM_WORLD.rank == 0, 'only here'\n"
+    )
+    command = ["mpirun", "-q", "-n", "2", "--oversubscribe", sys.executable, "-m", "pytest", "-q", "test_one.py"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=CLEAN, timeout=60, check=False)
+    assert done.returncode != 0
+    assert "only here" in done.stdout
+
+
+def test_json_on_standard_output_is_nothing_else(tmp_path):
+    done = run("solve", DEMOS / "string.toml", "--json", "-", "--output", tmp_path / "out", ranks=2)
+    assert json.loads(done.stdout)["scene"] == "string"
+
+
+def test_nothing_compiles_twice(tmp_path):
+    """An eps-ladder compiles each form once, on all ranks; a warm start compiles none."""
+    env = {**CLEAN, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    ladder = ["study", DEMOS / "disk.toml", "--cells", "8", "--vary", "eps=1e-1..1e-4", "--output", tmp_path / "out"]
+    short = ["study", DEMOS / "disk.toml", "--cells", "8", "--vary", "eps=1e-1", "--output", tmp_path / "out"]
+    counts = []
+    for arguments, ranks in ((short, 1), (ladder, 1), (ladder, 2)):
+        done = run(*arguments, ranks=ranks, env=env)
+        assert done.returncode == 0, done.stderr
+        counts.append(len(list((tmp_path / "cache").rglob("*.c"))))
+    assert counts[0] > 0
+    assert counts == [counts[0]] * 3
+
+
+def test_killed_while_compiling_does_not_block_the_next_run(tmp_path):
+    """A source without its library, left by kill -9, is removed and compiled again."""
+    from fenicsx_obstacle import releases
+
+    env = {**CLEAN, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    arguments = ["solve", DEMOS / "string.toml", "--output", tmp_path / "out"]
+    assert run(*arguments, env=env).returncode == 0
+    victim = max((tmp_path / "cache").rglob("libffcx_forms_*.c"))
+    for file in victim.parent.glob(victim.stem + "*"):
+        file.unlink()
+    victim.write_text("int unfinished")
+    old = time.time() - 5 * releases.JIT_WAIT
+    os.utime(victim, (old, old))
+    done = run(*arguments, env=env)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["disk", "ball", "two_sided", "string"])
+def test_explain(name):
+    done = run("explain", DEMOS / f"{name}.toml")
+    assert done.returncode == 0
+    for word in ("-div(tension grad u)", "(3.4)", "vertex rule", "SNES", "left out"):
+        assert word in done.stdout
+
+
+def test_help_is_quick_and_imports_nothing_heavy():
+    code = (
+        "import sys; sys.argv = ['x', '--help']\n"
+        "from fenicsx_obstacle.__main__ import main\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        "heavy = {'dolfinx', 'petsc4py', 'mpi4py', 'numpy', 'ufl', 'matplotlib'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "solve" in done.stdout
+
+
+def test_one_added_line(tmp_path):
+    """The demo for somebody else's code runs as it stands, under plain mpirun."""
+    command = ["mpirun", "-q", "-n", "2", "--oversubscribe", sys.executable, str(DEMOS / "one_added_line.py")]
+    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "SNES reason 3; largest height 0.9998" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "values"),
+    [
+        ("16..128", "cells", [16, 32, 64, 128]),
+        ("1e-1..1e-4", "eps", [1e-1, 1e-2, 1e-3, 1e-4]),
+        ("h,h^2,1e-8", "eps", ["h", "h^2", 1e-8]),
+        ("1..100:3", "define.f", [1, 10, 100]),
+        ("1e-4..1e-2", "eps", [1e-4, 1e-3, 1e-2]),
+        ("penalty,vi", "method", ["penalty", "vi"]),
+    ],
+)
+def test_lists_of_values(text, key, values):
+    assert values_of(text, key) == values
+
+
+def test_ranges_need_positive_ends():
+    with pytest.raises(InputError, match="positive"):
+        values_of("0..3", "cells")

@@ -1,0 +1,136 @@
+"""Reading scenes: what is right is read, what is wrong gets one message naming the place and the remedy."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.scenes import formulas
+
+BASE = '[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = 1\n'
+EDGE = "[[boundary]]\nvalue = 0\n"
+
+NUMBERS = st.floats(0.1, 9, allow_nan=False).map(lambda x: (f"{x!r}", x))
+OPERATIONS = {"+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b, "/": lambda a, b: a / b}
+
+
+def _combined(children):
+    binary = st.tuples(children, st.sampled_from(sorted(OPERATIONS)), children).map(
+        lambda t: (f"({t[0][0]} {t[1]} {t[2][0]})", OPERATIONS[t[1]](np.float64(t[0][1]), t[2][1]))
+    )
+    called = children.map(lambda t: (f"sin({t[0]})", np.sin(t[1])))
+    chosen = st.tuples(children, children, children).map(
+        lambda t: (
+            f"where({t[0][0]} < {t[1][0]}, {t[2][0]}, -({t[1][0]})^2)",
+            t[2][1] if t[0][1] < t[1][1] else -(t[1][1] ** 2),
+        )
+    )
+    return binary | called | chosen
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.recursive(NUMBERS, _combined, max_leaves=12))
+def test_formulas_mean_what_they_say(case):
+    text, value = case
+    with np.errstate(all="ignore"):
+        if not np.isfinite(value):
+            return
+    if len(text) <= formulas.MAX_LENGTH:
+        assert np.isclose(formulas.parse(text, "test").on_arrays({}), value, rtol=1e-12, equal_nan=True)
+
+
+def test_words_of_formulas():
+    x = np.array([0.5, 2.0])
+    evaluate = lambda text: formulas.parse(text, "test").on_arrays({"x": x, "pi": math.pi})  # noqa: E731
+    assert np.allclose(evaluate("2^3^2"), 512)
+    assert np.allclose(evaluate("-x^2"), [-0.25, -4])
+    assert np.allclose(evaluate("where(x > 1, sqrt(x - 1), 7)"), [7, 1])  # the branch not chosen is NaN
+    assert np.allclose(evaluate("0 < x < 1"), [1, 0])
+    assert np.allclose(evaluate("3*(x < 1 or x == 2) + (not x > 1)"), [4, 3])
+    assert np.allclose(evaluate("min(x, 1, 0.7) + max(x, 1)"), [1.5, 2.7])
+    assert np.allclose(
+        evaluate("hypot(x, x) + atan2(x, x) + log10(100) + floor(x) % 2"), np.sqrt(2) * x + np.pi / 4 + 2
+    )
+    assert np.allclose(evaluate("9^9^1^9"), 9.0**9)
+
+
+MISTAKES = {
+    "unknown table": ("[mash]\n", "unknown table or key 'mash'; did you mean 'mesh'"),
+    "unknown key": (BASE.replace("cells", "cels"), r"\[mesh\] unknown key 'cels'; did you mean 'cells'"),
+    "unknown effect": (BASE + "lod = 1\n", r"\[effects\] unknown effect 'lod'; did you mean 'load'"),
+    "wrong type": (BASE.replace("4", '"many"'), r"\[mesh\] cells = 'many': expected a whole number"),
+    "unknown choice": (BASE.replace("rectangle", "rectangel"), "'rectangel' is not known; did you mean 'rectangle'"),
+    "no cells": (BASE.replace("4", "0"), r"\[mesh\] cells = 0: expected a whole number >= 1"),
+    "too many cells": (BASE.replace("4", "2000000") + EDGE, "of memory"),
+    "no TOML": ("[mesh\n", "not TOML"),
+    "unknown name": (BASE + 'load = "2*y + q"\n', r"load: unknown name 'q'[\s\S]*\n +2\*y \+ q\n          \^"),
+    "syntax": (BASE + 'load = "2*^y"\n', r"cannot read this formula\n    2\*\^y\n       \^"),
+    "not arithmetic": (BASE + 'load = "x.real"\n', "not allowed in a formula"),
+    "python": (BASE + "load = \"__import__('os')\"\n", "unknown function '__import__'"),
+    "shadowing": ("[define]\nsin = 1\n" + BASE, "'sin' has a meaning already"),
+    "no stiffness": ('[mesh]\nshape = "rectangle"\n', "add 'tension = 1'"),
+    "no mesh": ("[effects]\ntension = 1\n", "either a 'shape' or a 'file'"),
+    "missing file": ('[mesh]\nfile = "none.msh"\n[effects]\ntension = 1\n', "no such mesh file"),
+    "corner": (BASE + "[define]\n" + EDGE.replace("0", "zz"), "not TOML"),
+    "infinite": (
+        BASE + 'load = "1/x"\n' + EDGE.replace("0", "1") + "[obstacle]\nlower = 'ln(x)'\n",
+        "not a finite number",
+    ),
+    "negative tension": (BASE.replace("= 1", '= "x - 0.5"') + EDGE, r"must be positive; it is -\d"),
+    "crossing": (BASE + "[obstacle]\nlower = 0.1\nupper = 'x'\n" + EDGE, r"lower is above upper: by 0.1 at \(0, "),
+    "beyond": (BASE + "[obstacle]\nlower = 0.1\n" + EDGE, "boundary value is beyond the lower obstacle: by 0.1 at"),
+    "no such side": (BASE + EDGE + 'on = "lft"\n', "no part named 'lft'; did you mean 'left'"),
+    "eps": (BASE + "[solve]\neps = -1\n", "eps = -1.0: must be positive"),
+    "eps not finite": (BASE + "[solve]\neps = inf\n", "is inf"),
+    "element": (BASE + '[solve]\nelement = "P3"\n', "'P3' is not known"),
+    "interval turned": (BASE.replace("cells", "x = [1, 0]\ncells") + EDGE, "first end must be less than the second"),
+    "no value": (BASE + '[[boundary]]\non = "left"\n', "the key 'value' is missing"),
+    "nested": (BASE + f'load = "{"-" * 1500}1"\n', "nested"),
+    "long": (BASE + f'load = "{"-" * 100000}1"\n', "the limit is 2000"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistakes(name, folder):
+    """Exit status 2, on every rank the same words."""
+    text, message = MISTAKES[name]
+    path = folder / "scene.toml"
+    if COMM.rank == 0:
+        path.write_text(text)
+    COMM.barrier()
+    with pytest.raises(InputError, match=message) as caught:
+        solve(Scene.read(path))
+    assert len(set(COMM.allgather(str(caught.value)))) == 1
+
+
+def test_change_and_round_trip(disk, folder):
+    """A changed scene is checked like a new one, and survives as TOML."""
+    finer = disk.change({"mesh.cells": 7, "define.c": 0.2})
+    assert finer.tables.mesh.cells == 7
+    path = folder / "again.toml"
+    if COMM.rank == 0:
+        path.write_text(finer.toml())
+    COMM.barrier()
+    assert Scene.read(path).tables == finer.tables
+    with pytest.raises(InputError, match="expected a whole number"):
+        disk.change({"mesh.cells": 1.5})
+
+
+def test_scene_from_python():
+    """Scene(mesh=..., tension=..., lower=...): by default u = 0 on the whole boundary."""
+    answer = solve(membrane(lower="0.3 - (x - 1/2)^2 - (y - 1/2)^2 - 0.2"), eps=1e-6)
+    assert answer.record["contact"]["lower"]["force"] > 0
+
+
+def test_boundaries_overlap_in_order_and_unlisted_parts_are_free():
+    """u = x between left and right: bottom and top are free, so u is linear."""
+    scene = membrane(boundary=[{"on": "left", "value": 0}, {"on": ["right"], "value": "1"}], exact="x")
+    assert solve(scene).record["errors"]["max"] < 1e-9
+    scene = membrane(
+        boundary=[{"value": 5}, {"where": "x == 0 or x == 1 or y == 0 or y == 1", "value": "y"}], exact="y"
+    )
+    assert solve(scene).record["errors"]["max"] < 1e-9

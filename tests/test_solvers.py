@@ -1,0 +1,221 @@
+"""The Newton loop, its stopping test and SNES VI: right answers at every eps, in every unit, or none."""
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import COMM, DEMOS, membrane
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import NotConverged, Scene, solve
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.solvers.newton import solve_penalty
+
+sys.path.insert(0, str(DEMOS))
+TRUE_MAXIMUM = 6.0e-4  # nodal error of the discrete solution on 64 cells; what is more is the solver's
+
+
+def test_petsc_defaults_give_wrong_answers_as_converged_and_ours_do_not(ball):
+    """||F_0|| ~ 1/eps makes PETSc's relative test pass far from the solution."""
+    from one_added_line import membrane as plain
+
+    exact = ball.formula(ball.tables.exact.u, "exact")
+    for eps, wrong in ((1e-8, 5e-3), (1e-12, 0.3)):
+        u, _, reason = plain(cells=64, eps=eps, rtol=1e-8)
+        points = u.function_space.tabulate_dof_coordinates().T
+        assert reason > 0
+        assert largest(COMM, np.abs(u.x.array - ball.at_points(exact, points))) > wrong
+        assert solve(ball, eps=eps).record["errors"]["max"] < 1.01 * TRUE_MAXIMUM
+
+
+@pytest.mark.parametrize("eps", [1e-8, 1e-12, 1e-14])
+def test_small_eps_equals_vi(ball, eps):
+    """Theorem 3.1 down to eps = 1e-14: the gap form keeps the digits of w = -eps p."""
+    answer, reference = solve(ball, eps=eps), solve(ball, method="vi")
+    assert 8 <= reference.record["newton_iterations"] <= 9
+    for key in ("l2", "max", "energy"):
+        assert np.isclose(answer.record["errors"][key], reference.record["errors"][key], rtol=1e-3)
+    assert np.isclose(reference.record["errors"]["l2"], 1.435e-3, rtol=1e-3)
+    assert abs(reference.record["errors"]["max"] - TRUE_MAXIMUM) < 1e-6
+    distance = largest(COMM, np.abs(answer.pressure.x.array - reference.pressure.x.array))
+    assert distance < max(10 * eps * 4 / reference.level.h**2, 1e-7)
+
+
+def scaled_ball(heights: float, shift: float = 0.0) -> Scene:
+    scene = Scene.read(DEMOS / "ball.toml")
+    tables = scene.tables
+    change = lambda text: f"({text})*{heights!r} + {shift!r}"  # noqa: E731
+    return scene.change(
+        {
+            "define.free": "0.471519893402110 - 0.680259411891719*ln(r)",
+            "obstacle.lower": change(tables.obstacle.lower),
+            "boundary": [{"value": change("free")}],
+            "exact.u": change(tables.exact.u),
+        }
+    )
+
+
+@pytest.mark.parametrize("method", ["vi", "penalty"])
+@pytest.mark.parametrize(("heights", "shift"), [(1e-9, 0.0), (1e9, 0.0), (1.0, 1e6)])
+def test_units_do_not_matter(method, heights, shift):
+    """Heights times c or shifted: the same steps +-1, the same relative error; eps has the unit of u/p and stays."""
+    ours, plain = (solve(scaled_ball(*how), method=method, eps=1e-8).record for how in ((heights, shift), (1.0, 0.0)))
+    assert abs(ours["newton_iterations"] - plain["newton_iterations"]) <= 1
+    for key in ("l2", "max", "energy"):
+        assert np.isclose(ours["errors"][key] / heights, plain["errors"][key], rtol=1e-3)
+    assert np.isclose(ours["contact"]["area"], plain["contact"]["area"], rtol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
+def test_stiffness_does_not_matter(disk, factor):
+    """Tension and load times c: the same u; h^2 means h^2 / tension."""
+    scene = disk.change({"effects.tension": factor, "effects.load": f"f*{factor!r}"})
+    plain, stiff = solve(disk).record, solve(scene).record
+    assert stiff["newton_iterations"] == plain["newton_iterations"]
+    assert np.isclose(stiff["errors"]["l2"], plain["errors"]["l2"], rtol=1e-8)
+    assert np.isclose(stiff["contact"]["upper"]["force"], factor * plain["contact"]["upper"]["force"], rtol=1e-8)
+
+
+def test_successive_iteration_is_the_same_loop(disk):
+    """(3.4)*: from no contact until the active set is the same; the first step is the unconstrained solution."""
+    answer = solve(disk, method="successive", eps=1e-6)
+    assert answer.history[0].active == 0
+    assert answer.history[-1].changed == 0
+    unconstrained = solve(disk.change({"obstacle.upper": 10.0}))
+    violated = total(COMM, np.count_nonzero(unconstrained.u.x.array[: unconstrained.level.owned] > 0.3 + 1e-12))
+    assert answer.history[1].active == violated
+    newton = solve(disk, eps=1e-6)
+    assert largest(COMM, np.abs(newton.u.x.array - answer.u.x.array)) < 1e-12
+
+
+@pytest.mark.parametrize("gap", [1e-2, 1e-4, 1e-8])
+def test_narrow_gap_between_two_obstacles(gap):
+    """|u| <= gap under an alternating load: both methods stay inside and agree."""
+    scene = membrane(load="100*sin(4*pi*x)*sin(4*pi*y)", lower=-gap / 2, upper=gap / 2)
+    penalty, vi = solve(scene, eps=1e-10 * gap), solve(scene, method="vi")
+    assert vi.record["penetration"] == 0
+    assert penalty.record["penetration"] <= 1e-10 * gap * 110
+    assert largest(COMM, np.abs(penalty.u.x.array - vi.u.x.array)) <= 1e-8 * gap + 1e-10 * gap * 110
+    assert np.isclose(penalty.record["contact"]["area"], vi.record["contact"]["area"], rtol=0.05)
+
+
+def test_two_obstacles_keep_their_digits_at_tiny_eps():
+    """Contact with the obstacle that w did not count from is counted anew: no round-off of heights in p."""
+    scene = Scene.read(DEMOS / "two_sided.toml")
+    penalty, vi = solve(scene, eps=1e-14), solve(scene, method="vi")
+    assert largest(COMM, np.abs(penalty.pressure.x.array - vi.pressure.x.array)) < 1e-6
+
+
+def test_petsc_options_override(ball):
+    """A user's option under the solver's prefix wins over the default."""
+    options = PETSc.Options()
+    options["penalty_ksp_type"], options["penalty_pc_type"] = "preonly", "lu"
+    options["penalty_pc_factor_mat_solver_type"] = "mumps"
+    try:
+        direct = solve(ball, eps=1e-6)
+    finally:
+        for key in ("ksp_type", "pc_type", "pc_factor_mat_solver_type"):
+            options.delValue(f"penalty_{key}")
+    assert direct.record["krylov_iterations"] == direct.record["newton_iterations"]
+    iterative = solve(ball, eps=1e-6)
+    assert np.isclose(direct.record["energy"], iterative.record["energy"], rtol=1e-10)
+
+
+@pytest.mark.parametrize(("method", "prefix"), [("penalty", "penalty"), ("vi", "vi")])
+def test_unconverged_is_no_answer(ball, method, prefix):
+    options = PETSc.Options()
+    options[f"{prefix}_snes_max_it"] = 3
+    options["penalty_snes_linesearch_type"] = "basic"
+    try:
+        with pytest.raises(NotConverged, match="limit of steps") as caught:
+            solve(ball, method=method, eps=1e-8)
+    finally:
+        options.delValue(f"{prefix}_snes_max_it")
+        options.delValue("penalty_snes_linesearch_type")
+    assert caught.value.iterations == 3
+    assert caught.value.exit_status == 3
+
+
+def test_state_of_an_eps_ladder_is_independent_of_its_order(ball):
+    """Each value starts cold: a row does not depend on the rows before it."""
+    bench = Workbench(ball)
+    first = bench.answer(ball.change({"solve.eps": 1e-3})).record
+    bench.answer(ball.change({"solve.eps": 1e-9}))
+    again = bench.answer(ball.change({"solve.eps": 1e-3})).record
+    assert first["newton_iterations"] == again["newton_iterations"]
+    assert np.isclose(first["energy"], again["energy"], rtol=1e-12)
+
+
+class Tiny:
+    """A dense problem A w + D w^+ / eps = b with the interface of `Problem`, on one rank."""
+
+    def __init__(self, A, b):
+        self.matrix, self.b, n = np.array(A), np.array(b), len(b)
+        self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0)
+        self.w = SimpleNamespace(x=SimpleNamespace(array=np.zeros(n)))
+        self.eps = SimpleNamespace(value=1.0)
+        self.fixed, self.constrained, self.has_energy = np.zeros(n, bool), True, True
+        self.A = PETSc.Mat().createDense(n, comm=MPI.COMM_SELF)
+        self.A.setUp()
+        self.elastic, self.reaction = self.A.createVecLeft(), self.A.createVecLeft()
+        self.load = np.abs(self.b).sum()
+
+    def state(self):
+        x = self.A.createVecLeft()
+        x.array[:] = self.w.x.array
+        return x
+
+    def take(self, x):
+        self.w.x.array[:] = x.array_r
+
+    def gaps(self):
+        return np.full(len(self.b), np.inf), -self.w.x.array
+
+    def refer_to_contact(self):
+        return False
+
+    def residual(self, x, out, *, penalised=True):
+        self.take(x)
+        w = self.w.x.array
+        self.elastic.array[:] = self.matrix @ w - self.b
+        self.reaction.array[:] = np.maximum(w, 0) / self.eps.value
+        out.array[:] = self.elastic.array_r + self.reaction.array_r
+
+    def jacobian(self, x, *, penalised=True):
+        self.take(x)
+        n = len(self.b)
+        J = self.matrix + np.diag((self.w.x.array > 0) / self.eps.value)
+        self.A.setValues(range(n), range(n), J.ravel())
+        self.A.assemble()
+        return self.A
+
+    def energy(self, x, *, penalised=True):
+        w = x.array_r
+        return w @ self.matrix @ w / 2 - self.b @ w + (np.maximum(w, 0) ** 2).sum() / (2 * self.eps.value)
+
+
+def test_line_search_breaks_a_cycle():
+    """Without an M-matrix (3.4)* can cycle: here with period 3; Newton with a line search on the energy cannot."""
+    A = [[1.1125, -1.3018, -2.5507], [-1.3018, 3.4936, 6.2215], [-2.5507, 6.2215, 11.2719]]
+    b = np.array([-1.0507, 0.0167, 1.0774])
+    problem = Tiny(A, b)
+    active, met = np.zeros(3, bool), []
+    for _ in range(9):
+        met.append(tuple(active))
+        active = np.linalg.solve(np.array(A) + np.diag(active / 1e-3), b) > 0
+    assert met[1:4] == met[4:7] == met[7:9] + met[6:7]  # the example does cycle
+    options = PETSc.Options()
+    direct = {"penalty_ksp_type": "preonly", "penalty_pc_type": "lu"}
+    for key, value in direct.items():
+        options[key] = value
+    try:
+        outcome = solve_penalty(problem, 1e-3)
+    finally:
+        for key in direct:
+            options.delValue(key)
+    w = problem.w.x.array
+    assert outcome.converged
+    assert np.abs(np.array(A) @ w + np.maximum(w, 0) / 1e-3 - b).max() < 1e-9
