@@ -67,14 +67,14 @@ def vec(u: fem.Function) -> PETSc.Vec:
 def cell_dofs(V: fem.FunctionSpace) -> np.ndarray:
     """Dofs of each local cell, shape (cells, dofs per cell)."""
     dofs = V.dofmap.list
-    return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(dofs.num_nodes, -1)
+    return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(-1, V.dofmap.dof_layout.num_dofs)
 
 
 def geometry_dofs(mesh: dmesh.Mesh) -> np.ndarray:
     """Rows of `mesh.geometry.x` of each local cell, shape (cells, vertices per cell)."""
     geometry = mesh.geometry
     dofs = geometry.dofmaps[0] if VERSION >= (0, 11) else geometry.dofmap
-    return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(dofs.num_nodes, -1)
+    return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(-1, mesh.ufl_cell().num_vertices())
 
 
 def dof_nodes(V: fem.FunctionSpace) -> np.ndarray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
+import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +18,8 @@ from petsc4py import PETSc
 from fenicsx_obstacle import Scene
 
 COMM = MPI.COMM_WORLD
+HOOKS = COMM.Dup()  # the tests' own collective calls must not meet those of the hooks
+PATIENCE = 30  # seconds
 DEMOS = Path(__file__).parent.parent / "demos"
 
 
@@ -44,15 +48,27 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
         result = yield
     except BaseException as error:
         trouble = error
-    messages = COMM.allgather(None if trouble is None else "".join(traceback.format_exception(trouble)))
+    message = None if trouble is None else "".join(traceback.format_exception(trouble))
+    _wait_for_all(item.nodeid, message)
+    messages = HOOKS.allgather(message)
     gc.collect()
     PETSc.garbage_cleanup()
     if trouble is not None:
         raise trouble
-    elsewhere = [f"on rank {rank}:\n{message}" for rank, message in enumerate(messages) if message is not None]
+    elsewhere = [f"on rank {rank}:\n{text}" for rank, text in enumerate(messages) if text is not None]
     if elsewhere:
         pytest.fail("\n".join(elsewhere), pytrace=False)
     return result
+
+
+def _wait_for_all(name: str, message: str | None) -> None:
+    """A rank that failed waits a while for the others; should they be waiting for it, it ends them all."""
+    arrived, start = HOOKS.Ibarrier(), time.monotonic()
+    while not arrived.Test():
+        time.sleep(0.001)
+        if message is not None and time.monotonic() - start > PATIENCE:
+            print(f"{name} failed on rank {COMM.rank} and left the others waiting:\n{message}", file=sys.__stderr__)
+            COMM.Abort(1)
 
 
 @pytest.fixture

@@ -64,9 +64,17 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
 def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
     (tmp_path / "bad.toml").write_text('[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = "x - 1/2"\n')
     disk = DEMOS / "disk.toml"
-    for arguments in (["solve", tmp_path / "bad.toml"], ["solve", tmp_path / "none.toml"],
-                      ["solve", disk, "--eps", "0"], ["solve", disk, "--cells", "0"], ["solve", disk, "--cels", "3"],
-                      ["study", disk, "--vary", "cels=1,2"], ["study", disk, "--vary", "cells"], ["slove"]):  # fmt: skip
+    mistakes = [
+        ["solve", tmp_path / "bad.toml"],
+        ["solve", tmp_path / "none.toml"],
+        ["solve", disk, "--eps", "0"],
+        ["solve", disk, "--cells", "0"],
+        ["solve", disk, "--cels", "3"],
+        ["study", disk, "--vary", "cels=1,2"],
+        ["study", disk, "--vary", "cells"],
+        ["slove"],
+    ]
+    for arguments in mistakes:
         done = run(*arguments, ranks=ranks, cwd=tmp_path)
         assert done.returncode == 2, (arguments, done.stderr)
         assert done.stderr.count("Error: ") == 1, done.stderr
