@@ -96,13 +96,11 @@ def _xdmf(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]
             for name in tags:
                 found = file.read_meshtags(mesh, name=name)
                 if found.dim == dim - 1:
-                    facets |= {str(tag): found.find(tag) for tag in comm.allreduce({*found.values.tolist()}, op=_UNION)}
+                    values = set().union(*comm.allgather(found.values.tolist()))
+                    facets |= {str(tag): found.find(tag) for tag in values}
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
     return mesh, facets
-
-
-_UNION = MPI.Op.Create(lambda a, b, _: a | b, commute=True)
 
 
 def _grids(path: Path) -> tuple[str, list[str]]:

@@ -70,8 +70,8 @@ def l_shape(corners: list[tuple[float, float]], cells: int) -> Shape:
     def arrays() -> tuple[np.ndarray, np.ndarray]:
         x, y = np.meshgrid(np.linspace(x0, x1, cells + 1), np.linspace(y0, y1, cells + 1))
         i, j = (k.ravel() for k in np.meshgrid(np.arange(cells), np.arange(cells)))
-        i, j = i[(i < cells // 2) | (j >= cells // 2)], j[(i < cells // 2) | (j >= cells // 2)]
-        corner = j * (cells + 1) + i
+        kept = (i < cells // 2) | (j >= cells // 2)
+        corner = (j * (cells + 1) + i)[kept]
         a, b, c, d = corner, corner + 1, corner + cells + 1, corner + cells + 2
         triangles = np.vstack([np.column_stack([a, b, d]), np.column_stack([a, c, d])])
         used, renumbered = np.unique(triangles, return_inverse=True)
