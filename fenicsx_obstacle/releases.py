@@ -138,11 +138,14 @@ def diagonal(name: str) -> Any:
 
 
 def settle(mesh: dmesh.Mesh) -> dmesh.Mesh:
-    """Make form signatures independent of what the process compiled before.
+    """What every new mesh needs once (collective): facets, and form signatures that stay the same.
 
     On 0.5 the first compilation changes the variant of the coordinate element, and with it the
     signature of every later form: without this the same form compiles twice.
     """
+    dim = mesh.topology.dim
+    mesh.topology.create_entities(dim - 1)
+    mesh.topology.create_connectivity(dim - 1, dim)
     if OLD:
         mesh.ufl_domain().ufl_coordinate_element()._sub_element._variant = "equispaced"
     return mesh

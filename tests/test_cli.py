@@ -19,10 +19,14 @@ pytestmark = pytest.mark.serial
 CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}
 
 
+def mpirun(ranks):
+    return ["mpirun", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"]
+
+
 def run(*arguments, ranks=1, cwd=None, env=None):
     command = [sys.executable, "-m", "fenicsx_obstacle", *map(str, arguments)]
     if ranks > 1:
-        command = ["mpirun", "-q", "-n", str(ranks), "--oversubscribe", "--bind-to", "none", *command]
+        command = [*mpirun(ranks), *command]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env or CLEAN, timeout=250, check=False)
 
 
@@ -102,7 +106,7 @@ def test_a_failing_rank_ends_all():
         "MPI.COMM_WORLD.barrier()"
     )
     start = time.monotonic()
-    command = ["mpirun", "-q", "-n", "2", "--oversubscribe", sys.executable, "-c", code]
+    command = [*mpirun(2), sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=60, check=False)
     assert done.returncode != 0
     assert "on one rank" in done.stderr
@@ -115,7 +119,7 @@ def test_a_failing_test_on_one_rank_fails_on_all(tmp_path):
     (tmp_path / "test_one.py").write_text(
         "from mpi4py import MPI\n\ndef test_it():\n    assert MPI.COMM_WORLD.rank == 0, 'only here'\n"
     )
-    command = ["mpirun", "-q", "-n", "2", "--oversubscribe", sys.executable, "-m", "pytest", "-q", "test_one.py"]
+    command = [*mpirun(2), sys.executable, "-m", "pytest", "-q", "test_one.py"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=CLEAN, timeout=60, check=False)
     assert done.returncode != 0
     assert "only here" in done.stdout
@@ -180,7 +184,7 @@ def test_help_is_quick_and_imports_nothing_heavy():
 
 def test_one_added_line(tmp_path):
     """The demo for somebody else's code runs as it stands, under plain mpirun."""
-    command = ["mpirun", "-q", "-n", "2", "--oversubscribe", sys.executable, str(DEMOS / "one_added_line.py")]
+    command = [*mpirun(2), sys.executable, str(DEMOS / "one_added_line.py")]
     done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert "SNES reason 3; largest height 0.9998" in done.stdout

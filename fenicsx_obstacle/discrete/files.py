@@ -91,8 +91,6 @@ def _xdmf(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]
         with io.XDMFFile(comm, str(path), "r") as file:
             mesh = releases.from_xdmf(file, grid)
             dim = mesh.topology.dim
-            mesh.topology.create_entities(dim - 1)
-            mesh.topology.create_connectivity(dim - 1, dim)
             for name in tags:
                 found = file.read_meshtags(mesh, name=name)
                 if found.dim == dim - 1:

@@ -80,9 +80,7 @@ class Level:
     @cached_property
     def boundary_facets(self) -> np.ndarray:
         """Local facets on the boundary of the domain."""
-        topology = self.mesh.topology
-        topology.create_connectivity(topology.dim - 1, topology.dim)
-        return np.asarray(dmesh.exterior_facet_indices(topology), dtype=np.int32)
+        return np.asarray(dmesh.exterior_facet_indices(self.mesh.topology), dtype=np.int32)
 
 
 def build(scene: Scene, comm: MPI.Comm) -> Level:
@@ -123,7 +121,6 @@ def refined(level: Level) -> Level:
         ends[dofs[own, vertex], 1] = parent_dofs[cell, last[own]]
     shape, facets = level.shape, _inherited(level, new, parents, weights)
     if shape is not None and shape.project is not None:
-        new.topology.create_connectivity(new.topology.dim - 1, new.topology.dim)
         _snap(V, dmesh.exterior_facet_indices(new.topology), shape.project)
     return Level(new, V, level.h / 2, facets, shape, level, ends)
 
@@ -227,8 +224,6 @@ def _halved(level: Level) -> tuple[dmesh.Mesh, np.ndarray]:
 
 def _named(mesh: dmesh.Mesh, shape: shapes.Shape) -> dict[str, np.ndarray]:
     dim = mesh.topology.dim - 1
-    mesh.topology.create_entities(dim)
-    mesh.topology.create_connectivity(dim, dim + 1)
     return {name: dmesh.locate_entities_boundary(mesh, dim, marker) for name, marker in shape.sides.items()}
 
 
