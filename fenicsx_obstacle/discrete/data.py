@@ -82,6 +82,7 @@ class Data:
             self._refuse_infinite(formula, function)
             values.x.array[dofs] = function.x.array[dofs]
             fixed[dofs] = True
+        values.x.scatter_forward()
         return np.flatnonzero(fixed).astype(np.int32), values
 
     def check(self) -> None:
@@ -134,6 +135,7 @@ class Data:
 
     def _sample(self, function: fem.Function, formula: Formula) -> None:
         function.x.array[:] = self.scene.at_points(formula, self._points(function.function_space))
+        function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
 
     def _refuse_infinite(self, formula: Formula, function: fem.Function) -> None:

@@ -107,7 +107,10 @@ class Problem:
         with np.errstate(invalid="ignore"):
             nearer_below = np.abs(heights - lower) <= np.abs(upper - heights)
         r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(heights)
+        # the owner of a dof decides for all: by round-off in its point, ranks may see different obstacles nearer
         self.reference.x.array[:] = r
+        self.reference.x.scatter_forward()
+        r = self.reference.x.array
         if self.below is not None:
             self.below.x.array[:] = lower - r
         if self.above is not None:
