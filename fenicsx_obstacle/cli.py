@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
         "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
         "eps": click.option("--eps", metavar="E", help="Penalty parameter: a number or a formula in h.  [h^2]"),
+        "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
         "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
         "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
         "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
@@ -53,7 +55,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("cells", "refine", "element", "method", "eps", "yardstick", "output", "json", "quiet")
+@_options("set", "cells", "refine", "element", "method", "eps", "yardstick", "output", "json", "quiet")
 def solve(
     scene_file: str, yardstick: bool, output: Path | None, json_file: str | None, quiet: bool, **given: Any
 ) -> None:
@@ -87,10 +89,19 @@ def explain(scene_file: str, **given: Any) -> None:
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
-              help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values).")  # fmt: skip
-@_options("cells", "refine", "element", "method", "eps", "output", "json", "quiet")
+              help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values); several make a grid.")  # fmt: skip
+@click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
+@click.option("--latex", type=click.Path(path_type=Path), metavar="FILE", help="The table as LaTeX.")
+@_options("set", "cells", "refine", "element", "method", "eps", "output", "json", "quiet")
 def study(
-    scene_file: str, vary: tuple[str, ...], output: Path | None, json_file: str | None, quiet: bool, **given: Any
+    scene_file: str,
+    vary: tuple[str, ...],
+    output: Path | None,
+    json_file: str | None,
+    quiet: bool,
+    fresh: bool,
+    latex: Path | None,
+    **given: Any,
 ) -> None:
     """Solve a scene for each value of a key: errors, observed orders, time.
 
@@ -104,7 +115,7 @@ def study(
     varied = dict(_varied(item) for item in vary)
     folder = output or Path("out") / scene.name / "-".join(varied)
     say = (lambda text: None) if quiet or json_file == "-" else _say
-    rows = report_study(scene, varied, _typed(given), folder, say)
+    rows = report_study(scene, varied, _typed(given), folder, say, fresh=fresh, latex=latex)
     if json_file is not None:
         _write_json(json_file, rows)
 
@@ -164,17 +175,29 @@ def _varied(item: str) -> tuple[str, list[Any]]:
     return key.strip(), values_of(text.strip(), key.strip())
 
 
-def _value(text: str) -> int | float | str:
-    for kind in (int, float):
+def _value(text: str) -> Any:
+    """A number or list as TOML reads it, otherwise the text itself, such as a formula."""
+    for read in (int, float, lambda text: tomllib.loads(f"v = {text}")["v"]):
         try:
-            return kind(text)
+            return read(text)
         except ValueError:
             continue
     return text.strip()
 
 
 def _typed(given: dict[str, Any]) -> dict[str, Any]:
-    return {key: _value(value) if key == "eps" and value is not None else value for key, value in given.items()}
+    """Options by name, with those of --set by their dotted keys."""
+    changes = dict(_setting(item) for item in given.pop("set_", ()))
+    if isinstance(given.get("eps"), str):
+        given["eps"] = _value(given["eps"])
+    return {**changes, **given}
+
+
+def _setting(item: str) -> tuple[str, Any]:
+    key, equals, text = item.partition("=")
+    if not equals or not text:
+        raise InputError(f"--set {item}: expected KEY=VALUE, such as define.ecc=0.9")
+    return key.strip(), _value(text.strip())
 
 
 def _read(path: str) -> Any:

@@ -6,11 +6,10 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
+from conftest import COMM, DEMOS, membrane
 
-from fenicsx_obstacle import Answer, InputError, solve, study
+from fenicsx_obstacle import Answer, InputError, Scene, solve, study
 from fenicsx_obstacle.parallel import largest, on_root, total
-from fenicsx_obstacle.studies.rows import RowFile, flat
 
 KEYS = """scene method element ranks cells cells_total dofs h h_max eps converged reason newton_iterations
 krylov_iterations newton_total krylov_total seconds poisson_seconds poisson_units memory_mb energy errors penetration
@@ -103,23 +102,14 @@ def test_folder_that_cannot_be_written(disk, folder):
         Answer.read(folder / "nothing")
 
 
-def test_rows_are_dicts_and_reach_the_disk_one_by_one(disk, folder):
-    """study() gives what pandas takes; rows.jsonl holds each row as soon as it is computed."""
-    file = RowFile(folder) if COMM.rank == 0 else None
-    seen = []
-
-    def on_row(row, answer):
-        if file is not None:
-            file.add(row)
-            seen.append(len((folder / "rows.jsonl").read_text().splitlines()))
-
-    rows = study(disk, {"method": ["penalty", "vi"], "cells": [4, 8]}, on_row=on_row)
-    assert [row["vary"]["cells"] for row in rows] == [4, 8, 4, 8]
-    assert all(row["poisson_units"] > 0 and row["memory_mb"] > 0 for row in rows)
-    if file is not None:
-        assert seen == [1, 2, 3, 4]
-        assert (folder / "rows.csv").read_text().count("\n") == 5
-        assert flat(rows[0])["errors.pressure_dual"] == rows[0]["errors"]["pressure_dual"]
+def test_rows_are_flat_dicts(disk):
+    """study() gives what pandas takes, for a grid of any keys."""
+    rows = study(disk, {"method": ["penalty", "vi"], "cells": [4, 8]})
+    assert [row["vary.cells"] for row in rows] == [4, 8, 4, 8]
+    assert all(row["poisson_units"] > 0 and row["memory_mb"] > 0 and row["errors.pressure_dual"] > 0 for row in rows)
+    string = Scene.read(DEMOS / "string.toml")
+    forces = [row["contact.upper.force"] for row in study(string, {"define.c": [0.1, 0.2, 0.3]}, cells=8)]
+    assert forces == sorted(forces, reverse=True)
 
 
 def test_penetration_and_sign(ball):

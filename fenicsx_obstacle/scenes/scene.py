@@ -121,6 +121,8 @@ class Scene:
                 table = table.setdefault(step, {})
             if not isinstance(table, dict):
                 raise InputError(f"{key}: not a key that can be set")
+            if path == ["define"] and last not in table:  # a new name would change nothing
+                raise InputError(f"{self.source}: [define] has no '{last}'" + nearest(last, table))
             table[last] = value
         new = Scene.__new__(Scene)
         new._fill(raw, self.source, self.folder, self.mesh)

@@ -11,12 +11,12 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import solve
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.pictures import draw_convergence, draw_cost
-from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.studies.convergence import Row, study
-from fenicsx_obstacle.studies.rows import RowFile
+from fenicsx_obstacle.show.tables import EARLIER, StudyTable
+from fenicsx_obstacle.studies.convergence import Row, Study
+from fenicsx_obstacle.studies.rows import RowStore
 from fenicsx_obstacle.studies.theory import quantities
 
 DEMOS = Path(__file__).parent.parent.parent / "demos"
@@ -24,52 +24,73 @@ Say = Callable[[str], None]
 
 
 def report_study(
-    scene: Scene, vary: Mapping[str, Sequence[Any]], options: Mapping[str, Any], folder: Path, say: Say
+    scene: Scene,
+    vary: Mapping[str, Sequence[Any]],
+    options: Mapping[str, Any],
+    folder: Path,
+    say: Say,
+    *,
+    fresh: bool = False,
+    latex: Path | None = None,
 ) -> list[Row]:
-    """Run a study; print, save and draw it (collective).
+    """Run a study, or go on with an interrupted one; print, save and draw it (collective).
 
     Args:
         scene: What to solve.
         vary: Values of each key.
         options: Fixed values.
-        folder: Where rows.jsonl, rows.csv and the pictures go.
+        folder: Where rows.jsonl, rows.csv, the pictures and the last answer go.
         say: Prints a line on rank 0.
+        fresh: Forget the rows that are there.
+        latex: File for the table in LaTeX.
 
     Raises:
         InputError: For bad data or a folder that cannot be written.
         NotConverged: With PETSc's reason; the rows before it are on the disk.
     """
     comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
-    on_root(comm, RowFile, folder)  # an unwritable folder is reported before anything is computed
-    file = RowFile(folder) if comm.rank == 0 else None
-    table = StudyTable(list(vary))
-    last: list[Answer] = []
+    stores: list[RowStore] = []  # on rank 0 alone: it holds a lock
+    run = on_root(comm, _open_store, stores, folder, fresh)
+    study = Study(scene, vary, options, comm, stores[0] if stores else None)
+    table = StudyTable(study.varied, run)
+    answers: list[Answer | None] = []
 
-    def on_row(row: Row, answer: Answer) -> None:
-        if file is not None:
-            on_disk(file, row)
+    def on_row(row: Row, answer: Answer | None) -> None:
         for line in table.lines(row):
             say(line)
-        last[:] = [answer]
+        answers[:] = [answer]
 
-    rows = study(scene, vary, on_row=on_row, **options)
-    drawn = ["answer.png"] if answer_has_picture(last[0]) else []
-    if drawn:
-        last[0].plot(folder / "answer.png")
-    if len(rows) > 1 and quantities(list(vary), rows[-1]):
-        on_root(comm, draw_convergence, rows, list(vary), folder / "convergence.png")
-        on_root(comm, draw_cost, rows, list(vary), folder / "cost.png")
+    rows = study.run(on_row)
+    if any(row["run"] != run for row in rows):
+        say(EARLIER)
+    if latex is not None:
+        on_root(comm, write_text, latex, table.latex())
+    last = answers[0] or (None if on_root(comm, _is_drawn, folder, rows[-1]) else study.last_answer())
+    if last is not None:
+        last.save(folder / "last")
+        if answer_has_picture(last):
+            last.plot(folder / "last" / "answer.png")
+        on_root(comm, write_text, folder / "last" / "row", rows[-1]["key"])
+    drawn = ["last/"]
+    if len(rows) > 1 and study.by and quantities(study.varied, rows[-1]):
+        on_root(comm, draw_convergence, rows, study.varied, folder / "convergence.png")
+        on_root(comm, draw_cost, rows, study.varied, folder / "cost.png")
         drawn += ["convergence.png", "cost.png"]
-    say(f"saved in {folder}: rows.csv, rows.jsonl" + "".join(f", {name}" for name in drawn))
+    say(f"saved in {folder}: rows.csv, rows.jsonl, {', '.join(drawn)}")
+    for store in stores:
+        store.close()
     return rows
 
 
-def on_disk(file: RowFile, row: Row) -> None:
-    """Write a row; a full disk must not lose the rows to come, so it ends the study here."""
-    try:
-        file.add(row)
-    except OSError as error:
-        raise InputError(f"{file.folder}: {error.strerror}") from None
+def _open_store(stores: list[RowStore], folder: Path, fresh: bool) -> int:
+    stores.append(RowStore(folder, fresh=fresh))
+    return stores[0].run
+
+
+def _is_drawn(folder: Path, row: Row) -> bool:
+    """Whether last/ holds the answer of this row."""
+    mark = folder / "last" / "row"
+    return mark.exists() and mark.read_text() == row["key"]
 
 
 def answer_has_picture(answer: Answer) -> bool:

@@ -1,73 +1,101 @@
-"""Tables that grow row by row: measured values with their observed order beside the paper's."""
+"""Tables that grow row by row: measured values with their observed order beside the paper's; the same in LaTeX."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from fenicsx_obstacle.studies.theory import lookup, order, parameter, quantities
 
-
-@dataclass(frozen=True)
-class Column:
-    """A column of plain figures."""
-
-    key: str
-    label: str
-    form: str
-
-
 _COST = (
-    Column("newton_iterations", "Newton", "d"),
-    Column("krylov_iterations", "CG", "d"),
-    Column("seconds.solve", "seconds", ".3f"),
-    Column("poisson_units", "Poisson", ".1f"),
-    Column("memory_mb", "MB", ".0f"),
+    ("newton_iterations", "Newton", "d"),
+    ("krylov_iterations", "CG", "d"),
+    ("seconds.solve", "seconds", ".3f"),
+    ("poisson_units", "Poisson", ".1f"),
+    ("memory_mb", "MB", ".0f"),
 )
+EARLIER = "* timed in an earlier run: compare its Poisson solves, not its seconds, with the other rows"
+
+
+class Cell(NamedTuple):
+    """One cell of a row."""
+
+    head: str
+    expected: str
+    value: str
 
 
 class StudyTable:
     """Lines of text for the rows of one study.
 
     Attributes:
-        varied: The keys that vary.
+        rows: The cells of all rows so far.
+        run: The number of the present run; None where rows are not kept.
     """
 
-    def __init__(self, varied: Sequence[str]):
-        self.varied, self.by = list(varied), parameter(varied)
-        self.last: Mapping[str, Any] | None = None
+    def __init__(self, varied: Sequence[str], run: int | None = None):
+        self.varied, self.by, self.run = list(varied), parameter(varied), run
+        self.rows: list[list[Cell]] = []
+        self._measured: list[Any] | None = None
+        self._last: Mapping[str, Any] | None = None
 
     def lines(self, row: Mapping[str, Any]) -> list[str]:
         """The lines this row adds: before the first row the heads as well."""
-        measured = quantities(self.varied, row)
-        cells: list[tuple[str, str, str]] = []  # head, the paper's order, value
+        cells = list(self._cells(row))
+        heads = not self.rows
+        self.rows.append(cells)
+        self._last = row
+        widths = [max(len(cell.head), len(cell.value), 5) for cell in self.rows[0]]
+        lines = [[cell.head for cell in cells], [cell.expected for cell in cells]] if heads else []
+        return [_line(parts, widths) for parts in [*lines, [cell.value for cell in cells]] if any(parts)]
+
+    def _cells(self, row: Mapping[str, Any]) -> Iterator[Cell]:
+        if self._measured is None:
+            self._measured = quantities(self.varied, row)
         for key in self.varied:
-            cells.append((key, "", _short(row["vary"][key])))
-        if self.by not in self.varied:
-            cells.append((self.by, "", f"{row[self.by]:.3e}"))
-        if self.by == "h" and row.get("eps") is not None:
-            cells.append(("eps", "", f"{row['eps']:.1e}"))
-        for quantity in measured:
-            cells.append((quantity.label, "paper:" if quantity.stated else "best:", f"{lookup(row, quantity.key):.3e}"))
-            seen = order(quantity.key, row, self.last, self.by)
-            cells.append(("order", f"{quantity.order:g}", "" if seen is None else f"{seen:.2f}"))
-        for column in _COST:
-            value = lookup(row, column.key)
-            cells.append((column.label, "", "" if value is None else format(value, column.form)))
-        widths = [max(len(head), len(value), 5) for head, _, value in cells]
-        lines = (
-            []
-            if self.last is not None
-            else [_line([c[0] for c in cells], widths), _line([c[1] for c in cells], widths)]
-        )
-        self.last = row
-        return [*lines, _line([c[2] for c in cells], widths)]
+            yield Cell(key.partition(".")[2] or key, "", short(row["vary"][key]))
+        if self.by == "h":
+            yield Cell("h", "", f"{row['h']:.3e}")
+        if self.by != "eps" and row.get("eps") is not None:
+            yield Cell("eps", "", f"{row['eps']:.1e}")
+        for name, value in (row.get("report") or {}).items():
+            yield Cell(name, "", f"{value:.6g}")
+        for quantity in self._measured:
+            value = lookup(row, quantity.key)
+            yield Cell(quantity.label, self._source(quantity), "" if value is None else f"{value:.3e}")
+            if self.by:
+                seen = order(quantity.key, row, self._last, self.by)
+                yield Cell("order", f"{quantity.order:g}", "" if seen is None else f"{seen:.2f}")
+        for key, label, form in _COST:
+            value = lookup(row, key)
+            earlier = "*" if label == "seconds" and self.run is not None and row.get("run") != self.run else ""
+            yield Cell(label, "", "" if value is None else format(value, form) + earlier)
+
+    def _source(self, quantity: Any) -> str:
+        if not self.by:
+            return ""
+        return "paper:" if quantity.stated else "best:"
+
+    def latex(self) -> str:
+        """The whole table as a LaTeX tabular (package booktabs)."""
+        heads = [cell.head for cell in self.rows[0]]
+        lines = [f"\\begin{{tabular}}{{{'r' * len(heads)}}}", "\\toprule"]
+        lines.append(" & ".join(map(_escape, heads)) + r" \\")
+        lines.append("\\midrule")
+        lines += [" & ".join(_escape(cell.value) for cell in cells) + r" \\" for cells in self.rows]
+        return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""])
+
+
+def short(value: Any) -> str:
+    """A varied value in few characters."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _escape(text: str) -> str:
+    for sign, latex in (("\\", r"\textbackslash{}"), ("_", r"\_"), ("^", r"\^{}"), ("%", r"\%"), ("|", r"$|$")):
+        text = text.replace(sign, latex)
+    return text
 
 
 def _line(parts: Sequence[str], widths: Sequence[int]) -> str:
-    return "  ".join(part.rjust(width) for part, width in zip(parts, widths, strict=True)).rstrip()
-
-
-def _short(value: Any) -> str:
-    return f"{value:.1e}" if isinstance(value, float) else str(value)
+    return "  ".join(part.rjust(width) for part, width in zip(parts, widths, strict=False)).rstrip()

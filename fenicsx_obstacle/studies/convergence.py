@@ -1,4 +1,4 @@
-"""Studies: one row per value of a varied key, against the exact solution and the variational inequality."""
+"""Studies: one row per combination of values, against the exact solution and the variational inequality."""
 
 from __future__ import annotations
 
@@ -12,54 +12,130 @@ from mpi4py import MPI
 from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench, changed
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.studies.rows import RowStore, flat, row_key
+from fenicsx_obstacle.studies.theory import parameter
 
 Row = dict[str, Any]
+OnRow = Callable[[Row, Answer | None], None]
 
 
 def study(
-    scene: Scene,
-    vary: Mapping[str, Sequence[Any]],
-    *,
-    on_row: Callable[[Row, Answer], None] | None = None,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-    **options: Any,
+    scene: Scene, vary: Mapping[str, Sequence[Any]], *, comm: MPI.Comm = MPI.COMM_WORLD, **options: Any
 ) -> list[Row]:
     """Solve a scene for all combinations of values (collective).
 
-    Rows hold what answer.json holds; `to_vi`, the distance to the SNES VI solution of the same mesh, where eps
+    Rows hold what answer.json holds; `to_vi.*`, the distance to the SNES VI solution of the same mesh, where eps
     varies (Theorems 3.1-3.3); and, with an exact solution, the dual norm of the pressure error where meshes vary
     ((5.6)-(5.9)).
 
     Args:
         scene: What to solve.
         vary: Values of each key: cells, refine, eps, method, or a dotted key of the scene such as "define.ecc".
-        on_row: Called with each row as it is computed, and its answer.
         comm: Communicator.
         **options: Fixed values, as in `solve`.
 
     Returns:
-        The rows: `pandas.DataFrame(rows)`.
+        Rows with dotted keys: `pandas.DataFrame(rows)`.
 
     Raises:
         InputError: For bad data.
-        NotConverged: With PETSc's reason; `on_row` has seen what was computed before.
+        NotConverged: With PETSc's reason.
     """
-    rows: list[Row] = []
-    scene = changed(scene, options)
-    bench: _Bench | None = None
-    for values in product(*vary.values()):
-        combination = dict(zip(vary, values, strict=True))
-        now = changed(scene, combination)
-        if bench is None or not bench.serves(now):
-            bench = _Bench(now, comm)
-        answer = bench.answer(now)
-        row = {"vary": combination, **answer.record, **bench.extras(answer, by_eps="eps" in vary)}
-        rows.append(row)
-        if on_row is not None:
-            on_row(row, answer)
-    return rows
+    return [flat(row) for row in Study(scene, vary, options, comm).run()]
+
+
+class Study:
+    """A study that may be interrupted: rows in its store are not computed again.
+
+    Attributes:
+        varied: The keys that vary.
+        by: What orders are taken in: eps, h or nothing.
+        last: The scene of the last row.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        vary: Mapping[str, Sequence[Any]],
+        options: Mapping[str, Any],
+        comm: MPI.Comm = MPI.COMM_WORLD,
+        store: RowStore | None = None,
+    ):
+        """Check all scenes of the study before the first is solved.
+
+        Args:
+            scene: What to solve.
+            vary: Values of each key.
+            options: Fixed values.
+            comm: Communicator; a mesh of the scene's own brings its own.
+            store: Where finished rows are kept: on rank 0, None elsewhere or for none.
+
+        Raises:
+            InputError: If a value does not fit its key.
+        """
+        self.varied, self.by = list(vary), parameter(list(vary))
+        self.comm = scene.mesh.comm if scene.mesh is not None else comm
+        self.store = store
+        self._bench: _Bench | None = None
+        self._stored = self.comm.bcast(store is not None)
+        base = changed(scene, dict(options))
+        combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
+        self.points = [(combination, changed(base, combination)) for combination in combinations]
+        self.last = self.points[-1][1]
+
+    def run(self, on_row: OnRow | None = None) -> list[Row]:
+        """All rows, in order (collective).
+
+        Args:
+            on_row: Called with each row, and its answer where it was computed now.
+        """
+        rows: list[Row] = []
+        for combination, scene in self.points:
+            key = on_root(self.comm, row_key, scene, self.by, self.comm.size) if self._stored else ""
+            row = on_root(self.comm, self._find, key)
+            answer = None
+            if row is None:
+                answer = self._answer(scene)
+                row = {"vary": combination, **answer.record, **self._extras(answer)}
+                row = on_root(self.comm, self._add, key, row)
+            rows.append(row)
+            on_root(self.comm, self._write_table, rows)
+            if on_row is not None:
+                on_row(row, answer)
+        return rows
+
+    def last_answer(self) -> Answer:
+        """The answer of the last row, for a study whose last row came from its store (collective)."""
+        return self._answer(self.last)
+
+    def _find(self, key: str) -> Row | None:
+        return None if self.store is None else self.store.find(key)
+
+    def _add(self, key: str, row: Row) -> Row:
+        return row if self.store is None else self.store.add(key, row)
+
+    def _write_table(self, rows: list[Row]) -> None:
+        if self.store is not None:
+            self.store.write_table(rows)
+
+    def _answer(self, scene: Scene) -> Answer:
+        if self._bench is None or not self._bench.serves(scene):
+            self._bench = None  # the old mesh goes before the new one comes
+            self._bench = _Bench(scene, self.comm)
+        return self._bench.work.answer(scene, yardstick=True)
+
+    def _extras(self, answer: Answer) -> Row:
+        """What a study measures beyond a single answer (collective)."""
+        assert self._bench is not None
+        by, eps, extras = self.by, answer.record["eps"], {}
+        if by == "eps" and eps is not None:
+            extras["to_vi"] = self._bench.to_reference(answer)
+        if by == "h" and self._bench.work.exact is not None:
+            dual = self._bench.work.exact.dual.error(answer.pressure, eps)
+            extras["errors"] = {**answer.record["errors"], "pressure_dual": dual}
+        return extras
 
 
 class _Bench:
@@ -75,20 +151,8 @@ class _Bench:
         solve = {"solve.eps": "h", "solve.method": "vi"}
         return scene.change(solve).tables == self.scene.change(solve).tables
 
-    def answer(self, scene: Scene) -> Answer:
-        return self.work.answer(scene, yardstick=True)
-
-    def extras(self, answer: Answer, *, by_eps: bool) -> Row:
-        """What a study measures beyond a single answer (collective)."""
-        extras: Row = {}
-        if by_eps and answer.record["eps"] is not None:
-            extras["to_vi"] = self._to_reference(answer)
-        if not by_eps and self.work.exact is not None:
-            dual = self.work.exact.dual.error(answer.pressure, answer.record["eps"])
-            extras["errors"] = {**answer.record["errors"], "pressure_dual": dual}
-        return extras
-
-    def _to_reference(self, answer: Answer) -> dict[str, float]:
+    def to_reference(self, answer: Answer) -> dict[str, float]:
+        """Distance to the solution of the variational inequality on this mesh (collective)."""
         if self._reference is None:
             self._reference = self.work.answer(self.scene.change({"solve.method": "vi"}))
             self._distance = Distance(self.work.problem)

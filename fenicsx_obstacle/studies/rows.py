@@ -1,58 +1,136 @@
-"""The rows of a study on disk: JSON lines as they come, a CSV table of them."""
+"""The rows of a study on disk: each is there for good when it is finished, and found again by what it is.
+
+rows.jsonl is the store: one line per row ever computed in this folder. rows.csv is the table of the present study.
+"""
 
 from __future__ import annotations
 
 import csv
+import fcntl
+import hashlib
 import io
 import json
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+import msgspec
+from petsc4py import PETSc
+
+from fenicsx_obstacle.answers.compute import versions
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import write_text
+from fenicsx_obstacle.scenes.scene import Scene
 
 
-class RowFile:
-    """rows.jsonl and rows.csv in a folder (one rank).
+def row_key(scene: Scene, kind: str, ranks: int) -> str:
+    """What a row depends on: the resolved scene, its mesh file, PETSc's options, ranks and versions.
 
-    Raises:
-        InputError: If the folder cannot be written.
+    Args:
+        scene: With all values of the row.
+        kind: What the study measures beyond the answer.
+        ranks: Number of ranks.
+    """
+    table = scene.tables.mesh
+    mesh = "" if table.file is None else hashlib.sha256((scene.folder / table.file).read_bytes()).hexdigest()
+    options = PETSc.Options().getAll()
+    parts = [msgspec.to_builtins(scene.tables), mesh, kind, ranks, versions(), options]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+class RowStore:
+    """The rows in a folder, held by one process at a time (one rank).
+
+    Attributes:
+        folder: Where rows.jsonl and rows.csv are.
+        run: Number of this run in this folder; timings are compared within one run only.
     """
 
-    def __init__(self, folder: Path):
-        self.folder, self.rows = folder, list[dict[str, Any]]()
+    def __init__(self, folder: Path, *, fresh: bool = False):
+        """Open the folder; `fresh` forgets the rows in it.
+
+        Raises:
+            InputError: If the folder cannot be written, or another study is writing there.
+        """
+        self.folder, self.path = folder, folder / "rows.jsonl"
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / "rows.jsonl").write_text("")
+            self._lock: IO[str] = (folder / ".lock").open("w")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system releases it even after kill -9
+            if fresh:
+                self.path.unlink(missing_ok=True)
+            self._rows = self._load()
+        except BlockingIOError:
+            raise InputError(f"{folder}: another study is writing there; choose another folder with --output") from None
         except OSError as error:
             raise InputError(f"{folder}: {error.strerror}; choose another folder with --output") from None
+        self.run = 1 + max((row.get("run", 0) for row in self._rows.values()), default=0)
 
-    def add(self, row: dict[str, Any]) -> None:
-        """Write a row; when this returns it is on the disk."""
-        self.rows.append(row)
-        with (self.folder / "rows.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        write_text(self.folder / "rows.csv", _csv([flat(row) for row in self.rows]))
+    def find(self, key: str) -> dict[str, Any] | None:
+        """The row of this key, if it was ever finished here."""
+        return self._rows.get(key)
+
+    def add(self, key: str, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Write a row; when this returns it is on the disk.
+
+        Returns:
+            The row with its key and run.
+
+        Raises:
+            InputError: If the disk is full or gone.
+        """
+        kept = {"key": key, "run": self.run, **row}
+        try:
+            with self.path.open("a") as file:
+                file.write(json.dumps(kept) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise InputError(f"{self.path}: {error.strerror}") from None
+        self._rows[key] = kept
+        return kept
+
+    def write_table(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """rows.csv: the rows of this study so far."""
+        write_text(self.folder / "rows.csv", as_csv(rows))
+
+    def close(self) -> None:
+        """Let another study have the folder."""
+        self._lock.close()
+
+    def _load(self) -> dict[str, dict[str, Any]]:
+        """Rows on the disk; what a killed process left of a last line is cut off."""
+        if not self.path.exists():
+            return {}
+        text = self.path.read_bytes()
+        whole = text[: text.rfind(b"\n") + 1]
+        if whole != text:
+            with self.path.open("r+b") as file:
+                file.truncate(len(whole))
+        try:
+            rows = [json.loads(line) for line in whole.splitlines()]
+            return {row["key"]: row for row in rows}
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{self.path}: not written by a study; remove it, or use --fresh or --output") from None
 
 
-def flat(row: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """One level of dotted keys."""
+def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """One level of dotted keys, as pandas takes them."""
     result: dict[str, Any] = {}
     for key, value in row.items():
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             result |= flat(value, f"{prefix}{key}.")
         else:
             result[prefix + key] = value
     return result
 
 
-def _csv(rows: list[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    heads = list(dict.fromkeys(key for row in rows for key in row))
-    writer = csv.DictWriter(text, heads)
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as text with one head for all."""
+    text, flattened = io.StringIO(), [flat(row) for row in rows]
+    heads = list(dict.fromkeys(key for row in flattened for key in row))
+    writer = csv.DictWriter(text, heads, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(flattened)
     return text.getvalue()

@@ -43,6 +43,8 @@ IN_H = (  # (5.6)-(5.9)
 
 def lookup(row: Mapping[str, Any], key: str) -> Any:
     """Value at a dotted key, or None."""
+    if key in row:
+        return row[key]
     value: Any = row
     for step in key.split("."):
         value = value.get(step) if isinstance(value, Mapping) else None
@@ -50,8 +52,10 @@ def lookup(row: Mapping[str, Any], key: str) -> Any:
 
 
 def parameter(varied: Sequence[str]) -> str:
-    """The row's key in which orders are taken: eps, or h when meshes vary."""
-    return "eps" if varied and varied[-1] == "eps" else "h"
+    """What orders are taken in: eps where it varies, h where meshes do, '' otherwise."""
+    if "eps" in varied or "solve.eps" in varied:
+        return "eps"
+    return "h" if {"cells", "refine", "mesh.cells", "mesh.refine"} & set(varied) else ""
 
 
 def quantities(varied: Sequence[str], row: Mapping[str, Any]) -> list[Quantity]:
@@ -61,10 +65,11 @@ def quantities(varied: Sequence[str], row: Mapping[str, Any]) -> list[Quantity]:
 
 
 def order(key: str, row: Mapping[str, Any], before: Mapping[str, Any] | None, by: str) -> float | None:
-    """Observed order between two rows: log(e1/e0) / log(x1/x0)."""
-    if before is None:
+    """Observed order between two rows, log(e1/e0) / log(x1/x0), where both differ in the parameter only."""
+    if before is None or not by:
         return None
     x1, x0, e1, e0 = (lookup(r, k) for k in (by, key) for r in (row, before))
     if not all(isinstance(v, float) and v > 0 for v in (x1, x0, e1, e0)) or x1 == x0:
         return None
-    return math.log(e1 / e0) / math.log(x1 / x0)
+    others = [{k: v for k, v in r.get("vary", {}).items() if parameter([k]) != by} for r in (row, before)]
+    return math.log(e1 / e0) / math.log(x1 / x0) if others[0] == others[1] else None

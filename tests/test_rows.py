@@ -1,0 +1,149 @@
+"""Rows that survive: whatever kills a study, no row is lost or doubled, and the end is the same table."""
+
+import csv
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import DEMOS
+from test_cli import CLEAN, mpirun, run
+
+from fenicsx_obstacle import InputError, Scene
+from fenicsx_obstacle.studies.rows import RowStore, row_key
+
+pytestmark = pytest.mark.serial
+
+STUDY = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6,8,10,12,14,16", "--method", "vi"]
+TIMES = ("seconds", "poisson", "memory", "run", "command", "krylov")  # what may differ between two runs
+
+
+def figures(folder):
+    """The final table without times, each number to 9 digits."""
+    with (folder / "rows.csv").open() as file:
+        rows = [{k: v for k, v in row.items() if not k.startswith(TIMES)} for row in csv.DictReader(file)]
+    return [{k: _rounded(v) for k, v in row.items()} for row in rows]
+
+
+def _rounded(text):
+    try:
+        return f"{float(text):.8e}"
+    except ValueError:
+        return text
+
+
+def start(folder, ranks):
+    command = [sys.executable, "-m", "fenicsx_obstacle", *STUDY, "--output", str(folder)]
+    command = command if ranks == 1 else [*mpirun(ranks), *command]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen(command, env=CLEAN, start_new_session=True, **silent)
+
+
+def kill(process):
+    """kill -9 of mpirun and all ranks, which are in a group of their own."""
+    subprocess.run(["pkill", "-9", "-s", str(process.pid)], check=False)
+    process.wait()
+
+
+@pytest.mark.parametrize("ranks", [1, 3])
+def test_killed_at_random_moments(ranks, tmp_path):
+    """No lost or doubled row, same final table."""
+    whole = tmp_path / "whole"
+    begun = time.monotonic()
+    assert start(whole, ranks).wait(timeout=120) == 0
+    length = time.monotonic() - begun
+    moments, killed = random.Random(ranks), tmp_path / "killed"
+    seen = 0
+    for _ in range(4):
+        process = start(killed, ranks)
+        time.sleep(moments.uniform(0.3, 1.0) * length)
+        kill(process)
+        lines = (killed / "rows.jsonl").read_bytes() if (killed / "rows.jsonl").exists() else b""
+        assert lines.count(b"\n") >= seen  # what was finished stays
+        seen = lines.count(b"\n")
+    assert start(killed, ranks).wait(timeout=120) == 0
+    assert figures(killed) == figures(whole)
+    keys = [json.loads(line)["key"] for line in (killed / "rows.jsonl").read_text().splitlines()]
+    assert len(keys) == len(set(keys)) == 7
+    assert (killed / "last" / "answer.json").exists()
+
+
+def test_finished_study_computes_nothing_again_unless_fresh(tmp_path):
+    first = run(*STUDY, "--output", tmp_path / "out")
+    again = run(*STUDY, "--output", tmp_path / "out")
+    assert first.returncode == again.returncode == 0
+    assert "* timed in an earlier run" in again.stdout
+    assert "* timed" not in first.stdout
+    assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == 7
+    fresh = run(*STUDY, "--output", tmp_path / "out", "--fresh")
+    assert "* timed" not in fresh.stdout
+
+
+def test_torn_line_is_cut(tmp_path):
+    """A process killed while writing leaves half a line: it is no row, and the next row starts on its own line."""
+    store = RowStore(tmp_path)
+    store.add("a", {"value": 1})
+    store.close()
+    with (tmp_path / "rows.jsonl").open("a") as file:
+        file.write('{"key": "b", "val')
+    again = RowStore(tmp_path)
+    assert again.run == 2
+    assert again.find("a") == {"key": "a", "run": 1, "value": 1}
+    assert again.find("b") is None
+    again.add("b", {"value": 2})
+    assert [json.loads(line)["value"] for line in (tmp_path / "rows.jsonl").read_text().splitlines()] == [1, 2]
+    with pytest.raises(InputError, match="another study is writing there"):
+        RowStore(tmp_path)
+    again.close()
+    (tmp_path / "rows.jsonl").write_text("[1]\n")
+    with pytest.raises(InputError, match="not written by a study"):
+        RowStore(tmp_path)
+
+
+def test_key_depends_on_everything_that_matters(tmp_path):
+    """Scene, ranks, kind of study and the content of the mesh file."""
+    disk = Scene.read(DEMOS / "disk.toml")
+    same, other = row_key(disk, "h", 1), row_key(disk.change({"define.c": 0.25}), "h", 1)
+    assert same == row_key(Scene.read(DEMOS / "disk.toml"), "h", 1)
+    assert len({same, other, row_key(disk, "h", 2), row_key(disk, "eps", 1)}) == 4
+    (tmp_path / "a.msh").write_text("one")
+    scene = Scene(mesh={"file": str(tmp_path / "a.msh")}, tension=1)
+    before = row_key(scene, "h", 1)
+    (tmp_path / "a.msh").write_text("two")
+    assert row_key(scene, "h", 1) != before
+
+
+def test_interrupt_says_so(tmp_path):
+    """Ctrl-C: exit status 130, one word, the rows so far on the disk."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fenicsx_obstacle", *STUDY, "--output", str(tmp_path / "out")],
+        env=CLEAN, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while not (tmp_path / "out" / "rows.csv").exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130 or (process.returncode == 0 and not errors)
+    assert "Traceback" not in errors
+    assert os.path.getsize(tmp_path / "out" / "rows.jsonl") > 0
+
+
+def test_set_vary_grid_and_latex(tmp_path):
+    """--set and --vary take any key of the scene; several --vary make a grid; --latex writes the table."""
+    done = run("study", DEMOS / "string.toml", "--set", "define.c=0.2", "--set", "mesh.x=[0, 1.5]", "--cells", 8,
+               "--vary", "define.f=4,8", "--vary", "method=penalty,vi", "--output", tmp_path / "out",
+               "--latex", tmp_path / "table.tex", "--json", tmp_path / "rows.json")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rows = [json.loads(line) for line in (tmp_path / "rows.json").read_text().splitlines()]
+    assert [row["vary"] for row in rows] == [{"define.f": f, "method": m} for f in (4, 8) for m in ("penalty", "vi")]
+    latex = (tmp_path / "table.tex").read_text()
+    assert latex.count(r"\\") == 5
+    assert r"\toprule" in latex
+    for mistake in ("nope.c=1", "define.c", "mesh.cells=many", "define.nope=1"):
+        wrong = run("solve", DEMOS / "disk.toml", "--set", mistake, "--output", tmp_path / "out")
+        assert wrong.returncode == 2, mistake
+        assert wrong.stderr.startswith("Error: ")
