@@ -208,3 +208,17 @@ def test_lists_of_values(text, key, values):
 def test_ranges_need_positive_ends():
     with pytest.raises(InputError, match="positive"):
         values_of("0..3", "cells")
+
+
+def test_60_lines_become_3():
+    """Both blocks of the page run as they stand and agree."""
+    page = (DEMOS / "your_60_lines_become_3.md").read_text()
+    printed = []
+    for block in page.split("```python\n")[1:]:
+        code = block.partition("```")[0]
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, cwd=DEMOS.parent,
+                              timeout=120, check=False)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        printed.append(done.stdout)
+    assert len(printed) == 2
+    assert printed[0] == printed[1] == "force on the ball 4.2724\n"
