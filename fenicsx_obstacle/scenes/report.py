@@ -65,9 +65,9 @@ class _Checker:
                 for child in args:
                     self.check(child, inside=inside)
             case _:
-                for child in ast.iter_child_nodes(node):
-                    if isinstance(child, ast.expr):
-                        self.check(child, inside=inside)
+                for operand in ast.iter_child_nodes(node):
+                    if isinstance(operand, ast.expr):
+                        self.check(operand, inside=inside)
 
     def _name(self, node: ast.expr, name: str, inside: bool) -> None:
         if name in (self.varying if inside else self.constant):

@@ -157,7 +157,9 @@ class Scene:
             if part.on is not None and part.where is not None:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): 'on' and 'where' exclude each other")
             if part.where is not None and "distance" in self.needs(self.formula(part.where, "")):
-                raise InputError(f"{source}: [[boundary]] (no. {number + 1}) where: 'distance' is 0 all over the boundary")
+                raise InputError(
+                    f"{source}: [[boundary]] (no. {number + 1}) where: 'distance' is 0 all over the boundary"
+                )
 
     @property
     def known_names(self) -> set[str]:
