@@ -1,7 +1,7 @@
 // The film of a journal bearing: the surface of a cylinder of radius 1 and length 2, about 1200 nodes.
 // Both ends of the range of theta are the same nodes: the film is periodic without constraints.
 SetFactory("Built-in");
-size = 0.109;
+size = 0.12;
 Point(1) = {0, 0, -1};              // centre of the arcs
 Point(2) = {1, 0, -1, size};        // theta = 0
 Point(3) = {0, 1, -1, size};
