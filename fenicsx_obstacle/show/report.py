@@ -13,7 +13,8 @@ from fenicsx_obstacle.answers.compute import solve
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.pictures import draw_convergence, draw_cost
+from fenicsx_obstacle.show import plots
+from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.tables import EARLIER, StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.rows import RowStore
@@ -73,8 +74,7 @@ def report_study(
         on_root(comm, write_text, folder / "last" / "row", rows[-1]["key"])
     drawn = ["last/"]
     if len(rows) > 1 and study.by and quantities(study.varied, rows[-1]):
-        on_root(comm, draw_convergence, rows, study.varied, folder / "convergence.png")
-        on_root(comm, draw_cost, rows, study.varied, folder / "cost.png")
+        on_root(comm, _draw_plots, rows, study.varied, folder)
         drawn += ["convergence.png", "cost.png"]
     say(f"saved in {folder}: rows.csv, rows.jsonl, {', '.join(drawn)}")
     for store in stores:
@@ -85,6 +85,11 @@ def report_study(
 def _open_store(stores: list[RowStore], folder: Path, fresh: bool) -> int:
     stores.append(RowStore(folder, fresh=fresh))
     return stores[0].run
+
+
+def _draw_plots(rows: list[Row], varied: list[str], folder: Path) -> None:
+    save(plots.convergence(rows, varied), folder / "convergence.png")
+    save(plots.cost(rows, varied), folder / "cost.png")
 
 
 def _is_drawn(folder: Path, row: Row) -> bool:
