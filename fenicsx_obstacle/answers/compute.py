@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from typing import Any
@@ -25,6 +26,7 @@ from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
+_log = logging.getLogger(__name__)
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
           "element": "solve.element"}  # fmt: skip
 
@@ -81,6 +83,7 @@ class Workbench:
         comm = scene.mesh.comm if scene.mesh is not None else comm
         level = levels.build(scene, comm)
         self.mesh_seconds = time.perf_counter() - self.started
+        _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(scene, level)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._exact: Exact | None = None
@@ -117,6 +120,7 @@ class Workbench:
             pressure = _penalty_pressure(problem)
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
+            _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         return self._answer(scene, outcome, eps, pressure, seconds)
 

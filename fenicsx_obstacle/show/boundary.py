@@ -30,9 +30,11 @@ def level_function(patch: Patch, side: str) -> np.ndarray:
     sign, fields = SIDES[side], patch.fields
     gap = np.maximum(sign * (fields["u"] - fields[side]), 0.0)
     touching = (fields["contact"] > 0) & (sign * fields["pressure"] > 0)
-    level = np.where(touching, 0.0, np.sqrt(gap))
-    largest = level.max(initial=0.0) or 1.0
+    largest = np.sqrt(gap.max(initial=0.0)) or 1.0
     edges = _edges(patch.cells)
+    # where the boundary value is the obstacle itself there is no pressure to tell, only contact beside it
+    touching |= (gap <= 1e-10 * largest**2) & _touched(touching, edges)
+    level = np.where(touching, 0.0, np.sqrt(gap))
     known = ~touching
     for _ in range(RINGS):
         level, known = _continued(patch, level, known, edges)

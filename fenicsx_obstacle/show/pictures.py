@@ -173,7 +173,7 @@ def _heights(values: np.ndarray) -> Any:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    return ScalarMappable(Normalize(values.min(), values.max()), "viridis")
+    return ScalarMappable(Normalize(values.min(), values.max()), "YlGnBu")
 
 
 def _pressures(values: np.ndarray) -> Any:

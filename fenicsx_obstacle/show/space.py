@@ -60,7 +60,10 @@ def _box(axis: Any, view: View) -> None:
         axis.plot(*_project(view, ends).T, color="0.4", linewidth=0.8, zorder=2)
         outwards = _outwards(view, number, edge, middle)
         wanted = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[number], high[number])
-        ticks = [tick for tick in wanted if low[number] - 1e-9 <= tick <= high[number] + 1e-9]
+        size = high[number] - low[number]
+        # at the foot of the upright edge a figure of the x-axis stands already
+        first = low[number] + (0.08 if number == 2 else -1e-9) * size
+        ticks = [tick for tick in wanted if first <= tick <= high[number] + 1e-9 * size]
         for tick, text in zip(ticks, _texts(ticks), strict=True):
             at = np.where(np.isnan(edge), tick, edge)
             for fixed, value in walls[number]:

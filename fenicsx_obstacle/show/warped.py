@@ -81,7 +81,7 @@ def draw(data: Path, picture: Path) -> None:
         mesh["colours"] = (255 * surface["colours"]).astype(np.uint8)
         plotter.add_mesh(
             mesh, scalars="colours", rgb=True, opacity=float(surface["opacity"]), smooth_shading=True,
-            ambient=0.32, diffuse=0.72, specular=0.12, specular_power=20,
+            ambient=0.5, diffuse=0.55, specular=0.08, specular_power=20,
         )  # fmt: skip
         number += 1
     ends = arrays["line"]
