@@ -9,7 +9,7 @@ COPY debian-packages.txt /tmp/
 # everything comes from Debian: nothing of PyPI is fetched
 RUN apt-get update \
  && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $(cat /tmp/debian-packages.txt) \
-    python3-click python3-msgspec python3-setuptools python3-tomli-w \
+    python3-click python3-msgspec python3-setuptools python3-tomli-w python3-tqdm \
  && rm -rf /var/lib/apt/lists/* /tmp/debian-packages.txt
 
 COPY pyproject.toml README.md /opt/fenicsx_obstacle/

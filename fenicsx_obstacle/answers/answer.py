@@ -122,12 +122,15 @@ class Answer:
 
         return read(Path(folder))
 
-    def plot(self, path: str | Path) -> None:
-        """Draw u, contact and pressure into a PNG file (collective).
+    def plot(self, path: str | Path) -> str:
+        """Draw u with its obstacles, free boundary and pressure into a PNG file (collective).
+
+        Returns:
+            One line: the file, who drew it, and why.
 
         Raises:
             InputError: If the file cannot be written.
         """
         from fenicsx_obstacle.show.pictures import draw_answer
 
-        draw_answer(self, Path(path))
+        return draw_answer(self, Path(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.functionals import Report
 
+_log = logging.getLogger(__name__)
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
           "element": "solve.element"}  # fmt: skip
 
@@ -84,6 +86,7 @@ class Workbench:
         comm = scene.mesh.comm if scene.mesh is not None else comm
         level = levels.build(scene, comm)
         self.mesh_seconds = time.perf_counter() - self.started
+        _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(scene, level)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
@@ -126,6 +129,7 @@ class Workbench:
             pressure = _penalty_pressure(problem)
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
+            _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         return self._answer(scene, outcome, eps, pressure, seconds)
 

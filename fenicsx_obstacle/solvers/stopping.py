@@ -6,6 +6,7 @@ Here the unbalanced force, summed over the free nodes, is compared with the forc
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any
@@ -16,6 +17,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
 
+_log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
@@ -80,6 +82,8 @@ class Stopping:
             krylov=krylov - self._krylov,
         )
         self.history.append(step)
+        _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
+                  iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
         self._last, self._krylov = active, krylov
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
