@@ -66,7 +66,8 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     gdim, kind = int(arrays.pop("gdim")), _CELL[cells.shape[1]]
     mine = slice(None) if comm.rank == 0 else slice(0, 0)
     mesh = releases.create_mesh(comm, cells[mine], points[mine, :gdim], kind)
-    V = releases.functionspace(mesh, "Lagrange", 1)
+    level = Level(mesh, record["h"])
+    V = level.V
     # where each dof stood when it was saved
     saved = np.asarray(mesh.geometry.input_global_indices)[releases.dof_nodes(V)]
     fields: dict[str, fem.Function] = {}
@@ -77,7 +78,6 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
         for r in csv.DictReader(io.StringIO(history))
     )
-    level = Level(mesh, V, record["h"], {})
     return Answer(
         Scene.read(folder / "scene.toml"), level, fields["u"], fields["pressure"], fields["contact"],
         fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,

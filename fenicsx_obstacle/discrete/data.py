@@ -78,7 +78,7 @@ class Data:
             dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, facets)
             formula = self.scene.formula(0.0 if part.value is None else part.value, f"{place} value")
             function = fem.Function(level.V)
-            function.x.array[dofs] = self.scene.at_points(formula, self._points(level.V)[:, dofs])
+            function.x.array[dofs] = self.scene.at_points(formula, level.points[:, dofs])
             self._refuse_infinite(formula, function)
             values.x.array[dofs] = function.x.array[dofs]
             fixed[dofs] = True
@@ -129,11 +129,14 @@ class Data:
                 )
         return np.unique(np.concatenate([level.facets[name] for name in names])).astype(np.int32)
 
-    def _points(self, V: fem.FunctionSpace) -> np.ndarray:
-        return np.ascontiguousarray(V.tabulate_dof_coordinates().T)
-
     def _sample(self, function: fem.Function, formula: Formula) -> None:
-        function.x.array[:] = self.scene.at_points(formula, self._points(function.function_space))
+        if not formula.names:
+            function.x.array[:] = self.scene.number(formula.text, formula.place)
+        elif function.function_space is self.level.V:
+            function.x.array[:] = self.scene.at_points(formula, self.level.points)
+        else:
+            points = function.function_space.tabulate_dof_coordinates()
+            function.x.array[:] = self.scene.at_points(formula, np.ascontiguousarray(points.T))
         self._refuse_infinite(formula, function)
 
     def _refuse_infinite(self, formula: Formula, function: fem.Function) -> None:
