@@ -132,8 +132,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
 
 def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
-    mesh = level.mesh
-    new, cells = parents.halved(mesh, level.V) if mesh.topology.dim == 1 else releases.refine(mesh)
+    new, cells = parents.halved(level.mesh, level.V)
     fine = Level(new, level.h / 2, shape=level.shape, coarse=level, parents=cells)
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
 from dolfinx import mesh as dmesh
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
@@ -55,22 +57,88 @@ def prolongation(ends: np.ndarray, fine: fem.FunctionSpace, coarse: fem.Function
 
 
 def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarray]:
-    """Refined interval and parents of its cells (collective): DOLFINx refines intervals only from 0.9 on."""
-    owned, own_cells = V.dofmap.index_map.size_local, mesh.topology.index_map(1).size_local
-    dofs = releases.cell_dofs(V)
-    first = before(mesh.comm, owned + own_cells)
-    number = fem.Function(V)  # of each vertex among the new points; ghosts learn theirs from the owner
-    number.x.array[:owned] = first + np.arange(owned)
-    number.x.scatter_forward()
-    ends = number.x.array[dofs[:own_cells]].real.astype(np.int64)
-    middle = first + owned + np.arange(own_cells)
-    cells = np.column_stack([ends[:, 0], middle, middle, ends[:, 1]]).reshape(-1, 2)
-    gdim = mesh.geometry.dim
-    points = np.vstack([V.tabulate_dof_coordinates()[:owned], corners(mesh)[:own_cells].mean(axis=1)])[:, :gdim]
-    new = releases.create_mesh(mesh.comm, cells, points, "interval", stay=True)
-    start = before(mesh.comm, len(cells))
-    own = new.topology.index_map(1).size_local
-    return new, (np.asarray(new.topology.original_cell_index)[:own] - start) // 2
+    """The mesh with all edges halved, and the parent of each of its owned cells (collective).
+
+    Triangles are cut into four of their own shape, so that a grid stays a grid; DOLFINx's own refinement bisects
+    longest edges, which turns every other diagonal.
+    """
+    comm, dim, gdim = mesh.comm, mesh.topology.dim, mesh.geometry.dim
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(dim, 1)
+    vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
+    own = mesh.topology.index_map(dim).size_local
+    dofs = releases.cell_dofs(V)[:own]
+    sides = _EDGES[dim]
+    if dim == 1:
+        halves = np.arange(own, dtype=np.int32).reshape(-1, 1)
+    else:
+        halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(sides))[:own]
+    # points in the order of ranks, of each its vertices and then the middles of its edges
+    first = before(comm, vertices.size_local + edges.size_local)
+    number = np.hstack([_numbers(comm, vertices, dofs, first), _numbers(comm, edges, halves, first + vertices.size_local)])
+    points = np.empty((vertices.size_local + edges.size_local, gdim))
+    points[: vertices.size_local] = mesh.geometry.x[releases.dof_nodes(V)[: vertices.size_local], :gdim]
+    corner = mesh.geometry.x[releases.geometry_dofs(mesh)[:own], :gdim]
+    middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
+    for side, (i, j) in enumerate(sides):
+        middle[halves[:, side]] = (corner[:, i] + corner[:, j]) / 2
+    points[vertices.size_local :] = middle[: edges.size_local]
+    if dim == 3:
+        diagonal = _inner_diagonal(corner)
+        patterns = np.array([_CORNERS[3] + [(*d, k, m) for k, m in _RING[d]] for d in _RING])
+        cells = np.take_along_axis(number, patterns[diagonal].reshape(own, -1), axis=1)
+    else:
+        cells = number[:, np.array(_CORNERS[dim] + _MIDDLE[dim]).ravel()]
+    cells = cells.reshape(-1, dim + 1)
+    new = releases.create_mesh(comm, cells, points, releases.cell_name(mesh), stay=True)
+    start = before(comm, len(cells))
+    kept = np.asarray(new.topology.original_cell_index)[: new.topology.index_map(dim).size_local]
+    return new, ((kept - start) // 2**dim).astype(np.int32)
+
+
+# a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
+_EDGES = {
+    1: [(0, 1)],
+    2: [(1, 2), (0, 2), (0, 1)],
+    3: [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)],
+}
+_CORNERS = {
+    1: [(0, 2), (2, 1)],
+    2: [(0, 5, 4), (5, 1, 3), (4, 3, 2)],
+    3: [(0, 9, 8, 7), (9, 1, 6, 5), (8, 6, 2, 4), (7, 5, 4, 3)],
+}
+_MIDDLE: dict[int, list[tuple[int, ...]]] = {1: [], 2: [(3, 4, 5)]}
+# the octahedron in a tetrahedron: a diagonal, and the ring of edges around it
+_RING = {
+    (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
+    (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
+    (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
+}
+
+
+def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
+    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `_RING`.
+
+    The shortest; of two alike the one along the longest edge: then the six tetrahedra of a cube become those of its
+    eight parts.
+    """
+    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (_EDGES[3][m - 4] for m in pair)] for pair in _RING]
+    edges = np.stack([corner[:, j] - corner[:, i] for i, j in _EDGES[3]], axis=1)
+    longest = edges[np.arange(len(edges)), (edges**2).sum(axis=2).argmax(axis=1)]
+    score = []
+    for a, b in ends:
+        along = np.abs(((a - b) * longest).sum(axis=1))
+        score.append(((a - b) ** 2).sum(axis=1) - 1e-6 * along)
+    return np.argmin(score, axis=0)
+
+
+def _numbers(comm: MPI.Comm, entities: Any, local: np.ndarray, first: int) -> np.ndarray:
+    """Global numbers of local entities where those of each rank begin at its `first` (collective)."""
+    starts = np.array(comm.allgather((entities.local_range[0], first)), dtype=np.int64).reshape(-1, 2)
+    place = np.asarray(entities.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64)
+    # ranks that own none share their start with the next: take the last
+    rank = np.searchsorted(starts[:, 0], place, side="right") - 1
+    return (place - starts[rank, 0] + starts[rank, 1]).reshape(local.shape)
 
 
 def inherited(
