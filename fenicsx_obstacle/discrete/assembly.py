@@ -22,6 +22,8 @@ from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
 from fenicsx_obstacle.forms.rules import nodal_rule
 from fenicsx_obstacle.parallel import total
 
+HELD = 1e16  # times the diagonal of a row that is to answer zero
+
 
 class Forms:
     """The residual, its derivative and the energy in UFL, assembled at every evaluation (all methods collective).
@@ -143,6 +145,12 @@ class Nodal(Forms):
         self._diagonal = A.getDiagonal()
         self._changed = self._diagonal.duplicate()
         return A
+
+    def hold(self, A: PETSc.Mat, held: np.ndarray) -> None:
+        """Fill A with the stiffness, its rows at the held owned dofs answering nothing but zero."""
+        self._diagonal.copy(self._changed)
+        self._changed.array[held] *= HELD
+        A.setDiagonal(self._changed)
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         self._diagonal.copy(self._changed)

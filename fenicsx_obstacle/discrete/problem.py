@@ -90,6 +90,26 @@ class Problem:
         self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
         self.forms.refer()
 
+    def begin_from(self, coarse: Problem) -> None:
+        """Let w be the state of the next coarser level, interpolated.
+
+        Where both ends of an edge are in contact its middle is: distances, not heights are interpolated there, or
+        the middle of a curved obstacle's edge would start far off.
+        """
+        ends, own = self.level.ends, self.level.owned
+        heights = fem.Function(self.level.V)
+        heights.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
+        heights.x.scatter_forward()
+        self.refer(heights.x.array)
+        w = self.w.x.array
+        for ours, theirs, sign in ((self.below, coarse.below, 1), (self.above, coarse.above, -1)):
+            if ours is None or theirs is None:
+                continue
+            distance = sign * (coarse.w.x.array - theirs.x.array)
+            touching = np.all(distance[ends] <= 0, axis=1) & ~self.fixed
+            w[:own][touching] = (ours.x.array[:own] + sign * distance[ends].mean(axis=1))[touching]
+        self.w.x.scatter_forward()
+
     def refer_to_contact(self) -> bool:
         """Count w from the obstacle that each node touches now; whether that changed any (two obstacles only)."""
         if self.below is None or self.above is None:
@@ -139,6 +159,11 @@ class Problem:
         self.take(x)
         self.forms.jacobian(self.A, penalised=self.constrained and penalised)
         return self.A
+
+    def hold(self, held: np.ndarray) -> None:
+        """Let A be the stiffness matrix of a membrane held at these owned dofs (affine effects only)."""
+        assert isinstance(self.forms, Nodal)
+        self.forms.hold(self.A, held)
 
     @property
     def has_energy(self) -> bool:
