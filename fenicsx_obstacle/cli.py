@@ -36,6 +36,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
         "refine": click.option("--refine", type=int, metavar="N", help="Uniform refinements."),
         "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
+        "start": click.option("--start", metavar="NAME", help="nested: from coarse grids on; cold: on one grid.  [nested]"),
         "eps": click.option("--eps", metavar="E", help="Penalty parameter: a number or a formula in h.  [h^2]"),
         "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
         "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
@@ -53,7 +54,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("cells", "refine", "element", "method", "eps", "yardstick", "output", "json", "quiet")
+@_options("cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet")
 def solve(
     scene_file: str, yardstick: bool, output: Path | None, json_file: str | None, quiet: bool, **given: Any
 ) -> None:
@@ -75,7 +76,7 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("cells", "refine", "element", "method", "eps")
+@_options("cells", "refine", "element", "method", "start", "eps")
 def explain(scene_file: str, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     from fenicsx_obstacle.answers.compute import changed
@@ -88,7 +89,7 @@ def explain(scene_file: str, **given: Any) -> None:
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
               help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values).")  # fmt: skip
-@_options("cells", "refine", "element", "method", "eps", "output", "json", "quiet")
+@_options("cells", "refine", "element", "method", "start", "eps", "output", "json", "quiet")
 def study(
     scene_file: str, vary: tuple[str, ...], output: Path | None, json_file: str | None, quiet: bool, **given: Any
 ) -> None:

@@ -31,7 +31,7 @@ from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
-          "element": "solve.element"}  # fmt: skip
+          "start": "solve.start", "element": "solve.element"}  # fmt: skip
 
 
 def solve(
@@ -41,6 +41,7 @@ def solve(
     cells: int | None = None,
     refine: int | None = None,
     method: str | None = None,
+    start: str | None = None,
     element: str | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     yardstick: bool = False,
@@ -53,6 +54,7 @@ def solve(
         cells: Cells per side, for shapes.
         refine: Uniform refinements.
         method: penalty, successive or vi.
+        start: nested, from the coarsest level of the mesh on, or cold.
         element: Pair of spaces, P1.
         comm: Communicator; a mesh of the scene's own brings its own.
         yardstick: Time one linear Poisson solve on the same mesh as well.
@@ -64,12 +66,12 @@ def solve(
         InputError: For bad data.
         NotConverged: With PETSc's reason.
     """
-    given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "element": element}
+    given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
     return Workbench(changed(scene, given), comm).answer(yardstick=yardstick)
 
 
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:
-    """The scene with options that are not None; cells, refine, eps, method and element by their short names."""
+    """The scene with options that are not None; cells, refine, eps, method, start and element by their short names."""
     changes = {_SHORT.get(key, key): value for key, value in options.items() if value is not None}
     return scene.change(changes) if changes else scene
 
@@ -111,8 +113,8 @@ class Workbench:
             NotConverged: With PETSc's reason.
         """
         problem, scene = self.problem, scene or self.problem.scene
-        if nested(scene) and problem.level.coarse is not None:
-            self._hierarchy()
+        levels_serve = nested(scene) and problem.level.coarse is not None
+        grids = self._hierarchy() if levels_serve else []
         start = time.perf_counter()
         method, eps = scene.tables.solve.method, None
         exact = method == "vi" or not problem.constrained
@@ -121,8 +123,8 @@ class Workbench:
         else:
             eps = penalty_parameter(problem, scene.tables.solve.eps)
             solver = partial(solve_penalty, eps=eps, successive=method == "successive")
-        if nested(scene) and problem.level.coarse is not None:
-            outcomes = solve_nested(self._hierarchy(), solver)
+        if grids:
+            outcomes = solve_nested(grids, solver)
         else:
             problem.refer(problem.cold_start())
             outcomes = [solver(problem)]
