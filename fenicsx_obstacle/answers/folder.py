@@ -92,7 +92,7 @@ def gather(answer: Answer) -> dict[str, np.ndarray]:
     numbering = level.V.dofmap.index_map
     dofs = releases.cell_dofs(level.V)[:own_cells]
     cells = np.asarray(numbering.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
-    parts = {"points": level.V.tabulate_dof_coordinates()[:owned], "cells": cells}
+    parts = {"points": level.points.T[:owned], "cells": cells}
     parts |= {name: function.x.array[:owned].real for name, function in answer.functions().items()}
     found = {name: gathered(comm, values) for name, values in parts.items()}
     if comm.rank != 0:

@@ -144,17 +144,18 @@ class Data:
 
     def _refuse(self, formula: Formula, function: fem.Function, bad: np.ndarray, what: str) -> None:
         """All ranks raise if any value is bad, naming one place (collective)."""
-        points, values = function.function_space.tabulate_dof_coordinates(), function.x.array
-        mine = next(((values[i], points[i]) for i in np.flatnonzero(bad)), None)
+        mine = None
+        if bad.any():
+            first = int(np.argmax(bad))
+            mine = function.x.array[first], function.function_space.tabulate_dof_coordinates()[first]
         found = next((one for one in self.level.comm.allgather(mine) if one is not None), None)
         if found is not None:
             raise InputError(f"{formula.place} = {formula.text}: {what} {found[0]:g} at {self._at(found[1])}")
 
     def _refuse_gap(self, excess: np.ndarray, tolerance: float, message: str) -> None:
         """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
-        points = self.level.V.tabulate_dof_coordinates()
         worst = int(np.argmax(excess)) if len(excess) else 0
-        mine = (float(excess[worst]), points[worst]) if len(excess) else (-np.inf, np.zeros(3))
+        mine = (float(excess[worst]), self.level.points[:, worst]) if len(excess) else (-np.inf, np.zeros(3))
         gap, point = max(self.level.comm.allgather(mine), key=lambda pair: pair[0])
         if gap > tolerance:
             raise InputError(f"{message}: by {gap:.3g} at {self._at(point)}")
