@@ -44,6 +44,9 @@ def _options(*names: str) -> Callable[[Any], Any]:
         "refine": click.option("--refine", type=int, metavar="N", help="Uniform refinements."),
         "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
+        "start": click.option(
+            "--start", metavar="NAME", help="nested: from coarse grids on; cold: on one grid.  [nested]"
+        ),
         "eps": click.option("--eps", metavar="E", help="Penalty parameter: a number or a formula in h.  [h^2]"),
         "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
         "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
@@ -70,7 +73,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("set", "cells", "refine", "element", "method", "eps", "yardstick", "output", "json", "quiet", "log")
+@_options("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet", "log")
 def solve(
     scene_file: str, yardstick: bool, output: Path | None, json_file: str | None, quiet: bool, **given: Any
 ) -> None:
@@ -98,7 +101,7 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("cells", "refine", "element", "method", "eps")
+@_options("cells", "refine", "element", "method", "start", "eps")
 def explain(scene_file: str, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     from fenicsx_obstacle.answers.compute import changed
@@ -113,7 +116,7 @@ def explain(scene_file: str, **given: Any) -> None:
               help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values); several make a grid.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
 @click.option("--latex", type=click.Path(path_type=Path), metavar="FILE", help="The table as LaTeX.")
-@_options("set", "cells", "refine", "element", "method", "eps", "output", "json", "quiet", "log")
+@_options("set", "cells", "refine", "element", "method", "start", "eps", "output", "json", "quiet", "log")
 def study(
     scene_file: str,
     vary: tuple[str, ...],

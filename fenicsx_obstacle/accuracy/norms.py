@@ -100,8 +100,7 @@ class Exact:
 
     def nodal(self, eps: float | None) -> np.ndarray:
         """Exact values at local dofs."""
-        points = np.ascontiguousarray(self.problem.level.V.tabulate_dof_coordinates().T)
-        return self.problem.scene.at_points(self.formula, points, {"eps": eps or 0.0})
+        return self.problem.scene.at_points(self.formula, self.problem.level.points, {"eps": eps or 0.0})
 
     @cached_property
     def dual(self) -> DualNorm:

@@ -66,7 +66,8 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     gdim, kind = int(arrays.pop("gdim")), _CELL[cells.shape[1]]
     mine = slice(None) if comm.rank == 0 else slice(0, 0)
     mesh = releases.create_mesh(comm, cells[mine], points[mine, :gdim], kind)
-    V = releases.functionspace(mesh, "Lagrange", 1)
+    level = Level(mesh, record["h"])
+    V = level.V
     # where each dof stood when it was saved
     saved = np.asarray(mesh.geometry.input_global_indices)[releases.dof_nodes(V)]
     fields: dict[str, fem.Function] = {}
@@ -77,7 +78,6 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
         for r in csv.DictReader(io.StringIO(history))
     )
-    level = Level(mesh, V, record["h"], {})
     return Answer(
         Scene.read(folder / "scene.toml"), level, fields["u"], fields["pressure"], fields["contact"],
         fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
@@ -92,7 +92,7 @@ def gather(answer: Answer) -> dict[str, np.ndarray]:
     numbering = level.V.dofmap.index_map
     dofs = releases.cell_dofs(level.V)[:own_cells]
     cells = np.asarray(numbering.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
-    parts = {"points": level.V.tabulate_dof_coordinates()[:owned], "cells": cells}
+    parts = {"points": level.points.T[:owned], "cells": cells}
     parts |= {name: function.x.array[:owned].real for name, function in answer.functions().items()}
     found = {name: gathered(comm, values) for name, values in parts.items()}
     if comm.rank != 0:

@@ -15,7 +15,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.scene import COORDINATES, Scene
 
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
 
@@ -88,7 +88,7 @@ class Data:
             dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, facets)
             formula = self.scene.formula(0.0 if part.value is None else part.value, f"{place} value")
             function = fem.Function(level.V)
-            function.x.array[dofs] = self._at_points(formula, self._points(level.V)[:, dofs])
+            function.x.array[dofs] = self._at_points(formula, level.points[:, dofs])
             self._refuse_infinite(formula, function)
             values.x.array[dofs] = function.x.array[dofs]
             fixed[dofs] = True
@@ -144,11 +144,17 @@ class Data:
         return np.unique(np.concatenate([level.facets[name] for name in names])).astype(np.int32)
 
     def _points(self, V: fem.FunctionSpace) -> np.ndarray:
+        """Points of the local dofs, shape (3, dofs)."""
+        if V is self.level.V:
+            return self.level.points
         return np.ascontiguousarray(V.tabulate_dof_coordinates().T)
 
     def _sample(self, function: fem.Function, formula: Formula) -> None:
-        function.x.array[:] = self._at_points(formula, self._points(function.function_space))
-        function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
+        if not self.scene.needs(formula) & {*COORDINATES, "distance"}:
+            function.x.array[:] = self.scene.number(formula.text, formula.place)
+        else:
+            function.x.array[:] = self._at_points(formula, self._points(function.function_space))
+            function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
 
     def _sample_materials(self, function: fem.Function, value: Materials) -> None:
@@ -195,15 +201,14 @@ class Data:
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
         """Value and place of the first bad dof, the same on every rank (collective)."""
-        points, values = function.function_space.tabulate_dof_coordinates(), function.x.array
-        mine = next(((values[i], points[i]) for i in np.flatnonzero(bad)), None)
+        points, values = self._points(function.function_space).T, function.x.array
+        mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
         return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
 
     def _refuse_gap(self, excess: np.ndarray, tolerance: float, message: str) -> None:
         """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
-        points = self.level.V.tabulate_dof_coordinates()
         worst = int(np.argmax(excess)) if len(excess) else 0
-        mine = (float(excess[worst]), points[worst]) if len(excess) else (-np.inf, np.zeros(3))
+        mine = (float(excess[worst]), self.level.points[:, worst]) if len(excess) else (-np.inf, np.zeros(3))
         gap, point = max(self.level.comm.allgather(mine), key=lambda pair: pair[0])
         if gap > tolerance:
             raise InputError(f"{message}: by {gap:.3g} at {self._at(point)}")

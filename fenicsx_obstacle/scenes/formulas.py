@@ -10,6 +10,7 @@ import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ class Formula:
     place: str
     tree: ast.expr
 
-    @property
+    @cached_property
     def names(self) -> set[str]:
         """Names of the values it needs."""
         called = {id(node.func) for node in ast.walk(self.tree) if isinstance(node, ast.Call)}

@@ -194,12 +194,14 @@ class Scene:
         Returns:
             Array of n values.
         """
-        names: dict[str, Any] = {**CONSTANTS, **(values or {})}
-        names.update(zip(COORDINATES, (*x, np.linalg.norm(x, axis=0), np.arctan2(x[1], x[0])), strict=True))
-        needed = self.needs(formula)
-        for key, defined in self.define.items():
-            if key in needed:
-                names[key] = defined.on_arrays(names)
+        names: dict[str, Any] = {**CONSTANTS, **(values or {}), **dict(zip("xyz", x, strict=True))}
+        needed = self.needs(formula)  # of a million points, only what the formula needs
+        if "r" in needed:
+            names["r"] = np.linalg.norm(x, axis=0)
+        if "theta" in needed:
+            names["theta"] = np.arctan2(x[1], x[0])
+        for key in (key for key in self.define if key in needed):
+            names[key] = self.define[key].on_arrays(names)
         return np.broadcast_to(formula.on_arrays(names), x.shape[1:])
 
     def number(self, value: float | str, place: str, values: Mapping[str, float] | None = None) -> float:

@@ -57,6 +57,7 @@ class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 
     element: Literal["P1"] = "P1"
     method: Literal["penalty", "successive", "vi"] = "penalty"
+    start: Literal["nested", "cold"] = "nested"
     eps: Value = "h^2"
 
 

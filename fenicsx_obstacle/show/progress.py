@@ -87,7 +87,8 @@ class _Bar(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage()
         if hasattr(record, "row"):
-            self.bar.total, self.bar.n = record.rows, record.row - 1
+            row = vars(record)
+            self.bar.total, self.bar.n = row["rows"], row["row"] - 1
             self.bar.bar_format = "{desc} |{bar:16}| {n_fmt}/{total_fmt} {postfix} [{elapsed}]"
             self.bar.set_description_str(f"{self.name}: {text}", refresh=False)
             text = ""

@@ -19,6 +19,7 @@ from fenicsx_obstacle.parallel import total
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
+FORCING = 1e-2  # relative accuracy of linear systems on the way
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
@@ -52,6 +53,7 @@ class Stopping:
         exact_bounds: Whether contact is held by bounds (SNES VI) instead of the penalty.
         unchanged: Stop only where no node at all has changed, as (3.4)* does.
         watch_cycles: Give up where an active set comes back.
+        tolerance: Unbalanced force over acting forces.
         history: One `Step` per evaluation.
     """
 
@@ -59,6 +61,7 @@ class Stopping:
     exact_bounds: bool = False
     unchanged: bool = False
     watch_cycles: bool = False
+    tolerance: float = TOLERANCE
     history: list[Step] = field(default_factory=list)
     _last: np.ndarray | None = None
     _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
@@ -87,12 +90,26 @@ class Stopping:
         self._last, self._krylov = active, krylov
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
-        balanced = unbalanced <= max(TOLERANCE * forces, self._round_off(snes))
+        balanced = unbalanced <= max(self.tolerance * forces, self._round_off(snes))
         if balanced and not (self.unchanged and step.changed):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
             return CYCLING
         return CONTINUE
+
+    @property
+    def active(self) -> np.ndarray:
+        """Owned nodes in contact at the last state."""
+        assert self._last is not None
+        return self._last != 0
+
+    @property
+    def forcing(self) -> float:
+        """How far to solve the next linear system: not far while contact changes, then to the end."""
+        step = self.history[-1]
+        if step.changed:
+            return FORCING
+        return min(FORCING, max(0.1 * self.tolerance * step.forces / max(step.unbalanced, 1e-300), 1e-12))
 
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""

@@ -6,18 +6,21 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import NEWTON
 from fenicsx_obstacle.solvers.snes import Outcome, require, run
-from fenicsx_obstacle.solvers.stopping import Stopping
+from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
 
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
 
-def solve_vi(problem: Problem) -> Outcome:
+def solve_vi(problem: Problem, *, multigrid: Multigrid | None = None, tolerance: float = TOLERANCE) -> Outcome:
     """Solve a(u, v - u) >= f(v - u) for all v between the obstacles, from the present state (collective).
 
     Args:
         problem: Holds the start, then the solution.
+        multigrid: Preconditioner; by default algebraic multigrid.
+        tolerance: Unbalanced force over acting forces to stop at.
 
     Returns:
         The converged outcome.
@@ -35,8 +38,8 @@ def solve_vi(problem: Problem) -> Outcome:
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
     problem.take(x)
     options = {**VI, "snes_vi_zero_tolerance": 1e-12 * _height(problem)}
-    stopping = Stopping(problem, exact_bounds=True)
-    outcome = run(problem, "vi", options, stopping, penalised=False,
+    stopping = Stopping(problem, exact_bounds=True, tolerance=tolerance)
+    outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
                   prepare=lambda snes: snes.setVariableBounds(lower, upper))  # fmt: skip
     for vector in (x, lower, upper):
         vector.destroy()
