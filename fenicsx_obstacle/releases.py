@@ -26,6 +26,8 @@ VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
 OLD = VERSION < (0, 7)  # ufl elements, AdjacencyList dofmaps
 NEW = VERSION >= (0, 10)  # create_vector(V), io.gmsh
 
+# what UFL raises for values outside of a function's domain
+UFL_ERRORS = (ArithmeticError, TypeError, ValueError, *([ufl.log.UFLException] if OLD else []))
 atan2 = getattr(ufl, "atan2", None) or ufl.atan_2
 FACET_GHOSTS = dmesh.GhostMode.shared_facet
 JIT_WAIT = 25  # seconds to wait for another process that compiles the same form

@@ -21,7 +21,8 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.parallel import peak_memory_mb
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import peak_memory_mb, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
@@ -78,6 +79,8 @@ def solve(
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:
     """The scene with options that are not None; cells, refine, eps, method, start and element by their short names."""
     changes = {_SHORT.get(key, key): value for key, value in options.items() if value is not None}
+    if "mesh.cells" in changes and (scene.mesh is not None or scene.tables.mesh.file is not None):
+        raise InputError(f"{scene.source}: cells are for shapes; a mesh of your own is refined with 'refine'")
     return scene.change(changes) if changes else scene
 
 
@@ -129,9 +132,11 @@ class Workbench:
         grids = self._hierarchy() if levels_serve else []
         start = time.perf_counter()
         method, eps = scene.tables.solve.method, None
-        exact = method == "vi" or not problem.constrained
+        exact = method == "vi"
         if exact:
             solver: Callable[..., Outcome] = solve_vi
+        elif not problem.constrained:
+            solver = partial(solve_penalty, eps=1.0)
         else:
             eps = penalty_parameter(problem, scene.tables.solve.eps)
             solver = partial(solve_penalty, eps=eps, successive=method == "successive")
@@ -172,7 +177,9 @@ class Workbench:
             "scene": scene.name, "title": scene.tables.title, "method": scene.tables.solve.method,
             "element": scene.tables.solve.element, "ranks": level.comm.size,
             "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
-            "cells_total": level.cells, "dofs": level.dofs, "h": level.h, "h_max": level.h_max, "eps": eps,
+            "cells_total": level.cells, "dofs": level.dofs,
+            "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
+            "h": level.h, "h_max": level.h_max, "eps": eps,
             "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
             "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov,
             "newton_total": sum(o.iterations for o in outcomes), "krylov_total": sum(o.krylov for o in outcomes),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -52,14 +52,14 @@ class Data:
             self._cellwise[value.place] = function
         return self._cellwise[value.place]
 
-    def nodal(self, value: Formula) -> fem.Function:
-        """Nodal interpolant in V (collective).
+    def nodal(self, value: Formula, values: Mapping[str, float] | None = None) -> fem.Function:
+        """Nodal interpolant in V, with values of further names (collective).
 
         Raises:
             InputError: If it is not finite somewhere.
         """
         function = fem.Function(self.level.V)
-        self._sample(function, value)
+        self._sample(function, value, values)
         return function
 
     @cached_property
@@ -105,6 +105,8 @@ class Data:
         """
         comm, source = self.level.comm, self.scene.source
         dofs, values = self.fixed
+        if self.lower is None and self.upper is None and total(comm, len(dofs)) == 0:
+            raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
         heights = [f.x.array for f in (self.lower, self.upper) if f is not None] + [values.x.array[dofs]]
         high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
         tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
@@ -129,7 +131,11 @@ class Data:
         if where is not None:
             formula = self.scene.formula(where, f"{place} where")
             dim = level.mesh.topology.dim - 1
-            return dmesh.locate_entities_boundary(level.mesh, dim, lambda x: self.scene.at_points(formula, x) != 0)
+            marks = lambda x: np.nan_to_num(self.scene.at_points(formula, x)) != 0  # noqa: E731
+            found = dmesh.locate_entities_boundary(level.mesh, dim, marks)
+            if total(level.comm, len(found)) == 0:
+                raise InputError(f"{formula.place} = {formula.text}: holds on no facet of the boundary")
+            return found
         if on is None:
             return level.boundary_facets
         names = (on,) if isinstance(on, str) else on
@@ -149,11 +155,11 @@ class Data:
             return self.level.points
         return np.ascontiguousarray(V.tabulate_dof_coordinates().T)
 
-    def _sample(self, function: fem.Function, formula: Formula) -> None:
+    def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
         if not self.scene.needs(formula) & {*COORDINATES, "distance"}:
-            function.x.array[:] = self.scene.number(formula.text, formula.place)
+            function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), values)
         else:
-            function.x.array[:] = self._at_points(formula, self._points(function.function_space))
+            function.x.array[:] = self._at_points(formula, self._points(function.function_space), values)
             function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
 
@@ -185,10 +191,11 @@ class Data:
 
         return BoundaryDistance(self.level)
 
-    def _at_points(self, formula: Formula, x: np.ndarray) -> np.ndarray:
+    def _at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, float] | None = None) -> np.ndarray:
         """Values at points (3, n) (collective if the formula names the distance)."""
         named = "distance" in self.scene.needs(formula)
-        return self.scene.at_points(formula, x, {"distance": self.boundary_distance(x.T)} if named else None)
+        known = {**(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
+        return self.scene.at_points(formula, x, known)
 
     def _refuse_infinite(self, formula: Value, function: fem.Function) -> None:
         self._refuse(formula, function, ~np.isfinite(function.x.array), "is not a finite number: it is")
@@ -207,10 +214,11 @@ class Data:
 
     def _refuse_gap(self, excess: np.ndarray, tolerance: float, message: str) -> None:
         """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
-        worst = int(np.argmax(excess)) if len(excess) else 0
-        mine = (float(excess[worst]), self.level.points[:, worst]) if len(excess) else (-np.inf, np.zeros(3))
-        gap, point = max(self.level.comm.allgather(mine), key=lambda pair: pair[0])
+        gap = largest(self.level.comm, excess)
         if gap > tolerance:
+            # of places alike the first by coordinates, whatever the partition
+            places = self.level.points[:, excess >= gap * (1 - 1e-9)].T.tolist()
+            point = np.array(min(place for part in self.level.comm.allgather(places) for place in part))
             raise InputError(f"{message}: by {gap:.3g} at {self._at(point)}")
 
     def _at(self, point: np.ndarray) -> str:

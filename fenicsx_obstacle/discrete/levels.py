@@ -144,6 +144,8 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
         level, halvings = _from_shape(_shape(scene), refine, comm)
         refine += halvings
     for _ in range(refine):
+        dim = level.mesh.topology.dim
+        _check_memory(level.dofs * 2.0**dim, BYTES_PER_VERTEX[dim], "'refine' fewer times")
         level = refined(level)
     return level
 
@@ -162,10 +164,11 @@ def _shape(scene: Scene) -> shapes.Shape:
 
     def corner(axis: str) -> tuple[float, float]:
         a, b = (scene.number(value, f"[mesh] {axis}") for value in getattr(table, axis))
+        place = f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]"
         if not a < b:
-            raise InputError(
-                f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]: the first end must be less than the second"
-            )
+            raise InputError(f"{place}: the first end must be less than the second")
+        if not max(1e-14, 1e-13 * max(abs(a), abs(b))) < b - a < 1e150:
+            raise InputError(f"{place}: too near or too far for floating point; choose another unit or origin")
         return a, b
 
     match table.shape:
@@ -186,13 +189,7 @@ def _shape(scene: Scene) -> shapes.Shape:
 def _from_shape(asked: shapes.Shape, refine: int, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level of a shape, and how often to refine it for the grid asked for."""
     dim = len(asked.cells)
-    needed = asked.vertices * 2.0 ** (dim * refine) * BYTES_PER_VERTEX[dim]
-    free = _free_memory()
-    if needed > free or asked.vertices * 6 > 2**31:
-        raise InputError(
-            f"[mesh] cells = {asked.cells[0]}, refine = {refine}: needs about {needed / 1e9:.3g} GB of memory, "
-            f"{free / 1e9:.3g} GB are free; take fewer cells"
-        )
+    _check_memory(asked.vertices * 2.0 ** (dim * refine), BYTES_PER_VERTEX[dim], "take fewer 'cells'")
     shape, halvings = asked, 0
     while shape.coarser is not None:
         coarser = shape.coarser()
@@ -230,6 +227,12 @@ def _level(
 def _named(mesh: dmesh.Mesh, shape: shapes.Shape) -> dict[str, np.ndarray]:
     dim = mesh.topology.dim - 1
     return {name: dmesh.locate_entities_boundary(mesh, dim, marker) for name, marker in shape.sides.items()}
+
+
+def _check_memory(vertices: float, each: int, remedy: str) -> None:
+    needed, free = vertices * each, _free_memory()
+    if needed > free or vertices * 6 > 2**31:
+        raise InputError(f"[mesh] needs about {needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free; {remedy}")
 
 
 def _free_memory() -> float:

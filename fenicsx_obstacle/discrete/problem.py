@@ -15,10 +15,11 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 
-INFINITE = 1e20  # PETSc's bound for 'no bound' is anything beyond this
+INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
+REACH = 1e3  # an obstacle farther off than this many times the range of heights is no place to count from
 
 
 class Problem:
@@ -67,6 +68,9 @@ class Problem:
         lower, upper = self.obstacles()
         np.clip(heights, lower, upper, out=heights)
         heights[dofs] = values.x.array[dofs]
+        if self.constrained and total(comm, len(own)) == 0:
+            # nothing else holds a floating membrane: begin with contact everywhere
+            heights = np.broadcast_to(lower - 1.0 if self.below is not None else upper + 1.0, heights.shape).copy()
         return heights
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
@@ -80,18 +84,17 @@ class Problem:
         with np.errstate(invalid="ignore"):
             nearer_below = np.abs(heights - lower) <= np.abs(upper - heights)
         r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(heights)
+        comm = self.level.comm
+        reach = REACH * (largest(comm, heights) - smallest(comm, heights))
+        r = np.where((np.abs(r - heights) > reach) & (reach > 0), heights, r)
         # the owner of a dof decides for all: by round-off in its point, ranks may see different obstacles nearer
         self.reference.x.array[:] = r
         self.reference.x.scatter_forward()
         r = self.reference.x.array
-        if self.below is not None:
-            self.below.x.array[:] = lower - r
-        if self.above is not None:
-            self.above.x.array[:] = upper - r
         self.w.x.array[:] = heights - r
         dofs, values = self.data.fixed
         self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
-        self.forms.refer()
+        self._measure_gaps()
 
     def begin_from(self, coarse: Problem) -> None:
         """Let w be the state of the next coarser level, interpolated.
@@ -113,22 +116,43 @@ class Problem:
             w[:own][touching] = (ours.x.array[:own] + sign * distance[ends].mean(axis=1))[touching]
         self.w.x.scatter_forward()
 
-    def refer_to_contact(self) -> bool:
-        """Count w from the obstacle that each node touches now; whether that changed any (two obstacles only)."""
-        if self.below is None or self.above is None:
+    def refer_to_contact(self, *, blunt: bool = False) -> bool:
+        """Count w from the obstacle that each node touches now; whether that changed any.
+
+        Args:
+            blunt: Count w of the other nodes from their present heights: w has become so large, because an obstacle
+                is far off, that its last digit is felt.
+        """
+        if not self.constrained:
             return False
         w, r = self.w.x.array, self.reference.x.array
-        wrong_above = (w >= self.above.x.array) & (self.above.x.array > 0)
-        wrong_below = (w <= self.below.x.array) & (self.below.x.array < 0)
-        # subtract distances, never heights: the excess keeps its digits
-        w[:] = np.where(wrong_above, w - self.above.x.array, np.where(wrong_below, w - self.below.x.array, w))
         lower, upper = self.obstacles()
-        r[:] = np.where(wrong_above, upper, np.where(wrong_below, lower, r))
-        self.below.x.array[:], self.above.x.array[:] = lower - r, upper - r
-        changed = total(self.level.comm, np.count_nonzero(wrong_above | wrong_below)) > 0
+        new_w, new_r, free = w.copy(), r.copy(), np.ones(len(w), dtype=bool)
+        for gap, obstacle, sign in ((self.below, lower, -1), (self.above, upper, 1)):
+            if gap is None:
+                continue
+            touching = sign * (w - gap.x.array) >= 0
+            wrong = touching & (gap.x.array != 0)
+            # subtract distances, never heights: the excess keeps its digits
+            new_w = np.where(wrong, w - gap.x.array, new_w)
+            new_r = np.where(wrong, obstacle, new_r)
+            free &= ~touching
+        if blunt:
+            new_r, new_w = np.where(free, r + w, new_r), np.where(free, 0.0, new_w)
+        changed = total(self.level.comm, np.count_nonzero(new_r != r)) > 0
         if changed:
-            self.forms.refer()
+            w[:], r[:] = new_w, new_r
+            self._measure_gaps()
         return changed
+
+    def _measure_gaps(self) -> None:
+        """Distances of the obstacles from r."""
+        lower, upper = self.obstacles()
+        if self.below is not None:
+            self.below.x.array[:] = lower - self.reference.x.array
+        if self.above is not None:
+            self.above.x.array[:] = upper - self.reference.x.array
+        self.forms.refer()
 
     def heights(self) -> fem.Function:
         """u = w + r."""

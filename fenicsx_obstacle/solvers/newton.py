@@ -23,6 +23,7 @@ NEWTON = {
     "snes_stol": 0.0,
     "snes_divergence_tolerance": -1.0,
 }
+COUNTED_ANEW = 4  # times, at most
 
 
 def solve_penalty(
@@ -56,8 +57,10 @@ def solve_penalty(
         problem.refer(problem.cold_start())
     how = {"unchanged": successive, "tolerance": tolerance}
     outcome = _attempts(problem, how, multigrid)
-    while outcome.converged and problem.refer_to_contact():
-        outcome = _joined(outcome, _attempts(problem, how, multigrid))
+    for _ in range(COUNTED_ANEW):
+        if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
+            break
+        outcome = joined(outcome, _attempts(problem, how, multigrid))
     return require(outcome, problem, eps)
 
 
@@ -70,11 +73,13 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
         return outcome
     searched = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "bt"},
                    Stopping(problem, **how), objective=True, multigrid=multigrid)  # fmt: skip
-    return _joined(outcome, searched)
+    return joined(outcome, searched)
 
 
-def _joined(first: Outcome, second: Outcome) -> Outcome:
+def joined(first: Outcome, second: Outcome) -> Outcome:
+    """One outcome of two attempts."""
     return Outcome(
         first.solver, first.iterations + second.iterations, first.krylov + second.krylov,
         first.history + second.history, first.seconds + second.seconds, second.reason,
+        second.blunt,
     )  # fmt: skip

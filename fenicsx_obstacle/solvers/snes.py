@@ -42,6 +42,7 @@ class Outcome:
         history: One step per line.
         seconds: Time of the iteration.
         reason: PETSc's reason.
+        blunt: Balance was only reached up to the round-off of w.
     """
 
     solver: str
@@ -50,6 +51,7 @@ class Outcome:
     history: tuple[Step, ...]
     seconds: float
     reason: int
+    blunt: bool = False
 
     @property
     def converged(self) -> bool:
@@ -114,7 +116,7 @@ def run(
     problem.take(x)
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
-        time.perf_counter() - start, snes.getConvergedReason(),
+        time.perf_counter() - start, snes.getConvergedReason(), stopping.blunt,
     )  # fmt: skip
     for owner in (snes, x, residual):
         owner.destroy()

@@ -19,6 +19,7 @@ from fenicsx_obstacle.parallel import total
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
+BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
 FORCING = 1e-2  # relative accuracy of linear systems on the way
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
@@ -54,6 +55,8 @@ class Stopping:
         unchanged: Stop only where no node at all has changed, as (3.4)* does.
         watch_cycles: Give up where an active set comes back.
         tolerance: Unbalanced force over acting forces.
+        touching: How near to a bound a node touches it (bounds only).
+        blunt: Balance was only reached up to the round-off of w.
         history: One `Step` per evaluation.
     """
 
@@ -62,6 +65,8 @@ class Stopping:
     unchanged: bool = False
     watch_cycles: bool = False
     tolerance: float = TOLERANCE
+    touching: float = 0.0
+    blunt: bool = False
     history: list[Step] = field(default_factory=list)
     _last: np.ndarray | None = None
     _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
@@ -90,7 +95,9 @@ class Stopping:
         self._last, self._krylov = active, krylov
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
-        balanced = unbalanced <= max(self.tolerance * forces, self._round_off(snes))
+        floor = self._round_off(snes)
+        balanced = unbalanced <= max(self.tolerance * forces, floor)
+        self.blunt = floor > BLUNT * forces
         if balanced and not (self.unchanged and step.changed):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
@@ -117,7 +124,7 @@ class Stopping:
         lower, upper = problem.gaps()
         if self.exact_bounds:
             # complementarity: at the lower bound the support may only push up, a(u, phi) - f >= 0
-            below, above = (lower <= 0) & (elastic > 0), (upper <= 0) & (elastic < 0)
+            below, above = (lower <= self.touching) & (elastic > 0), (upper <= self.touching) & (elastic < 0)
             residual = np.where(below | above, 0.0, elastic)
         else:
             below, above = lower < 0, upper < 0
