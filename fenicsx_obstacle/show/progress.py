@@ -71,7 +71,7 @@ def start_log(level: str | None) -> None:
     logger.setLevel(level)
 
 
-class _Stream(logging.StreamHandler):  # type: ignore[type-arg]
+class _Stream(logging.StreamHandler):
     def emit(self, record: logging.LogRecord) -> None:
         with beside_bars(sys.stderr):
             super().emit(record)
@@ -86,8 +86,8 @@ class _Bar(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage()
-        if hasattr(record, "row"):
-            self.bar.total, self.bar.n = record.rows, record.row - 1  # type: ignore[attr-defined]
+        if hasattr(record, "row") and hasattr(record, "rows"):
+            self.bar.total, self.bar.n = record.rows, record.row - 1
             self.bar.bar_format = "{desc} |{bar:16}| {n_fmt}/{total_fmt} {postfix} [{elapsed}]"
             self.bar.set_description_str(f"{self.name}: {text}", refresh=False)
             text = ""
