@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve, study
 from fenicsx_obstacle.parallel import largest, on_root, total
