@@ -17,7 +17,7 @@ import dolfinx.fem.petsc  # from 0.7 on `dolfinx.fem` does not import it
 import numpy as np
 import ufl
 from dolfinx import cpp as _cpp
-from dolfinx import fem, io
+from dolfinx import fem, geometry, io
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -231,6 +231,29 @@ def incident_entities(mesh: dmesh.Mesh, entities: np.ndarray, d0: int, d1: int) 
     mesh.topology.create_connectivity(d1, d0)
     first = mesh if OLD else mesh.topology
     return np.asarray(dmesh.compute_incident_entities(first, entities, d0, d1), dtype=np.int32)
+
+
+def cells_near(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.ndarray, np.ndarray]:
+    """Owned cells whose padded bounding boxes hold points (local).
+
+    Args:
+        mesh: Mesh.
+        points: Shape (n, 3).
+        padding: Length by which the boxes are widened.
+
+    Returns:
+        Pairs: rows of `points`, and cells.
+    """
+    dim = mesh.topology.dim
+    own = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    if not len(own) or not len(points):
+        return np.empty(0, np.int32), np.empty(0, np.int32)
+    if OLD:
+        found = geometry.compute_collisions(geometry.BoundingBoxTree(mesh, dim, own, padding), points)
+    else:
+        tree = geometry.bb_tree(mesh, dim, entities=own, padding=padding)
+        found = geometry.compute_collisions_points(tree, points)
+    return np.repeat(np.arange(len(points)), np.diff(found.offsets)), np.asarray(found.array)
 
 
 def from_gmsh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[dmesh.Mesh, Any, Any]:

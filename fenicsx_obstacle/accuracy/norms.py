@@ -20,6 +20,7 @@ from fenicsx_obstacle.effects.effect import Sampler
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
+from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.scene import CONSTANTS, COORDINATES, Scene
 
 DEGREE = 6  # of the quadrature for formulas: exact solutions have kinks in their second derivatives
@@ -33,7 +34,7 @@ class Formulas:
     """
 
     def __init__(self, scene: Scene, level: Level, eps: float = 0.0):
-        self.scene, mesh = scene, level.mesh
+        self.scene, self.level, mesh = scene, level, level.mesh
         self.dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
         x = ufl.SpatialCoordinate(mesh)
         self._zero = x[0] - x[0]  # gives expressions without coordinates a domain, which grad needs
@@ -49,9 +50,16 @@ class Formulas:
             except (InputError, KeyError):
                 continue
 
-    def cellwise(self, value: Formula, *, positive: bool = False) -> Any:
-        """The formula itself."""
+    def cellwise(self, value: Value, *, positive: bool = False) -> Any:
+        """The formula itself; of materials each within its own cells (then collective)."""
+        if isinstance(value, Materials):
+            return sum(self._inside(name) * self.cellwise(formula) for name, formula in value.parts.items())
         return value.evaluate(self.names, self.alphabet) + self._zero
+
+    def _inside(self, name: str) -> fem.Function:
+        inside = fem.Function(self.level.W)
+        inside.x.array[:] = self.level.indicator(name)
+        return inside
 
 
 def squared_energy_norm(scene: Scene, e: Any, data: Sampler) -> Any:

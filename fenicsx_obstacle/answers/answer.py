@@ -7,12 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from dolfinx import fem
 
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from fenicsx_obstacle.discrete.levels import Level
 
 
@@ -44,6 +48,30 @@ class Answer:
     history: tuple[Step, ...]
     record: Mapping[str, Any] = field(repr=False)
 
+    @property
+    def report(self) -> dict[str, float | None]:
+        """The figures of the scene's [report], in its units; None where one is not finite."""
+        return dict(self.record.get("report", {}))
+
+    def at(self, points: ArrayLike) -> np.ndarray:
+        """Values of u at points, not-a-number outside the mesh (collective).
+
+        Args:
+            points: The same on every rank, shape (n, gdim).
+
+        Returns:
+            Shape (n,), the same on every rank.
+
+        Raises:
+            InputError: If the points have another number of coordinates than the mesh.
+        """
+        from fenicsx_obstacle.discrete.points import values_at
+
+        given, gdim = np.asarray(points, dtype=np.float64), self.level.mesh.geometry.dim
+        if given.ndim != 2 or given.shape[1] != gdim:
+            raise InputError(f"at() takes an array of shape (n, {gdim}), not {given.shape}")
+        return values_at(self.level, self.u, np.pad(given, ((0, 0), (0, 3 - gdim))))
+
     def functions(self) -> dict[str, fem.Function]:
         """The fields by name, those that exist."""
         named = {key: getattr(self, key) for key in ("u", "pressure", "contact", "lower", "upper", "error")}
@@ -68,6 +96,9 @@ class Answer:
         ]  # fmt: skip
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
+        if self.report:
+            values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
+            lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))
         return "\n".join(lines)
 
     def save(self, folder: str | Path) -> None:

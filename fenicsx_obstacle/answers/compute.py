@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import dolfinx
 import numpy as np
@@ -25,6 +25,9 @@ from fenicsx_obstacle.solvers.newton import solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.accuracy.functionals import Report
 
 _log = logging.getLogger(__name__)
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
@@ -86,6 +89,12 @@ class Workbench:
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(scene, level)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
+        self._report: Report | None = None
+        if scene.report:
+            from fenicsx_obstacle.accuracy.functionals import Report  # only where a scene names it
+
+            self._report = Report(self.problem.data)
+            self._report.check()
         self._exact: Exact | None = None
         self._poisson: float | None = None
 
@@ -150,14 +159,16 @@ class Workbench:
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
             "versions": versions(), "command": " ".join(sys.argv),
         }  # fmt: skip
+        pressure, touching = _function(level, p), _function(level, (contact.lower | contact.upper).astype(float))
+        if self._report is not None:
+            record["report"] = self._report.evaluate(u, pressure, touching)
         error = None
         if self.exact is not None:
             error = _function(level, u.x.array - self.exact.nodal(eps))
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
         return Answer(
-            scene, level, u, _function(level, p), _function(level, (contact.lower | contact.upper).astype(float)),
-            problem.data.lower, problem.data.upper, error, history, record,
+            scene, level, u, pressure, touching, problem.data.lower, problem.data.upper, error, history, record,
         )  # fmt: skip
 
 

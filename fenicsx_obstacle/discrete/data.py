@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +12,9 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
+from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.scene import Scene
 
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
@@ -33,15 +35,18 @@ class Data:
         """Integration over the domain."""
         return ufl.Measure("dx", domain=self.level.mesh)
 
-    def cellwise(self, value: Formula, *, positive: bool = False) -> fem.Function:
+    def cellwise(self, value: Value, *, positive: bool = False) -> fem.Function:
         """Function with one value per cell, taken at its midpoint (collective on first use).
 
         Raises:
-            InputError: If it is not finite, or not positive, somewhere.
+            InputError: If it is not finite, or not positive, somewhere, or a material has no value.
         """
         if value.place not in self._cellwise:
             function = fem.Function(self.level.W)
-            self._sample(function, value)
+            if isinstance(value, Materials):
+                self._sample_materials(function, value)
+            else:
+                self._sample(function, value)
             if positive:
                 self._refuse(value, function, function.x.array <= 0, "must be positive; it is")
             self._cellwise[value.place] = function
@@ -56,6 +61,11 @@ class Data:
         function = fem.Function(self.level.V)
         self._sample(function, value)
         return function
+
+    @cached_property
+    def distance(self) -> fem.Function:
+        """Nodal distance to the boundary (first use is collective)."""
+        return self.nodal(self.scene.formula("distance", "distance"))
 
     @cached_property
     def lower(self) -> fem.Function | None:
@@ -78,7 +88,7 @@ class Data:
             dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, facets)
             formula = self.scene.formula(0.0 if part.value is None else part.value, f"{place} value")
             function = fem.Function(level.V)
-            function.x.array[dofs] = self.scene.at_points(formula, self._points(level.V)[:, dofs])
+            function.x.array[dofs] = self._at_points(formula, self._points(level.V)[:, dofs])
             self._refuse_infinite(formula, function)
             values.x.array[dofs] = function.x.array[dofs]
             fixed[dofs] = True
@@ -128,26 +138,66 @@ class Data:
                 raise InputError(
                     f"{self.scene.source}: {place} on: no part named '{name}'" + nearest(name, level.facets)
                 )
+            if total(level.comm, len(level.facets[name])) == 0:
+                what = "no edge of the mesh lies on it; a curve inside must be embedded in its surface"
+                raise InputError(f"{self.scene.source}: {place} on = '{name}': {what}")
         return np.unique(np.concatenate([level.facets[name] for name in names])).astype(np.int32)
 
     def _points(self, V: fem.FunctionSpace) -> np.ndarray:
         return np.ascontiguousarray(V.tabulate_dof_coordinates().T)
 
     def _sample(self, function: fem.Function, formula: Formula) -> None:
-        function.x.array[:] = self.scene.at_points(formula, self._points(function.function_space))
+        function.x.array[:] = self._at_points(formula, self._points(function.function_space))
         function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
 
-    def _refuse_infinite(self, formula: Formula, function: fem.Function) -> None:
+    def _sample_materials(self, function: fem.Function, value: Materials) -> None:
+        """Each formula in the cells of its material: every cell must have one value (collective)."""
+        groups, comm, points = self.level.groups, self.level.comm, self._points(self.level.W)
+        values, times = function.x.array, np.zeros(len(function.x.array), dtype=int)
+        for name, formula in value.parts.items():
+            if name not in groups:
+                hint = nearest(name, groups) if groups else "; the mesh has no named groups of cells"
+                raise InputError(f"{value.place}: no material named '{name}'" + hint)
+            inside = self.level.indicator(name)
+            values[inside] = self._at_points(formula, points[:, inside])
+            times += inside
+        for name in groups:
+            if largest(comm, self.level.indicator(name) & (times == 0)) > 0:
+                raise InputError(f"{value.place} = {value.text}: no value for the material '{name}'")
+        for bad, what in ((times == 0, "no value for a cell without material"), (times > 1, "two values for a cell")):
+            found = self._first(function, bad)
+            if found is not None:
+                raise InputError(f"{value.place} = {value.text}: {what} at {self._at(found[1])}")
+        function.x.scatter_forward()
+        self._refuse_infinite(value, function)
+
+    @cached_property
+    def boundary_distance(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Distance to the boundary of points (n, 3) (first use is collective)."""
+        from fenicsx_obstacle.discrete.distance import BoundaryDistance  # with scipy: only where a scene names it
+
+        return BoundaryDistance(self.level)
+
+    def _at_points(self, formula: Formula, x: np.ndarray) -> np.ndarray:
+        """Values at points (3, n) (collective if the formula names the distance)."""
+        named = "distance" in self.scene.needs(formula)
+        return self.scene.at_points(formula, x, {"distance": self.boundary_distance(x.T)} if named else None)
+
+    def _refuse_infinite(self, formula: Value, function: fem.Function) -> None:
         self._refuse(formula, function, ~np.isfinite(function.x.array), "is not a finite number: it is")
 
-    def _refuse(self, formula: Formula, function: fem.Function, bad: np.ndarray, what: str) -> None:
+    def _refuse(self, formula: Value, function: fem.Function, bad: np.ndarray, what: str) -> None:
         """All ranks raise if any value is bad, naming one place (collective)."""
-        points, values = function.function_space.tabulate_dof_coordinates(), function.x.array
-        mine = next(((values[i], points[i]) for i in np.flatnonzero(bad)), None)
-        found = next((one for one in self.level.comm.allgather(mine) if one is not None), None)
+        found = self._first(function, bad)
         if found is not None:
             raise InputError(f"{formula.place} = {formula.text}: {what} {found[0]:g} at {self._at(found[1])}")
+
+    def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
+        """Value and place of the first bad dof, the same on every rank (collective)."""
+        points, values = function.function_space.tabulate_dof_coordinates(), function.x.array
+        mine = next(((values[i], points[i]) for i in np.flatnonzero(bad)), None)
+        return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
 
     def _refuse_gap(self, excess: np.ndarray, tolerance: float, message: str) -> None:
         """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""

@@ -12,14 +12,18 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
 _LINEAR = {1: {1}, 2: {2}, 3: {4}}  # Gmsh's numbers of straight lines, triangles, tetrahedra
 
 
-def read(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]]:
-    """A mesh and the facets of each named part of it (collective).
+Groups = dict[str, np.ndarray]
+
+
+def read(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
+    """A mesh, the local facets of each named curve (in solids, surface), the owned cells of each material (collective).
 
     Raises:
         InputError: If the file is missing, broken, or has cells other than straight simplices.
@@ -35,15 +39,20 @@ def _check(path: Path) -> None:
         raise InputError(f"{path}: a mesh file ends in .msh, .geo (Gmsh) or .xdmf")
 
 
-def _gmsh(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]]:
+def _gmsh(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
     dim, gdim, names = on_root(comm, _open_gmsh, path)
     import gmsh
 
-    mesh, _, facet_tags = releases.from_gmsh(gmsh.model, comm, gdim)
+    mesh, cell_tags, facet_tags = releases.from_gmsh(gmsh.model, comm, gdim)
     if comm.rank == 0:
         gmsh.finalize()
     facets = {name: facet_tags.find(tag) for name, (d, tag) in names.items() if d == dim - 1 and facet_tags is not None}
-    return mesh, facets
+    groups = {name: _owned(mesh, cell_tags.find(tag)) for name, (d, tag) in names.items() if d == dim}
+    return mesh, facets, groups
+
+
+def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
+    return cells[cells < own_cells(mesh)]
 
 
 def _open_gmsh(path: Path) -> tuple[int, int, dict[str, tuple[int, int]]]:
@@ -77,6 +86,13 @@ def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, dict[str, tuple[int
         raise InputError(f"{path}: has {', '.join(kinds)} cells; P1 needs straight lines, triangles or tetrahedra")
     if not model.getPhysicalGroups(dim):  # only what is in a physical group becomes part of the mesh
         model.addPhysicalGroup(dim, [tag for _, tag in model.getEntities(dim)])
+    for d in (dim, dim - 1):
+        for _, entity in model.getEntities(d):
+            both = [model.getPhysicalName(d, tag) or str(tag) for tag in model.getPhysicalGroupsForEntity(d, entity)]
+            if len(both) > 1:
+                kind = ("point", "curve", "surface", "volume")[d]
+                words = " and ".join(f"'{name}'" for name in both)
+                raise InputError(f"{path}: {kind} {entity} is in the physical groups {words}; one is allowed")
     coordinates = np.asarray(model.mesh.getNodes()[1]).reshape(-1, 3)
     flat = np.abs(coordinates).max(axis=0) > 1e-12 * np.abs(coordinates).max()
     gdim = max(dim, int(np.flatnonzero(flat).max(initial=0)) + 1)
@@ -84,21 +100,23 @@ def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, dict[str, tuple[int
     return dim, gdim, names
 
 
-def _xdmf(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, dict[str, np.ndarray]]:
+def _xdmf(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
     grid, tags = on_root(comm, _grids, path)
-    facets: dict[str, np.ndarray] = {}
+    facets, groups = Groups(), Groups()
     try:
         with io.XDMFFile(comm, str(path), "r") as file:
             mesh = releases.from_xdmf(file, grid)
             dim = mesh.topology.dim
             for name in tags:
                 found = file.read_meshtags(mesh, name=name)
+                values = set().union(*comm.allgather(found.values.tolist()))
                 if found.dim == dim - 1:
-                    values = set().union(*comm.allgather(found.values.tolist()))
                     facets |= {str(tag): found.find(tag) for tag in values}
+                elif found.dim == dim:
+                    groups |= {str(tag): _owned(mesh, found.find(tag)) for tag in values}
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    return mesh, facets
+    return mesh, facets, groups
 
 
 def _grids(path: Path) -> tuple[str, list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 from math import factorial
@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import files
+from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices, volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import before, largest
 from fenicsx_obstacle.scenes import shapes
@@ -31,7 +32,8 @@ class Level:
         mesh: Simplices.
         V: Continuous P1 functions, the paper's V_h without boundary values.
         h: Side of the grid for shapes, largest sqrt(2|T|) or (6|T|)^(1/3) for other meshes.
-        facets: Local facets of each named part of the boundary.
+        facets: Local facets of each named part of the boundary, or curve (in solids, surface) inside.
+        groups: Owned cells of each named material.
         shape: The recipe, for shapes.
         coarse: The level it was refined from.
         ends: For each owned dof the two local dofs of `coarse` of which it is the mean: the ends of the edge it
@@ -42,6 +44,7 @@ class Level:
     V: fem.FunctionSpace
     h: float
     facets: dict[str, np.ndarray]
+    groups: dict[str, np.ndarray] = field(default_factory=dict)
     shape: shapes.Shape | None = None
     coarse: Level | None = None
     ends: np.ndarray | None = None
@@ -73,9 +76,16 @@ class Level:
     @cached_property
     def h_max(self) -> float:
         """Longest edge (first use is collective)."""
-        corners = _corners(self.mesh)
-        edges = [corners[:, i] - corners[:, j] for i, j in combinations(range(corners.shape[1]), 2)]
+        x = corners(self.mesh)
+        edges = [x[:, i] - x[:, j] for i, j in combinations(range(x.shape[1]), 2)]
         return largest(self.comm, [np.linalg.norm(edge, axis=1).max(initial=0.0) for edge in edges])
+
+    def indicator(self, name: str) -> np.ndarray:
+        """Whether each local dof of W belongs to a cell of a named material, ghosts included (collective)."""
+        inside = fem.Function(self.W)
+        inside.x.array[releases.cell_dofs(self.W)[self.groups[name], 0]] = 1.0
+        inside.x.scatter_forward()
+        return inside.x.array > 0.5
 
     @cached_property
     def boundary_facets(self) -> np.ndarray:
@@ -93,8 +103,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     if scene.mesh is not None:
         level = _level(releases.settle(scene.mesh))
     elif table.file is not None:
-        mesh, facets = files.read(scene.folder / table.file, comm)
-        level = _level(mesh, facets)
+        level = _level(*files.read(scene.folder / table.file, comm))
     else:
         level = _from_shape(_shape(scene), table.refine, comm)
     for _ in range(table.refine):
@@ -108,7 +117,7 @@ def refined(level: Level) -> Level:
     interval = mesh.topology.dim == 1
     new, parents = _halved(level) if interval else releases.refine(mesh)
     V = releases.functionspace(new, "Lagrange", 1)
-    weights = _barycentric(_corners(new)[: len(parents)], _corners(mesh)[parents])
+    weights = barycentric(corners(new)[: len(parents)], corners(mesh)[parents])
     ends = np.empty((V.dofmap.index_map.size_local, 2), dtype=np.int32)
     dofs, parent_dofs = releases.cell_dofs(V)[: len(parents)], releases.cell_dofs(level.V)[parents]
     for vertex in range(dofs.shape[1]):
@@ -122,7 +131,8 @@ def refined(level: Level) -> Level:
     shape, facets = level.shape, _inherited(level, new, parents, weights)
     if shape is not None and shape.project is not None:
         _snap(V, dmesh.exterior_facet_indices(new.topology), shape.project)
-    return Level(new, V, level.h / 2, facets, shape, level, ends)
+    groups = {name: np.flatnonzero(np.isin(parents, cells)) for name, cells in level.groups.items()}
+    return Level(new, V, level.h / 2, facets, groups, shape, level, ends)
 
 
 def _shape(scene: Scene) -> shapes.Shape:
@@ -165,41 +175,28 @@ def _from_shape(shape: shapes.Shape, refine: int, comm: MPI.Comm) -> Level:
         mesh = releases.create_mesh(comm, cells, points, shape.cell)
     else:
         ghosts = {"ghost_mode": releases.FACET_GHOSTS}
-        corners = [np.array(shape.lower), np.array(shape.upper)]
+        ends = [np.array(shape.lower), np.array(shape.upper)]
         if dim == 1:
             mesh = dmesh.create_interval(comm, shape.cells[0], [shape.lower[0], shape.upper[0]], **ghosts)
         elif dim == 2:
             kind = releases.diagonal({"union-jack": "right_left"}.get(shape.diagonal, shape.diagonal))
-            mesh = dmesh.create_rectangle(comm, corners, list(shape.cells), diagonal=kind, **ghosts)
+            mesh = dmesh.create_rectangle(comm, ends, list(shape.cells), diagonal=kind, **ghosts)
         else:
-            mesh = dmesh.create_box(comm, corners, list(shape.cells), **ghosts)
+            mesh = dmesh.create_box(comm, ends, list(shape.cells), **ghosts)
         mesh = releases.settle(mesh)
     V = releases.functionspace(mesh, "Lagrange", 1)
-    return Level(mesh, V, shape.h, _named(mesh, shape), shape)
+    return Level(mesh, V, shape.h, _named(mesh, shape), shape=shape)
 
 
-def _level(mesh: dmesh.Mesh, facets: dict[str, np.ndarray] | None = None) -> Level:
+def _level(
+    mesh: dmesh.Mesh, facets: dict[str, np.ndarray] | None = None, groups: dict[str, np.ndarray] | None = None
+) -> Level:
     """A mesh that is not one of our shapes: h from the volumes of its cells."""
     dim, cell = mesh.topology.dim, releases.cell_name(mesh)
     if cell not in ("interval", "triangle", "tetrahedron"):
         raise InputError(f"the mesh has {cell} cells; P1 needs intervals, triangles or tetrahedra")
-    edges = _corners(mesh)[:, 1:] - _corners(mesh)[:, :1]
-    volumes = np.sqrt(np.maximum(np.linalg.det(edges @ edges.transpose(0, 2, 1)), 0.0)) / factorial(dim)
-    h = largest(mesh.comm, (factorial(dim) * volumes) ** (1 / dim))
-    return Level(mesh, releases.functionspace(mesh, "Lagrange", 1), h, facets or {})
-
-
-def _corners(mesh: dmesh.Mesh) -> np.ndarray:
-    """Coordinates of the vertices of each local cell, shape (cells, vertices, 3)."""
-    return mesh.geometry.x[releases.geometry_dofs(mesh)]
-
-
-def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates, shape (cells, points, vertices), of points (cells, points, 3) in cells."""
-    edges = corners[:, 1:] - corners[:, :1]
-    gram = edges @ edges.transpose(0, 2, 1)
-    inner = np.linalg.solve(gram, edges @ (points - corners[:, :1]).transpose(0, 2, 1)).transpose(0, 2, 1)
-    return np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
+    h = largest(mesh.comm, (factorial(dim) * volumes(corners(mesh))) ** (1 / dim))
+    return Level(mesh, releases.functionspace(mesh, "Lagrange", 1), h, facets or {}, groups or {})
 
 
 def _halved(level: Level) -> tuple[dmesh.Mesh, np.ndarray]:
@@ -215,7 +212,7 @@ def _halved(level: Level) -> tuple[dmesh.Mesh, np.ndarray]:
     middle = first + owned + np.arange(own_cells)
     cells = np.column_stack([ends[:, 0], middle, middle, ends[:, 1]]).reshape(-1, 2)
     gdim = mesh.geometry.dim
-    points = np.vstack([level.V.tabulate_dof_coordinates()[:owned], _corners(mesh)[:own_cells].mean(axis=1)])[:, :gdim]
+    points = np.vstack([level.V.tabulate_dof_coordinates()[:owned], corners(mesh)[:own_cells].mean(axis=1)])[:, :gdim]
     new = releases.create_mesh(level.comm, cells, points, "interval", stay=True)
     start = before(level.comm, len(cells))
     own = new.topology.index_map(1).size_local
@@ -238,9 +235,8 @@ def _snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarra
 def _inherited(level: Level, new: dmesh.Mesh, parents: np.ndarray, weights: np.ndarray) -> dict[str, np.ndarray]:
     """Named facets of a refined file: those that lie within a named facet of their parent cell."""
     dim = new.topology.dim
-    # facet i of a simplex is opposite to its vertex i, except that facet i of an interval is its vertex i
-    members = [[i] if dim == 1 else [j for j in range(dim + 1) if j != i] for i in range(dim + 1)]
-    old_facets, new_facets = _cell_facets(level.mesh)[parents], _cell_facets(new)[: len(parents)]
+    members = facet_vertices(dim)
+    old_facets, new_facets = cell_facets(level.mesh)[parents], cell_facets(new)[: len(parents)]
     found: dict[str, np.ndarray] = {}
     for name, named in level.facets.items():
         marked = np.isin(old_facets, named)
@@ -252,13 +248,6 @@ def _inherited(level: Level, new: dmesh.Mesh, parents: np.ndarray, weights: np.n
                 inside.append(new_facets[on_old & marked[:, k], i])
         found[name] = np.unique(np.concatenate(inside)).astype(np.int32)
     return found
-
-
-def _cell_facets(mesh: dmesh.Mesh) -> np.ndarray:
-    """Facets of each local cell, shape (cells, facets)."""
-    dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim, dim - 1)
-    return mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
 
 
 def _free_memory() -> float:

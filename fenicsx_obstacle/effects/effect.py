@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
     import ufl
 
-    from fenicsx_obstacle.scenes.formulas import Formula
+    from fenicsx_obstacle.scenes.materials import Value
 
 
 class Sampler(Protocol):
     """Gives an effect its data on a mesh."""
 
-    def cellwise(self, value: Formula, *, positive: bool = False) -> Any:
+    def cellwise(self, value: Value, *, positive: bool = False) -> Any:
         """Function with one value per cell, taken at its midpoint."""
 
     @property
@@ -27,10 +27,10 @@ class Effect:
     """One term of the equation. Subclasses give the form; the defaults say 'nothing'.
 
     Attributes:
-        value: The effect's data, a number or formula from the scene.
+        value: The effect's data from the scene: a number, a formula, or one of these for each material.
     """
 
-    value: Formula
+    value: Value
 
     key: ClassVar[str] = ""  # its name in [effects]
     equation: ClassVar[str] = ""  # how it enters the equation, for `explain`

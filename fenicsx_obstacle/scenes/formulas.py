@@ -27,34 +27,14 @@ _ONE_ARGUMENT = tuple(
 )
 # name: least and largest number of arguments
 FUNCTIONS = {
-    **dict.fromkeys(
-        [
-            "sin",
-            "cos",
-            "tan",
-            "asin",
-            "acos",
-            "atan",
-            "sinh",
-            "cosh",
-            "tanh",
-            "exp",
-            "ln",
-            "log",
-            "log10",
-            "sqrt",
-            "abs",
-            "sign",
-            "floor",
-        ],
-        (1, 1),
-    ),
+    **dict.fromkeys(_ONE_ARGUMENT, (1, 1)),
     "atan2": (2, 2),
     "hypot": (2, 2),
     "min": (2, 9),
     "max": (2, 9),
     "where": (3, 3),
 }
+FUNCTIONALS = {"integral": (1, 2), "at": (2, 4), "sup": (1, 1), "inf": (1, 1)}  # in [report] only
 
 
 @dataclass(frozen=True)
@@ -85,7 +65,15 @@ class Formula:
         """
         for node in ast.walk(self.tree):
             if isinstance(node, ast.Name) and node.id in self.names and node.id not in known:
-                raise InputError(_at(self, node, f"unknown name '{node.id}'" + nearest(node.id, known)))
+                raise InputError(self.pointing(node, f"unknown name '{node.id}'" + nearest(node.id, known)))
+
+    def part(self, node: ast.expr) -> Formula:
+        """A formula within this one."""
+        return Formula(self.text, self.place, node)
+
+    def pointing(self, node: ast.AST, message: str) -> str:
+        """A message with the formula and a sign below the place of `node`."""
+        return _caret(self, _column(self.text, getattr(node, "col_offset", 0)), message)
 
     def evaluate(self, values: Mapping[str, Any], alphabet: Mapping[str, Callable[..., Any]]) -> Any:
         """Value of the formula.
@@ -103,8 +91,13 @@ class Formula:
             return np.asarray(self.evaluate(values, NUMPY), dtype=np.float64)
 
 
-def parse(text: str | float, place: str) -> Formula:
+def parse(text: str | float, place: str, *, functionals: bool = False) -> Formula:
     """Parse a formula or a number.
+
+    Args:
+        text: The formula.
+        place: Where it stands.
+        functionals: Whether `integral`, `at`, `sup` and `inf` may be called.
 
     Raises:
         InputError: With the place and the column of what cannot be read.
@@ -126,7 +119,7 @@ def parse(text: str | float, place: str) -> Formula:
     except (MemoryError, RecursionError, ValueError):
         raise InputError(f"{place}: this formula is nested too deeply or holds strange characters") from None
     formula = Formula(text, place, tree)
-    _check(formula, tree, 0)
+    _check(formula, tree, 0, {**FUNCTIONS, **FUNCTIONALS} if functionals else FUNCTIONS)
     return formula
 
 
@@ -136,14 +129,14 @@ def nearest(word: str, known: Any) -> str:
     return f"; did you mean '{close[0]}'?" if close else f" (known: {', '.join(sorted(known))})"
 
 
-def _check(formula: Formula, node: ast.expr, depth: int) -> None:
+def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str, tuple[int, int]]) -> None:
     """Refuse whatever is not arithmetic."""
     if depth > MAX_DEPTH:
         raise InputError(f"{formula.place}: formula nested deeper than {MAX_DEPTH} operations")
     children: list[ast.expr]
     match node:
         case ast.Constant(value=bool()) | ast.Constant(value=complex()):
-            raise InputError(_at(formula, node, "only real numbers"))
+            raise InputError(formula.pointing(node, "only real numbers"))
         case ast.Constant(value=int() | float()) | ast.Name():
             children = []
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
@@ -155,17 +148,22 @@ def _check(formula: Formula, node: ast.expr, depth: int) -> None:
         case ast.BoolOp(values=parts):
             children = parts
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
-            if name not in FUNCTIONS:
-                raise InputError(_at(formula, node, f"unknown function '{name}'" + nearest(name, FUNCTIONS)))
-            least, most = FUNCTIONS[name]
+            if name not in functions:
+                hint = "; it belongs in [report]" if name in FUNCTIONALS else nearest(name, functions)
+                raise InputError(formula.pointing(node, f"unknown function '{name}'" + hint))
+            least, most = functions[name]
             if not least <= len(args) <= most:
                 wanted = f"{least}" if least == most else f"{least} to {most}"
-                raise InputError(_at(formula, node, f"{name} takes {wanted} arguments, not {len(args)}"))
+                raise InputError(formula.pointing(node, f"{name} takes {wanted} arguments, not {len(args)}"))
             children = args
+            if name == "integral" and len(args) == 2:
+                if not (isinstance(args[1], ast.Constant) and isinstance(args[1].value, str)):
+                    raise InputError(formula.pointing(args[1], "expected the name of a part of the mesh, in quotes"))
+                children = args[:1]
         case _:
-            raise InputError(_at(formula, node, "not allowed in a formula"))
+            raise InputError(formula.pointing(node, "not allowed in a formula"))
     for child in children:
-        _check(formula, child, depth + 1)
+        _check(formula, child, depth + 1, functions)
 
 
 def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mapping[str, Callable[..., Any]]) -> Any:
@@ -202,7 +200,7 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
             return do["where"](condition(test), number(yes), number(no))
         case ast.Call(func=ast.Name(id=name), args=args):
             if name not in do:
-                raise InputError(_at(formula, node, f"{name} cannot be differentiated, so not in [exact]"))
+                raise InputError(formula.pointing(node, f"{name} cannot be differentiated, so not in [exact]"))
             parts = [number(arg) for arg in args]
             return _fold(do[name], parts) if name in ("min", "max") else do[name](*parts)
     raise AssertionError(ast.dump(node))  # _check let nothing else pass
@@ -230,10 +228,6 @@ def _column(text: str, offset: int) -> int:
             return lead + column
         parsed += 2 if sign == "^" else 1
     return len(text)
-
-
-def _at(formula: Formula, node: ast.expr, message: str) -> str:
-    return _caret(formula, _column(formula.text, getattr(node, "col_offset", 0)), message)
 
 
 def _caret(formula: Formula, column: int, message: str) -> str:

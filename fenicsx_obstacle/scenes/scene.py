@@ -15,22 +15,21 @@ from fenicsx_obstacle.effects.effect import Effect, registered
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
+from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 
 COORDINATES = ("x", "y", "z", "r", "theta")
 CONSTANTS = {"pi": math.pi}
 RESERVED = {
     *COORDINATES,
     *CONSTANTS,
+    *FIELDS,
     "t",
     "distance",
     "eps",
     "h",
-    "u",
-    "p",
-    "contact",
-    "slope",
-    "flux",
     *formulas.FUNCTIONS,
+    *formulas.FUNCTIONALS,
 }
 
 
@@ -44,6 +43,7 @@ class Scene:
         name: Short name, for files.
         tables: The scene as it stands in TOML.
         effects: One object per effect that the scene names.
+        report: Figures of the solution, in order.
         mesh: A DOLFINx mesh of the caller's own, or None.
         folder: Where relative file names start.
     """
@@ -53,6 +53,7 @@ class Scene:
     tables: tables.Tables
     effects: tuple[Effect, ...]
     define: Mapping[str, Formula] = field(repr=False)
+    report: Mapping[str, Formula] = field(repr=False)
     mesh: Any = None
     folder: Path = Path()
 
@@ -65,6 +66,7 @@ class Scene:
         boundary: Any = ({"value": 0.0},),
         exact: float | str | None = None,
         define: Mapping[str, float | str] | None = None,
+        report: Mapping[str, float | str] | None = None,
         title: str = "",
         u: str = "u",
         **effects: Any,
@@ -78,9 +80,10 @@ class Scene:
             boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
             exact: Exact solution, where known.
             define: Named numbers and formulas.
+            report: Named figures of the solution: report={"force": "integral(p)"}.
             title: Title.
             u: Name of the unknown on axes.
-            **effects: One value per effect: tension=1, load=-2.
+            **effects: One value per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
 
         Raises:
             InputError: For anything that is wrong without looking at a mesh.
@@ -89,7 +92,7 @@ class Scene:
             "title": title, "u": u, "define": dict(define or {}), "effects": effects,
             "mesh": mesh if isinstance(mesh, dict) else {},
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
-            "boundary": list(boundary),
+            "boundary": list(boundary), "report": dict(report or {}),
         }  # fmt: skip
         if exact is not None:
             raw["exact"] = {"u": exact}
@@ -143,7 +146,8 @@ class Scene:
         for formula in self._formulas():
             formula.check_names(self.known_names)
         if typed.exact is not None:
-            self.formula(typed.exact.u, "[exact] u").check_names({*self.known_names, "eps"})
+            self._check_exact(self.formula(typed.exact.u, "[exact] u"))
+        set_("report", parse_report(self, typed.report, RESERVED))
         eps = self.number(typed.solve.eps, "[solve] eps", {"h": 1.0})
         if eps <= 0:
             raise InputError(f"{source}: [solve] eps = {typed.solve.eps}: must be positive and finite")
@@ -152,11 +156,28 @@ class Scene:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): the key 'value' is missing")
             if part.on is not None and part.where is not None:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): 'on' and 'where' exclude each other")
+            if part.where is not None and "distance" in self.needs(self.formula(part.where, "")):
+                raise InputError(
+                    f"{source}: [[boundary]] (no. {number + 1}) where: 'distance' is 0 all over the boundary"
+                )
 
     @property
     def known_names(self) -> set[str]:
         """Names that formulas at points may use."""
-        return {*self.define, *CONSTANTS, *COORDINATES}
+        return {*self.define, *CONSTANTS, *COORDINATES, "distance"}
+
+    def needs(self, formula: Formula) -> set[str]:
+        """Names that a formula uses, itself and through definitions."""
+        found, new = set[str](), formula.names
+        while new:
+            found |= new
+            new = {name for key in new & set(self.define) for name in self.define[key].names} - found
+        return found
+
+    def is_constant(self, name: str) -> bool:
+        """Whether a known name has one value everywhere."""
+        used = {name, *(self.needs(self.define[name]) if name in self.define else ())}
+        return not used & {*COORDINATES, "distance"}
 
     def formula(self, value: float | str, place: str) -> Formula:
         """Parse a value of this scene; `place` is its table and key."""
@@ -168,15 +189,17 @@ class Scene:
         Args:
             formula: From `formula()`.
             x: Points, shape (3, n).
-            values: Further names, such as eps.
+            values: Further names, such as eps; `distance`, where the formula needs it.
 
         Returns:
             Array of n values.
         """
         names: dict[str, Any] = {**CONSTANTS, **(values or {})}
         names.update(zip(COORDINATES, (*x, np.linalg.norm(x, axis=0), np.arctan2(x[1], x[0])), strict=True))
+        needed = self.needs(formula)
         for key, defined in self.define.items():
-            names[key] = defined.on_arrays(names)
+            if key in needed:
+                names[key] = defined.on_arrays(names)
         return np.broadcast_to(formula.on_arrays(names), x.shape[1:])
 
     def number(self, value: float | str, place: str, values: Mapping[str, float] | None = None) -> float:
@@ -205,7 +228,7 @@ class Scene:
             if key in RESERVED:
                 raise InputError(f"{self.source}: {place}: '{key}' has a meaning already; choose another name")
             formula = self.formula(value, place)
-            formula.check_names({*definitions, *CONSTANTS, *COORDINATES})
+            formula.check_names({*definitions, *CONSTANTS, *COORDINATES, "distance"})
             definitions[key] = formula
         return definitions
 
@@ -214,19 +237,34 @@ class Scene:
         for key, value in self.tables.effects.items():
             if key not in known:
                 raise InputError(f"{self.source}: [effects] unknown effect '{key}'" + nearest(key, known))
-            if isinstance(value, bool) or not isinstance(value, float | int | str):
-                raise InputError(f"{self.source}: [effects] {key} = {value!r}: expected a number or a formula")
+            if isinstance(value, bool) or not isinstance(value, float | int | str | dict) or value == {}:
+                wanted = "a number, a formula or {material = value}"
+                raise InputError(f"{self.source}: [effects] {key} = {value!r}: expected {wanted}")
         if not any(known[key].elastic for key in self.tables.effects):
             raise InputError(f"{self.source}: [effects] names no stiffness: add 'tension = 1'")
-        return tuple(known[key](self.formula(value, f"[effects] {key}")) for key, value in self.tables.effects.items())
+        return tuple(known[key](self._value(value, f"[effects] {key}")) for key, value in self.tables.effects.items())
 
-    def _formulas(self) -> list[Formula]:
+    def _value(self, value: Any, place: str) -> Value:
+        if not isinstance(value, dict):
+            return self.formula(value, place)
+        for name, part in value.items():
+            if isinstance(part, dict | list):
+                raise InputError(f"{self.source}: {place}.{name} = {part!r}: expected a number or a formula")
+        parts = {name: self.formula(part, f"{place}.{name}") for name, part in value.items()}
+        return Materials(parts, f"{self.source}: {place}")
+
+    def _check_exact(self, formula: Formula) -> None:
+        formula.check_names({*self.known_names, "eps"})
+        if "distance" in self.needs(formula):
+            raise InputError(f"{formula.place}: 'distance' is known at points only, not its gradient: not in [exact]")
+
+    def _formulas(self) -> list[Value]:
         obstacle, parts = self.tables.obstacle, []
         parts += [(value, f"[obstacle] {key}") for key, value in (("lower", obstacle.lower), ("upper", obstacle.upper))]
         for number, part in enumerate(self.tables.boundary):
             place = f"[[boundary]] (no. {number + 1})"
             parts += [(part.value, f"{place} value"), (part.where, f"{place} where")]
-        found = [self.formula(value, place) for value, place in parts if value is not None]
+        found: list[Value] = [self.formula(value, place) for value, place in parts if value is not None]
         return found + [effect.value for effect in self.effects]
 
     def toml(self) -> str:

@@ -71,6 +71,7 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     obstacle: ObstacleTable = ObstacleTable()
     boundary: tuple[BoundaryTable, ...] = ()
     exact: ExactTable | None = None
+    report: dict[str, Value] = {}
     solve: SolveTable = field(default_factory=SolveTable)
 
 

@@ -20,6 +20,7 @@ def explain(scene: Scene) -> str:
         ("mesh", [_mesh(scene)]),
         ("solver", _solver(scene)),
         ("exact", [] if tables.exact is None else [f"u = {tables.exact.u}: errors are reported"]),
+        ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
         ("left out", [_left_out(scene)]),
     ]
     lines = [tables.title or scene.name]

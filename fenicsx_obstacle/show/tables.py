@@ -59,7 +59,7 @@ class StudyTable:
         if self.by != "eps" and row.get("eps") is not None:
             yield Cell("eps", "", f"{row['eps']:.1e}")
         for name, value in (row.get("report") or {}).items():
-            yield Cell(name, "", f"{value:.6g}")
+            yield Cell(name, "", "" if value is None else f"{value:.6g}")
         for quantity in self._measured:
             value = lookup(row, quantity.key)
             yield Cell(quantity.label, self._source(quantity), "" if value is None else f"{value:.3e}")

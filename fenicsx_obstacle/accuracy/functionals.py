@@ -1,0 +1,204 @@
+"""The figures of [report]: integrals, point values and extremes of the solution, by NumPy alone.
+
+P1 fields are linear in a cell, so a functional needs values at chosen barycentric coordinates of chosen cells, and a
+report compiles nothing.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from copy import deepcopy
+
+import basix
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.points import locate, mean_over_cells
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest
+
+DEGREE = 6  # of the quadrature, as for errors
+AT_ONCE = 50_000  # cells in memory
+_CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
+
+
+class Report:
+    """The [report] of a scene on one level.
+
+    Attributes:
+        values: Figures so far, by name.
+    """
+
+    def __init__(self, data: Data):
+        self.data, self.scene, self.level = data, data.scene, data.level
+        self.values: dict[str, float] = {}
+        self._corners, self._dofs = corners(self.level.mesh), releases.cell_dofs(self.level.V)
+        self._every = np.arange(own_cells(self.level.mesh))
+        self._nodal: dict[str, fem.Function] = {}
+
+    def check(self) -> None:
+        """Refuse what the mesh shows to be wrong, before anything is solved (collective).
+
+        Raises:
+            InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside.
+        """
+        dim = self.level.mesh.geometry.dim
+        for formula in self.scene.report.values():
+            for node in ast.walk(formula.tree):
+                match node:
+                    case ast.Call(func=ast.Name(id="integral"), args=[_, ast.Constant(value=str(name)) as part]):
+                        self._check_part(formula, part, name)
+                    case ast.Call(func=ast.Name(id="at"), args=[_, *coordinates]):
+                        if len(coordinates) != dim:
+                            message = f"at() needs {dim} coordinate{'s' * (dim > 1)} here, not {len(coordinates)}"
+                            raise InputError(formula.pointing(node, message))
+                        if all(self._is_known(formula.part(coordinate)) for coordinate in coordinates):
+                            self._locate(formula, node, coordinates)
+
+    def evaluate(self, u: fem.Function, p: fem.Function, contact: fem.Function) -> dict[str, float | None]:
+        """All figures, in order; None where one is not finite (collective).
+
+        Args:
+            u: Solution.
+            p: Contact pressure.
+            contact: 1 at nodes in contact, else 0.
+
+        Raises:
+            InputError: If a point that depends on other figures is outside.
+        """
+        self._nodal, self.values = {"u": u, "p": p, "contact": contact}, {}
+        for name, formula in self.scene.report.items():
+            tree = _Inner(self, formula).visit(deepcopy(formula.tree))
+            self.values[name] = self._number(formula.part(tree))
+        return {name: value if np.isfinite(value) else None for name, value in self.values.items()}
+
+    def functional(self, formula: Formula, call: ast.Call) -> float:
+        """Value of integral, at, sup or inf; those within it have become numbers already (collective)."""
+        expression = formula.part(call.args[0])
+        match _name(call), call.args[1:]:
+            case "integral", []:
+                return self._over_cells(expression, self._every)
+            case "integral", [ast.Constant(value=str(name))]:
+                if name in self.level.groups:
+                    return self._over_cells(expression, self.level.groups[name])
+                return self._over_facets(expression, self.level.facets[name])
+            case "at", coordinates:
+                rows, cells, weights = self._locate(formula, call, coordinates)
+                values = self._inside(expression, cells, weights[:, None])[:, 0]
+                return float(mean_over_cells(self.level.comm, 1, rows, values)[0])
+        vertices = np.eye(self._corners.shape[1])[None]
+        values = np.concatenate([self._inside(expression, block, vertices).ravel() for block in _blocks(self._every)])
+        return (largest if _name(call) == "sup" else smallest)(self.level.comm, values)
+
+    def _over_cells(self, expression: Formula, cells: np.ndarray) -> float:
+        points, weights = _rule(self.level.mesh.topology.dim)
+        parts = [
+            volumes(self._corners[block]) @ (self._inside(expression, block, points[None]) @ weights)
+            for block in _blocks(cells)
+        ]
+        return total(self.level.comm, parts)
+
+    def _over_facets(self, expression: Formula, facets: np.ndarray) -> float:
+        """Integral over facets; slope and flux on a curve inside are means of both sides."""
+        dim = self.level.mesh.topology.dim
+        cells, numbers, shares = sides(self.level.mesh, facets)
+        members = np.array(facet_vertices(dim))[numbers]
+        points, weights = _rule(dim - 1)
+        inside = np.zeros((len(cells), len(points), dim + 1))
+        np.put_along_axis(inside, np.repeat(members[:, None], len(points), axis=1), points[None], axis=2)
+        sizes = volumes(self._corners[cells[:, None], members])
+        return total(self.level.comm, shares * sizes * (self._inside(expression, cells, inside) @ weights))
+
+    def _inside(self, expression: Formula, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """Values in cells, shape (cells, points), at barycentric coordinates of shape (cells or 1, points, vertices).
+
+        Collective where it is the first to need the distance.
+        """
+        shape = (len(cells), where.shape[1])
+        fields: dict[str, Callable[[], np.ndarray]] = {
+            "u": lambda: self._linear(self._nodal["u"], cells, where),
+            "p": lambda: self._linear(self._nodal["p"], cells, where),
+            "contact": lambda: self._linear(self._nodal["contact"], cells, where),
+            "distance": lambda: self._linear(self.data.distance, cells, where),
+            "slope": lambda: self._slope(cells)[:, None],
+            "flux": lambda: (self._tension(cells) * self._slope(cells))[:, None],
+        }
+        named = sorted(self.scene.needs(expression) & set(fields))  # in the same order on every rank
+        values = {name: np.broadcast_to(fields[name](), shape).ravel() for name in named}
+        x = (where @ self._corners[cells]).reshape(-1, 3).T
+        return self.scene.at_points(expression, x, {**self.values, **values}).reshape(shape)
+
+    def _linear(self, function: fem.Function, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
+        return (where @ function.x.array[self._dofs[cells]][:, :, None])[:, :, 0]
+
+    def _slope(self, cells: np.ndarray) -> np.ndarray:
+        """|grad u|, constant in a cell; along the surface, for a surface."""
+        vertices, u = self._corners[cells], self._nodal["u"].x.array[self._dofs[cells]]
+        edges, rises = vertices[:, 1:] - vertices[:, :1], u[:, 1:] - u[:, :1]
+        solved = np.linalg.solve(edges @ edges.transpose(0, 2, 1), rises[:, :, None])[:, :, 0]
+        return np.sqrt(np.maximum(np.sum(rises * solved, axis=1), 0.0))
+
+    def _tension(self, cells: np.ndarray) -> np.ndarray:
+        tension = next(effect.value for effect in self.scene.effects if effect.key == "tension")
+        return self.data.cellwise(tension).x.array[releases.cell_dofs(self.level.W)[cells, 0]]
+
+    def _number(self, formula: Formula) -> float:
+        """Value of a formula of constants."""
+        return float(self.scene.at_points(formula, np.zeros((3, 1)), self.values)[0])
+
+    def _locate(self, formula: Formula, node: ast.AST, coordinates: list[ast.expr]) -> tuple[np.ndarray, ...]:
+        point = np.zeros((1, 3))
+        point[0, : len(coordinates)] = [self._number(formula.part(coordinate)) for coordinate in coordinates]
+        found = locate(self.level, point)
+        if total(self.level.comm, len(found[0])) == 0:
+            place = ", ".join(f"{x:g}" for x in point[0, : len(coordinates)])
+            raise InputError(formula.pointing(node, f"the point ({place}) is outside the mesh"))
+        return found
+
+    def _is_known(self, formula: Formula) -> bool:
+        """Whether a coordinate has its value before the solution is there."""
+        calls = any(isinstance(node, ast.Call) and _name(node) in FUNCTIONALS for node in ast.walk(formula.tree))
+        return not calls and not formula.names & set(self.scene.report)
+
+    def _check_part(self, formula: Formula, node: ast.expr, name: str) -> None:
+        facets, groups = self.level.facets, self.level.groups
+        if name in facets and name in groups:
+            raise InputError(formula.pointing(node, f"'{name}' is the name of cells and of their sides"))
+        if name not in facets and name not in groups:
+            message = f"no part of the mesh named '{name}'" + nearest(name, {*facets, *groups})
+            raise InputError(formula.pointing(node, message))
+
+
+class _Inner(ast.NodeTransformer):
+    """Replaces the functionals of a formula by their values, innermost first (collective)."""
+
+    def __init__(self, report: Report, formula: Formula):
+        self.report, self.formula = report, formula
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        self.generic_visit(node)
+        if _name(node) not in FUNCTIONALS:
+            return node
+        return ast.copy_location(ast.Constant(self.report.functional(self.formula, node)), node)
+
+
+def _name(call: ast.Call) -> str:
+    assert isinstance(call.func, ast.Name)
+    return call.func.id
+
+
+def _blocks(cells: np.ndarray) -> list[np.ndarray]:
+    return np.array_split(cells, 1 + len(cells) // AT_ONCE)
+
+
+def _rule(dim: int) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points, shape (n, dim + 1), and weights of sum 1 of a quadrature on a simplex."""
+    if dim == 0:
+        return np.ones((1, 1)), np.ones(1)
+    points, weights = basix.make_quadrature(_CELLS[dim], DEGREE)
+    return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()

@@ -1,0 +1,61 @@
+"""Simplices as arrays: corners, facets, barycentric coordinates. All functions are local unless they say more."""
+
+from __future__ import annotations
+
+from math import factorial
+
+import numpy as np
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import releases
+
+
+def corners(mesh: dmesh.Mesh) -> np.ndarray:
+    """Coordinates of the vertices of each local cell, shape (cells, vertices, 3)."""
+    return mesh.geometry.x[releases.geometry_dofs(mesh)]
+
+
+def volumes(corners: np.ndarray) -> np.ndarray:
+    """Lengths, areas or volumes of simplices given by their corners (n, vertices, 3); 1 for points."""
+    edges = corners[:, 1:] - corners[:, :1]
+    gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
+    return np.sqrt(np.maximum(gram, 0.0)) / factorial(corners.shape[1] - 1)
+
+
+def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates, shape (cells, points, vertices), of points (cells, points, 3) in cells."""
+    edges = corners[:, 1:] - corners[:, :1]
+    gram = edges @ edges.transpose(0, 2, 1)
+    inner = np.linalg.solve(gram, edges @ (points - corners[:, :1]).transpose(0, 2, 1)).transpose(0, 2, 1)
+    return np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
+
+
+def cell_facets(mesh: dmesh.Mesh) -> np.ndarray:
+    """Facets of each local cell, shape (cells, facets)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim, dim - 1)
+    return mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+
+
+def facet_vertices(dim: int) -> list[list[int]]:
+    """Vertices of each facet of a simplex: facet i is opposite to vertex i, except that of an interval, vertex i."""
+    return [[i] if dim == 1 else [j for j in range(dim + 1) if j != i] for i in range(dim + 1)]
+
+
+def own_cells(mesh: dmesh.Mesh) -> int:
+    """Number of owned cells; they are the first ones."""
+    return mesh.topology.index_map(mesh.topology.dim).size_local
+
+
+def sides(mesh: dmesh.Mesh, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The sides of owned cells that make up given facets.
+
+    A facet within the domain has two, maybe on two ranks; each counts half.
+
+    Returns:
+        Cell, number of the facet in it, and share in the facet, of each side.
+    """
+    table = cell_facets(mesh)
+    shares = np.bincount(table.ravel(), minlength=table.max(initial=-1) + 1)
+    cells, numbers = np.nonzero(np.isin(table[: own_cells(mesh)], facets))
+    return cells, numbers, 1.0 / shares[table[cells, numbers]]

@@ -1,0 +1,59 @@
+"""Values at points: which cells hold a point, on any number of ranks."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import barycentric, corners
+from fenicsx_obstacle.discrete.levels import Level
+
+ROUND_OFF = 1e-9  # of the size of a cell: how far outside a point may lie
+OFF_SURFACE = 0.1  # likewise, for surfaces in space: points of the true surface lie beside the flat cells
+
+
+def locate(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The owned cells that hold points; on an edge all cells beside it (collective).
+
+    Args:
+        level: Mesh.
+        points: The same on every rank, shape (n, 3).
+
+    Returns:
+        Rows of `points`, cells, and barycentric coordinates, shape (pairs, vertices).
+    """
+    mesh = level.mesh
+    allowed = ROUND_OFF if mesh.topology.dim == mesh.geometry.dim else OFF_SURFACE
+    rows, cells = releases.cells_near(mesh, points, allowed * level.h_max)
+    vertices = corners(mesh)[cells]
+    size = np.linalg.norm(vertices[:, 1:] - vertices[:, :1], axis=2).max(axis=1)
+    weights = np.maximum(barycentric(points[rows][:, None], vertices)[:, 0], 0.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    gap = np.linalg.norm((weights[:, None] @ vertices)[:, 0] - points[rows], axis=1)
+    nearest = np.full(len(points), np.inf)
+    np.minimum.at(nearest, rows, gap)
+    level.comm.Allreduce(MPI.IN_PLACE, nearest, MPI.MIN)
+    holds = (gap <= allowed * size) & (gap <= nearest[rows] + ROUND_OFF * size)
+    return rows[holds], cells[holds], weights[holds]
+
+
+def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Mean of the values found at each of `count` points, not-a-number where there is none (collective)."""
+    sums = np.array([np.bincount(rows, values, count), np.bincount(rows, minlength=count)])
+    comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
+    return np.divide(sums[0], sums[1], out=np.full(count, np.nan), where=sums[1] > 0)
+
+
+def values_at(level: Level, u: fem.Function, points: np.ndarray) -> np.ndarray:
+    """Values of a P1 function at points, not-a-number outside the mesh (collective).
+
+    Args:
+        level: Where u lives.
+        u: Function in level.V.
+        points: The same on every rank, shape (n, 3).
+    """
+    rows, cells, weights = locate(level, points)
+    values = (u.x.array[releases.cell_dofs(level.V)[cells]] * weights).sum(axis=1)
+    return mean_over_cells(level.comm, len(points), rows, values)

@@ -1,0 +1,79 @@
+"""[report]: figures of the solution, checked as far as they can be without a mesh."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest, parse
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.scenes.scene import Scene
+
+FIELDS = ("u", "p", "contact", "slope", "flux")
+_DIMENSIONS = {"interval": 1, "rectangle": 2, "disk": 2, "l-shape": 2, "box": 3}
+
+
+def parse_report(scene: Scene, entries: Mapping[str, float | str], reserved: set[str]) -> dict[str, Formula]:
+    """The formulas of [report], in order.
+
+    Args:
+        scene: With its definitions.
+        entries: The table.
+        reserved: Names with a meaning already.
+
+    Raises:
+        InputError: Naming the entry and the column.
+    """
+    found: dict[str, Formula] = {}
+    for name, value in entries.items():
+        place = f"{scene.source}: [report] {name}"
+        if not name.isidentifier():
+            raise InputError(f"{place}: a name has letters, digits and _ only")
+        if name in reserved or name in scene.define:
+            raise InputError(f"{place}: '{name}' has a meaning already; choose another name")
+        formula = parse(value, place, functionals=True)
+        _Checker(scene, formula, set(found)).check(formula.tree, inside=False)
+        found[name] = formula
+    return found
+
+
+class _Checker:
+    """Names and arities of one entry; `earlier` are the entries before it."""
+
+    def __init__(self, scene: Scene, formula: Formula, earlier: set[str]):
+        self.formula, self.dimension = formula, _DIMENSIONS.get(scene.tables.mesh.shape or "")
+        self.varying = {*scene.known_names, *FIELDS, *earlier}
+        self.constant = {name for name in scene.known_names if scene.is_constant(name)} | earlier
+
+    def check(self, node: ast.expr, *, inside: bool) -> None:
+        """Check a subtree; `inside` a functional, where fields have values."""
+        match node:
+            case ast.Name(id=name):
+                self._name(node, name, inside)
+            case ast.Call(func=ast.Name(id=name), args=[first, *rest]) if name in FUNCTIONALS:
+                self.check(first, inside=True)
+                if name == "at":
+                    if self.dimension is not None and len(rest) != self.dimension:
+                        wanted = f"{self.dimension} coordinate{'s' * (self.dimension > 1)}"
+                        raise InputError(self.formula.pointing(node, f"at() needs {wanted} here, not {len(rest)}"))
+                    for coordinate in rest:
+                        self.check(coordinate, inside=False)
+            case ast.Call(args=args):
+                for child in args:
+                    self.check(child, inside=inside)
+            case _:
+                for operand in ast.iter_child_nodes(node):
+                    if isinstance(operand, ast.expr):
+                        self.check(operand, inside=inside)
+
+    def _name(self, node: ast.expr, name: str, inside: bool) -> None:
+        if name in (self.varying if inside else self.constant):
+            return
+        if name in self.varying:
+            message = f"'{name}' differs from place to place: wrap it in integral, at, sup or inf"
+        else:
+            message = f"unknown name '{name}'" + nearest(name, self.varying)
+        raise InputError(self.formula.pointing(node, message))
