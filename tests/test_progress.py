@@ -1,10 +1,13 @@
 """Progress on a terminal, silence elsewhere, a log where it is asked for."""
 
+import fcntl
 import os
 import pty
 import re
+import struct
 import subprocess
 import sys
+import termios
 
 import pytest
 from conftest import DEMOS
@@ -17,6 +20,9 @@ STUDY = ["study", str(DEMOS / "disk.toml"), "--cells", "8", "--vary", "eps=1e-1,
 def on_terminal(*arguments, ranks=1):
     """Run with standard error on a terminal: what came out of stdout, and of the terminal."""
     ours, theirs = pty.openpty()
+    fcntl.ioctl(
+        theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0)
+    )  # a terminal without width shows nothing
     command = [*(mpirun(ranks) if ranks > 1 else []), sys.executable, "-m", "fenicsx_obstacle", *map(str, arguments)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, text=True, env=CLEAN)
     os.close(theirs)
