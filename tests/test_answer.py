@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve, study
 from fenicsx_obstacle.parallel import largest, on_root, total
@@ -73,13 +73,6 @@ def test_paraview_file_names_every_field(disk, folder):
     tree = ElementTree.parse(folder / "answer" / "fields.xdmf")
     names = {attribute.get("Name") for attribute in tree.iter("Attribute")}
     assert names == {"u", "pressure", "contact", "upper", "gap", "error"}
-
-
-@pytest.mark.parametrize("shape", ["interval", "rectangle", "disk"])
-def test_pictures(shape, folder):
-    answer = solve(membrane(mesh={"shape": shape, "cells": 8}, load=8, upper=0.1))
-    answer.plot(folder / f"{shape}.png")
-    assert (folder / f"{shape}.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_saving_replaces_whole_folders(disk, folder):

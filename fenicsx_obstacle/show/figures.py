@@ -23,6 +23,11 @@ def figure(width: float, height: float, rows: int = 1, columns: int = 1, widths:
     return page, page.subplots(rows, columns, sharex=rows > 1, gridspec_kw={"width_ratios": widths})
 
 
+def plain(text: str) -> str:
+    """A user's words for matplotlib: a dollar is no formula, which could be wrong."""
+    return text.replace("$", r"\$")
+
+
 def save(page: Any, path: Path) -> None:
     """Write a figure as PNG, in one step (one rank)."""
     scratch = path.with_name(f".{path.stem}.part.png")

@@ -21,8 +21,12 @@ from fenicsx_obstacle.show.figures import svg
 from fenicsx_obstacle.show.tables import EARLIER, Cell
 
 NAME = "report.html"
+ORDERS = (
+    "Orders are those of the quantity to the left; below them what to expect: what the paper proves, or the best that "
+    "P1 can give."
+)
 _STYLE = """
-body { color: #111; background: #fff; font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto;
+body { color: #111; background: #fff; font: 16px/1.5 system-ui, sans-serif; max-width: 74rem; margin: 0 auto;
        padding: 1rem; }
 h1 { font-size: 1.6rem; line-height: 1.25; margin: .5rem 0 0; }
 h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #ccc; }
@@ -32,9 +36,9 @@ table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabu
 th, td { padding: .2rem .55rem; text-align: right; white-space: nowrap; }
 th { border-bottom: 1px solid #111; vertical-align: bottom; }
 th small { display: block; font-weight: normal; }
-tr + tr td { border-top: 1px solid #e4e4e0; }
-.facts th { text-align: left; border: 0; font-weight: normal; color: #444; }
-.facts td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
+tbody tr + tr td { border-top: 1px solid #e4e4e0; }
+.facts th { text-align: left; vertical-align: top; border: 0; font-weight: normal; color: #444; }
+.facts td { text-align: left; border: 0; white-space: normal; overflow-wrap: anywhere; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figure img, figure svg { display: block; max-width: 100%; height: auto; }
 figcaption, .note { font-size: .85rem; color: #444; }
@@ -126,12 +130,14 @@ def _headline(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], vari
 
 
 def _table(table: Sequence[Sequence[Cell]]) -> str:
-    heads = "".join(
-        f"<th>{escape(cell.head)}<small>{escape(cell.expected) or '&nbsp;'}</small></th>" for cell in table[0]
-    )
+    heads = ""
+    for before, cell in zip([None, *table[0]], table[0], strict=False):
+        # the source of an order stands in the column before it: 'paper:' and '1'
+        below = f"{before.expected} {cell.expected}" if before is not None and cell.head == "order" else ""
+        heads += f"<th>{escape(cell.head)}<small>{escape(below) or '&nbsp;'}</small></th>"
     body = "".join("<tr>" + "".join(f"<td>{escape(cell.value)}</td>" for cell in cells) + "</tr>\n" for cells in table)
-    notes = ["Below each measured quantity stands where the order beside it comes from: the paper, or the best that "
-             "P1 can give."] if any(cell.head == "order" for cell in table[0]) else []  # fmt: skip
+    orders = any(cell.head == "order" for cell in table[0])
+    notes = [ORDERS] if orders else []
     notes += [EARLIER] if any("*" in cell.value for cells in table for cell in cells) else []
     text = "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
     return f'<div class="wide"><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table></div>{text}'

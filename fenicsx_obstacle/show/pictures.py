@@ -13,7 +13,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show import relief
 from fenicsx_obstacle.show.boundary import SIDES, free_boundary
-from fenicsx_obstacle.show.figures import BLUE, VERMILION, figure, save
+from fenicsx_obstacle.show.figures import BLUE, VERMILION, figure, plain, save
 from fenicsx_obstacle.show.simplices import Patch, patch_of, zero
 from fenicsx_obstacle.show.space import draw_view
 
@@ -34,7 +34,7 @@ def draw_answer(answer: Answer, path: Path) -> str:
 
 
 def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path) -> str:
-    patch, u = patch_of(arrays), answer.scene.tables.u
+    patch, u = patch_of(arrays), plain(answer.scene.tables.u)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if kind == 2 and gdim > 1:
         raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
@@ -44,7 +44,7 @@ def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path) -> str:
         page, who = _solid(patch, u)
     else:
         page, who = _flat(patch, u) if gdim == 2 else _curved(patch, u)
-    page.suptitle(answer.scene.tables.title or answer.scene.name, fontsize=12)
+    page.suptitle(plain(answer.scene.tables.title or answer.scene.name), fontsize=12)
     save(page, path)
     return f"{path}: drawn by {who}"
 

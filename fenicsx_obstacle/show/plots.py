@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import COLOURS, MARKERS, figure
+from fenicsx_obstacle.show.figures import COLOURS, MARKERS, figure, plain
 from fenicsx_obstacle.studies.theory import lookup, parameter, quantities
 
 Rows = Sequence[Mapping[str, Any]]
@@ -83,4 +83,5 @@ def _finish(axes: Any, rows: Rows) -> None:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.grid(True, which="major", color="0.9")
     axes.legend(fontsize=8)
-    axes.set_title(f"{rows[0]['title'] or rows[0]['scene']} ({rows[0]['element']}, {rows[0]['method']})", fontsize=10)
+    title = plain(rows[0]["title"] or rows[0]["scene"])
+    axes.set_title(f"{title} ({rows[0]['element']}, {rows[0]['method']})", fontsize=10)

@@ -1,0 +1,122 @@
+"""The report page: whole, in one file, and readable in a browser."""
+
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+
+from fenicsx_obstacle import solve
+from fenicsx_obstacle.show.report import report_answer, report_study
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = """--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking
+--disable-component-update --disable-sync --window-size=1000,1400""".split()  # noqa: SIM905
+NASTY = '<script>alert("x")</script> & Sons, $\\no{formula$'
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, the texts, and whether every element is closed."""
+
+    EMPTY = ("meta", "img")
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.texts, self.open = [], [], []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+@pytest.fixture
+def study_page(disk, folder, monkeypatch):
+    """The page of a small h-study."""
+    monkeypatch.setattr(sys, "argv", ["/lib/fenicsx_obstacle/__main__.py", "study", "disk.toml", "--eps", "1/2 * h^2"])
+    report_study(disk, {"cells": [8, 16]}, {"eps": "h^2"}, folder / "out", lambda line: None)
+    return folder / "out" / "report.html"
+
+
+def self_contained(page):
+    for tag, attributes in page.tags:
+        assert tag not in ("script", "link", "iframe", "object")
+        for key in ("src", "href", "xlink:href"):
+            assert attributes.get(key, "#").startswith(("#", "data:image/png;base64,")), (tag, attributes)
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    used = {a["href"][1:] for _, a in page.tags if a.get("href", "").startswith("#")}
+    assert used <= set(ids)
+
+
+def test_study_page_holds_everything(study_page, disk):
+    text = study_page.read_text()
+    assert not re.search(r"https?://|url\((?!#)|@import", text)
+    page = Page(text)
+    self_contained(page)
+    words = " ".join(page.texts)
+    assert [tag for tag, _ in page.tags].count("svg") == 2
+    assert any(tag == "img" for tag, _ in page.tags)
+    assert disk.tables.title in words
+    assert '[obstacle]\nupper = "c"' in words  # the scene
+    assert "-div(tension grad u) = load + p" in words  # the equation
+    assert "left out" in words
+    assert "paper: 1" in words  # orders beside the paper's
+    assert len(re.findall(r"<tr><td>(?:8|16)</td>", text)) == 2
+    assert "dolfinx" in words
+    assert "petsc" in words
+    ranks = f" --ranks {COMM.size}" if COMM.size > 1 else ""
+    assert f"./obstacle{ranks} study disk.toml --eps '1/2 * h^2'" in words
+
+
+def test_text_of_the_scene_is_escaped(folder):
+    answer = solve(membrane(load=1, upper="where(x < 0.5, 0.01, 0.02)", title=NASTY, u=NASTY))
+    answer.save(folder / "out")
+    report_answer(answer, folder / "out")
+    page = Page((folder / "out" / "report.html").read_text())
+    self_contained(page)
+    assert NASTY in page.texts  # the title
+    assert "where(x < 0.5, 0.01, 0.02)" in " ".join(page.texts)
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: ./obstacle test installs it")
+def test_a_browser_shows_it(study_page, tmp_path):
+    """Not blank: dark text on white, the colours of the plots and of the contact pressure."""
+    from matplotlib.image import imread
+
+    file = tmp_path / "page.png"
+    command = [CHROMIUM, *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={file}"]
+    done = subprocess.run([*command, study_page.as_uri()], capture_output=True, timeout=120, check=False)
+    assert file.exists(), done.stderr[-2000:]
+    picture = imread(file)[..., :3]
+    assert 0.5 < np.mean(picture.min(axis=-1) > 0.99) < 0.99
+    assert np.count_nonzero(picture.max(axis=-1) < 0.3) > 1000
+    blue = np.abs(picture - np.array([0x00, 0x72, 0xB2]) / 255).max(axis=-1) < 0.05
+    red = (picture[..., 0] > 0.3) & (picture[..., 1] < 0.2) & (picture[..., 2] < 0.25)
+    assert blue.sum() > 200
+    assert red.sum() > 1000
+
+
+def test_page_of_a_linear_problem(folder):
+    """No obstacle: no contact to draw, and still a page."""
+    answer = solve(membrane(load=1))
+    answer.save(folder / "out")
+    assert "drawn by" in report_answer(answer, folder / "out")
+    if COMM.rank == 0:
+        self_contained(Page((folder / "out" / "report.html").read_text()))

@@ -1,0 +1,157 @@
+"""Pictures: what is drawn, by whom, and that nobody's crash takes a study along."""
+
+import sys
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+
+from fenicsx_obstacle import InputError, Scene, releases, solve
+from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.show import warped
+from fenicsx_obstacle.show.boundary import free_boundary
+from fenicsx_obstacle.show.relief import free, touching
+from fenicsx_obstacle.show.report import report_study
+from fenicsx_obstacle.show.simplices import Patch, above, gradients, patch_of, zero
+
+CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
+
+
+def measure(patch):
+    """Sum of the lengths or areas of a patch."""
+    edges = patch.points[patch.cells][:, 1:] - patch.points[patch.cells][:, :1]
+    if edges.shape[1] == 1:
+        return np.linalg.norm(edges[:, 0], axis=1).sum()
+    return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
+
+
+def on_rank_0(answer):
+    arrays = gather(answer)
+    return patch_of(arrays) if COMM.rank == 0 else None
+
+
+def pixels(path):
+    from matplotlib.image import imread
+
+    return imread(path)[..., :3]
+
+
+def test_cuts_of_a_linear_function_are_exact():
+    """A plane cuts the unit square and cube in the right place, with the right area; fields are interpolated."""
+    square = on_rank_0(solve(membrane(mesh={"shape": "rectangle", "cells": 5}, upper=1)))
+    cube = on_rank_0(solve(membrane(mesh={"shape": "box", "cells": 3}, upper=1)))
+    if COMM.rank != 0:
+        return
+    x = square.points[:, 0]
+    square = Patch(square.points, square.cells, {"x": x})
+    assert np.allclose(gradients(square, 3 * x), [3, 0, 0])
+    assert np.isclose(measure(zero(square, x - 0.3)), 1)
+    assert np.isclose(measure(above(square, x - 0.3)), 0.7)
+    assert np.allclose(zero(square, x - 0.3).fields["x"], 0.3)
+    for normal, area in (((0, 0, 1), 1), ((1, 0, 1), np.sqrt(2))):
+        plane = cube.points @ np.array(normal) - 0.37 * sum(normal)
+        expected = area if sum(normal) == 1 else np.sqrt(2) * 0.74
+        assert np.isclose(measure(zero(cube, plane)), expected)
+
+
+@pytest.mark.parametrize(("name", "radius"), [("ball", 0.697965148223374), ("disk", 0.5777150035509266)])
+def test_free_boundary_is_a_smooth_closed_line(name, radius, request):
+    """Within a cell of the exact circle, and much rounder than the staircase of the nodes."""
+    answer = solve(request.getfixturevalue(name))
+    patch = on_rank_0(answer)
+    if COMM.rank != 0:
+        return
+    (line,) = free_boundary(patch)
+    r, h = np.linalg.norm(line.points, axis=1), answer.record["h"]
+    assert np.abs(r - radius).max() < h
+    assert r.std() < 0.1 * h
+    assert np.all(np.bincount(line.cells.ravel()) == 2)
+    # both parts together are the domain
+    assert np.isclose(measure(touching(patch)) + measure(free(patch)), measure(patch))
+
+
+def test_one_node_in_contact_keeps_its_line():
+    """Smoothing does not take a small contact set away."""
+    patch = on_rank_0(solve(membrane(load=1, upper="0.06 + 10*hypot(x - 0.5, y - 0.5)")))
+    if COMM.rank != 0:
+        return
+    assert patch.fields["contact"].sum() == 1
+    (line,) = free_boundary(patch)
+    assert measure(line) > 0
+
+
+@pytest.mark.parametrize("shape", ["interval", "rectangle", "disk", "box"])
+def test_every_shape_has_a_picture(shape, folder, monkeypatch):
+    """By matplotlib alone; pyvista's turn comes below."""
+    monkeypatch.setattr(warped, "find_spec", lambda name: None)
+    answer = solve(membrane(mesh={"shape": shape, "cells": 8}, load=8, upper=0.1))
+    said = answer.plot(folder / f"{shape}.png")
+    assert "drawn by " in said
+    assert len(np.unique((pixels(folder / f"{shape}.png") * 255).astype(int).reshape(-1, 3), axis=0)) > 200
+
+
+def cylinder():
+    n, m = 24, 8
+    angle, z = np.meshgrid(np.arange(n) * 2 * np.pi / n, np.linspace(-1, 1, m + 1))
+    points = np.stack([np.cos(angle), np.sin(angle), z], axis=-1).reshape(-1, 3)
+    a = (np.arange(m)[:, None] * n + np.arange(n)).ravel()
+    b = (np.arange(m)[:, None] * n + (np.arange(n) + 1) % n).ravel()
+    cells = np.concatenate([np.stack([a, b, a + n], axis=1), np.stack([b, b + n, a + n], axis=1)])
+    mine = slice(None) if COMM.rank == 0 else slice(0, 0)
+    return releases.create_mesh(COMM, cells[mine].astype(np.int64), points[mine], "triangle")
+
+
+def test_a_surface_in_space_has_a_picture(folder):
+    answer = solve(Scene(mesh=cylinder(), tension=1, load="3*y", lower=0, u="film pressure"), eps=1e-4)
+    answer.plot(folder / "cylinder.png")
+    picture = pixels(folder / "cylinder.png")
+    # deep red: the contact pressure
+    assert np.count_nonzero((picture[..., 0] > 0.4) & (picture[..., 1] < 0.2) & (picture[..., 2] < 0.3)) > 1000
+
+
+def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
+    """Matplotlib draws the same view, and says why."""
+    monkeypatch.setattr(warped, "find_spec", lambda name: True)
+    monkeypatch.setattr(warped, "_WORKER", CRASH)
+    said = []
+    rows = report_study(disk, {"cells": [8, 16]}, {}, folder / "out", said.append)
+    assert len(rows) == 2
+    assert any("drawn by matplotlib, because pyvista crashed (SIGSEGV)" in line for line in said)
+    picture = pixels(folder / "out" / "last" / "answer.png")
+    left = picture[:, : picture.shape[1] // 2]
+    assert np.count_nonzero((left[..., 0] > 0.3) & (left[..., 1] < 0.2)) > 5000  # contact in dark red, in space too
+
+
+@pytest.mark.parametrize(
+    ("code", "why"),
+    [
+        ("raise ImportError('no libGL')", "pyvista failed (ImportError: no libGL)"),
+        ("import time; time.sleep(60)", "pyvista took more than 1 s"),
+        ("", "pyvista failed (exit status 0)"),
+        (None, "pyvista is not installed"),
+    ],
+)
+def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
+    monkeypatch.setattr(warped, "find_spec", lambda name: code if code is None else True)
+    monkeypatch.setattr(warped, "_WORKER", [sys.executable, "-c", code or ""])
+    monkeypatch.setattr(warped, "PATIENCE", 1.0 if "took" in why else 60.0)
+    assert solve(disk, cells=4).plot(folder / "disk.png").endswith(f"drawn by matplotlib, because {why}")
+
+
+def test_pyvista_sees_nothing_of_our_mpi(disk, folder, monkeypatch):
+    """VTK's process would otherwise take itself for one of our ranks."""
+    code = "import os, sys; sys.exit(' '.join(k for k in os.environ if k.startswith(('OMPI_', 'PMIX_'))) or 'clean')"
+    monkeypatch.setattr(warped, "find_spec", lambda name: True)
+    monkeypatch.setattr(warped, "_WORKER", [sys.executable, "-c", code])
+    assert "pyvista failed (clean)" in solve(disk, cells=8).plot(folder / "disk.png")
+
+
+def test_pyvista_draws_where_it_is(ball, folder):
+    pytest.importorskip("pyvista")
+    said = solve(ball, cells=16).plot(folder / "ball.png")
+    assert said.endswith("drawn by pyvista")
+
+
+def test_a_picture_that_cannot_be_written(disk, folder):
+    with pytest.raises(InputError):
+        solve(disk, cells=4).plot("/proc/nowhere/answer.png")
