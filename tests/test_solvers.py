@@ -180,7 +180,7 @@ class Tiny:
     def gaps(self):
         return np.full(len(self.b), np.inf), -self.w.x.array
 
-    def refer_to_contact(self):
+    def refer_to_contact(self, *, blunt=False):
         return False
 
     def residual(self, x, out, *, penalised=True):
