@@ -2,6 +2,9 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -11,7 +14,9 @@ from fenicsx_obstacle import Answer, InputError, Scene, solve, study
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.distance import distance_to_simplices
-from fenicsx_obstacle.parallel import on_root
+
+# what this process's MPI has put into the environment would confuse the one started here
+CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}
 
 # on the unit interval, square or cube with u = 3*x and tension 2, for any mesh
 FIGURES = {
@@ -64,11 +69,11 @@ def test_contact_figures():
 def test_slope_on_an_edge_is_the_mean_of_both_sides():
     """u = |x - 1/2| on the middle of the interval has slopes 1 and 1, x^2 there 0.9 and 1.1."""
     scene = Scene(
-        mesh={"shape": "interval", "cells": 10}, tension=1, load=-2, report={"s": "at(slope, 1/2)", "t": "at(u, 1/2)"},
+        mesh={"shape": "interval", "cells": 10}, tension=1, load=-2, report={"s": "at(slope, 1/2)", "v": "at(u, 1/2)"},
         boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 1}],
     )  # fmt: skip
     assert np.isclose(solve(scene).report["s"], 1.0)
-    assert np.isclose(solve(scene).report["t"], 0.25)
+    assert np.isclose(solve(scene).report["v"], 0.25)
 
 
 MISTAKES = {
@@ -171,7 +176,7 @@ def test_distance_where_formulas_stand():
     """In an obstacle, a boundary value, an effect by midpoints, a definition and the report."""
     scene = membrane(
         define={"d": "2*distance"}, tension="1 + d", load=8, upper="d", boundary=[{"value": "distance"}],
-        report={"volume": "integral(distance)", "stiff": "inf(flux/slope)", "most": "sup(d)"},
+        report={"volume": "integral(distance)", "stiff": "inf(where(slope > 0, flux/slope, 9))", "most": "sup(d)"},
     )  # fmt: skip
     report = solve(scene).report
     assert np.isclose(report["volume"], 1 / 6, rtol=0.01)
@@ -181,7 +186,7 @@ def test_distance_where_formulas_stand():
 
 def test_distance_needs_a_boundary_in_the_same_space(folder):
     scene = Scene.read(DEMOS / "bearing.toml").change({"obstacle.lower": "-distance"})
-    with pytest.raises(InputError, match="not for|not for curves and surfaces in space"):
+    with pytest.raises(InputError, match="not for curves and surfaces in space"):
         solve(scene)
 
 
@@ -209,19 +214,15 @@ def test_fully_plastic_torsion_tends_to_the_sand_hill():
     assert abs(solve(scene, method="vi").report["torque"] / (200e6 * 0.02**3 / 3) - 1) < 0.005
 
 
-def test_nothing_that_is_not_named(folder):
-    """Without [report] and distance neither functionals nor scipy are imported, and the record has no report."""
-    import subprocess
-    import sys
-
-    def modules():
-        code = (
-            "import sys; from fenicsx_obstacle import Scene, solve\n"
-            "answer = solve(Scene(mesh={'shape': 'interval', 'cells': 4}, tension=1))\n"
-            "assert 'report' not in answer.record and answer.report == {}\n"
-            "print([m for m in sys.modules if m.endswith('functionals') or m == 'fenicsx_obstacle.discrete.distance'])"
-        )
-        return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-
-    if COMM.size == 1:
-        assert on_root(COMM, modules).strip() == "[]"
+@pytest.mark.serial
+def test_nothing_that_is_not_named():
+    """Without [report] and distance their modules are not imported, and the record has no report."""
+    code = (
+        "import sys; from fenicsx_obstacle import Scene, solve\n"
+        "answer = solve(Scene(mesh={'shape': 'interval', 'cells': 4}, tension=1))\n"
+        "assert 'report' not in answer.record and answer.report == {}\n"
+        "print([m for m in sys.modules if m in ('fenicsx_obstacle.accuracy.functionals', "
+        "'fenicsx_obstacle.discrete.distance', 'fenicsx_obstacle.discrete.points')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
+    assert done.stdout.strip() == "[]", done.stderr
