@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -30,6 +31,12 @@ def commands() -> None:
     """
 
 
+def _start_log(context: click.Context, parameter: click.Parameter, level: str | None) -> None:
+    from fenicsx_obstacle.show.progress import start_log
+
+    start_log(level)
+
+
 def _options(*names: str) -> Callable[[Any], Any]:
     """The shared options of these names, as one decorator."""
     shared = {
@@ -37,12 +44,23 @@ def _options(*names: str) -> Callable[[Any], Any]:
         "refine": click.option("--refine", type=int, metavar="N", help="Uniform refinements."),
         "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
+        "start": click.option(
+            "--start", metavar="NAME", help="nested: from coarse grids on; cold: on one grid.  [nested]"
+        ),
         "eps": click.option("--eps", metavar="E", help="Penalty parameter: a number or a formula in h.  [h^2]"),
         "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
         "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
         "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
         "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
         "quiet": click.option("--quiet", is_flag=True, help="Errors only."),
+        "log": click.option(
+            "--log",
+            type=click.Choice(["DEBUG", "INFO", "WARNING", "ERROR"], case_sensitive=False),
+            metavar="LEVEL",
+            callback=_start_log,
+            expose_value=False,
+            help="Log with rank and time: DEBUG, INFO, WARNING or ERROR.",
+        ),
     }
 
     def decorate(command: Any) -> Any:
@@ -55,29 +73,35 @@ def _options(*names: str) -> Callable[[Any], Any]:
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("set", "cells", "refine", "element", "method", "eps", "yardstick", "output", "json", "quiet")
+@_options("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet", "log")
 def solve(
     scene_file: str, yardstick: bool, output: Path | None, json_file: str | None, quiet: bool, **given: Any
 ) -> None:
     """Solve a scene: u, contact pressure p, contact set.
 
-    Writes answer.json, scene.toml, history.csv and fields.xdmf (for ParaView) into out/SCENE.
+    Writes answer.json, scene.toml, history.csv and fields.xdmf (for ParaView), answer.png and
+    report.html into out/SCENE.
     """
     from fenicsx_obstacle.answers.compute import Workbench, changed
+    from fenicsx_obstacle.show.page import NAME
+    from fenicsx_obstacle.show.progress import progress
+    from fenicsx_obstacle.show.report import report_answer
 
     scene = changed(_read(scene_file), _typed(given))
     folder = output or Path("out") / scene.name
-    answer = Workbench(scene).answer(yardstick=yardstick)
-    answer.save(folder)
+    with progress(scene.name, quiet=quiet):
+        answer = Workbench(scene).answer(yardstick=yardstick)
+        answer.save(folder)
+        drawn = report_answer(answer, folder)
     if json_file is not None:
         _write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
-        _say(answer.summary() + f"\n  saved in {folder}")
+        _say(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} shows it all")
 
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("cells", "refine", "element", "method", "eps")
+@_options("cells", "refine", "element", "method", "start", "eps")
 def explain(scene_file: str, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     from fenicsx_obstacle.answers.compute import changed
@@ -92,7 +116,7 @@ def explain(scene_file: str, **given: Any) -> None:
               help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values); several make a grid.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
 @click.option("--latex", type=click.Path(path_type=Path), metavar="FILE", help="The table as LaTeX.")
-@_options("set", "cells", "refine", "element", "method", "eps", "output", "json", "quiet")
+@_options("set", "cells", "refine", "element", "method", "start", "eps", "output", "json", "quiet", "log")
 def study(
     scene_file: str,
     vary: tuple[str, ...],
@@ -109,13 +133,15 @@ def study(
     study disk.toml --vary eps=1e-1..1e-8              against the SNES VI solution, h fixed
     study ball.toml --vary cells=16..128 --eps "h^2"   against the exact solution
     """
+    from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_study
 
     scene = _read(scene_file)
     varied = dict(_varied(item) for item in vary)
     folder = output or Path("out") / scene.name / "-".join(varied)
     say = (lambda text: None) if quiet or json_file == "-" else _say
-    rows = report_study(scene, varied, _typed(given), folder, say, fresh=fresh, latex=latex)
+    with progress(scene.name, quiet=quiet):
+        rows = report_study(scene, varied, _typed(given), folder, say, fresh=fresh, latex=latex)
     if json_file is not None:
         _write_json(json_file, rows)
 
@@ -128,8 +154,7 @@ def plot(result: Path, output: Path | None) -> None:
     from fenicsx_obstacle.answers.answer import Answer
 
     path = output or result / "answer.png"
-    Answer.read(result).plot(path)
-    _say(str(path))
+    _say(Answer.read(result).plot(path))
 
 
 @commands.command()
@@ -137,9 +162,11 @@ def plot(result: Path, output: Path | None) -> None:
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
     """The main job on the scenes of demos/: eps- and h-study, tables, pictures."""
+    from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import run_demo
 
-    run_demo(output, _say)
+    with progress("demo", quiet=False):
+        run_demo(output, _say)
 
 
 def values_of(text: str, key: str) -> list[Any]:
@@ -210,8 +237,11 @@ def _say(text: str) -> None:
     """Print on rank 0."""
     from mpi4py import MPI
 
+    from fenicsx_obstacle.show.progress import beside_bars
+
     if MPI.COMM_WORLD.rank == 0:
-        click.echo(text)
+        with beside_bars(sys.stdout):
+            click.echo(text)
 
 
 def _write_json(file: str, records: Sequence[Any]) -> None:

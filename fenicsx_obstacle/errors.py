@@ -30,7 +30,8 @@ class NotConverged(ObstacleError):
 
     def __str__(self) -> str:
         where = f"h = {self.h:.3g}" if self.eps is None else f"eps = {self.eps:.3g}, h = {self.h:.3g}"
-        return f"{self.solver} did not converge: {self.reason} after {self.iterations} steps ({where})"
+        remedy = "; a larger eps, or --method vi, may do" if self.solver == "penalty" and self.eps is not None else ""
+        return f"{self.solver} did not converge: {self.reason} after {self.iterations} steps ({where}){remedy}"
 
     def __reduce__(self):
         # exceptions travel between ranks by pickle, which knows nothing of keyword arguments

@@ -59,37 +59,47 @@ def on_root(comm: MPI.Comm, action: Callable[..., Any], *args: Any) -> Any:
 
 
 @contextmanager
-def new_folder(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
-    """Fill a folder beside `folder`, then put it in its place in one step (collective).
+def new_files(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
+    """Fill a scratch folder; then each of its files takes its place in `folder` in one step (collective).
 
-    Readers see the old folder or the new one, never a half-written one.
+    Whatever else is in `folder` stays.
 
     Raises:
         InputError: If the place cannot be written to.
     """
 
-    def begin() -> Path:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        if folder.exists() and not folder.is_dir():
-            raise InputError(f"{folder}: is a file; --output names a folder")
-        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-        scratch.chmod(0o755)
-        return scratch
-
     def finish() -> None:
-        old = scratch.with_name(scratch.name + "-old")
-        if folder.exists():
-            folder.rename(old)
-        scratch.rename(folder)
-        shutil.rmtree(old, ignore_errors=True)
+        for file in sorted(scratch.iterdir(), reverse=True):
+            file.replace(folder / file.name)
+        scratch.rmdir()
 
-    scratch: Path = on_root(comm, begin)
+    scratch: Path = on_root(comm, _scratch, folder)
     try:
         yield scratch
-    except ObstacleError:
-        on_root(comm, lambda: shutil.rmtree(scratch, ignore_errors=True))
+        on_root(comm, finish)
+    except BaseException:
+        if comm.rank == 0:
+            shutil.rmtree(scratch, ignore_errors=True)
         raise
-    on_root(comm, finish)
+
+
+def check_folder(comm: MPI.Comm, folder: Path) -> None:
+    """Make a folder for results, before anything is computed for it (collective).
+
+    Raises:
+        InputError: If it cannot be made or written to.
+    """
+    on_root(comm, lambda: _scratch(folder).rmdir())
+
+
+def _scratch(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=".new-", dir=folder))
+    except (FileExistsError, NotADirectoryError):
+        raise InputError(f"{folder}: is a file, or lies in one; --output names a folder") from None
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}; choose another folder with --output") from None
 
 
 def write_text(path: Path, text: str) -> None:

@@ -26,6 +26,8 @@ VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
 OLD = VERSION < (0, 7)  # ufl elements, AdjacencyList dofmaps
 NEW = VERSION >= (0, 10)  # create_vector(V), io.gmsh
 
+# what UFL raises for values outside of a function's domain
+UFL_ERRORS = (ArithmeticError, TypeError, ValueError, *([ufl.log.UFLException] if OLD else []))
 atan2 = getattr(ufl, "atan2", None) or ufl.atan_2
 FACET_GHOSTS = dmesh.GhostMode.shared_facet
 JIT_WAIT = 25  # seconds to wait for another process that compiles the same form
@@ -187,6 +189,8 @@ def _partitioner(stay: bool) -> Any:
 def _stay(comm: MPI.Comm, parts: int, graph: Any, ghosting: bool) -> Any:
     """Partition function: every cell stays on its rank and is a ghost on its neighbours' ranks."""
     own = graph.num_nodes
+    if comm.size == 1:
+        return _cpp.graph.AdjacencyList_int32(np.zeros(own, np.int32), np.arange(own + 1, dtype=np.int32))
     ends = np.cumsum(comm.allgather(own))
     offsets, links = np.asarray(graph.offsets), np.asarray(graph.array)
     cell = np.repeat(np.arange(own), np.diff(offsets)) if ghosting else np.empty(0, int)
@@ -198,31 +202,6 @@ def _stay(comm: MPI.Comm, parts: int, graph: Any, ghosting: bool) -> Any:
     rows = np.unique(np.vstack([home, rows]), axis=0)
     starts = np.searchsorted(rows[:, 0], np.arange(own + 1))
     return _cpp.graph.AdjacencyList_int32(rows[:, 2].astype(np.int32), starts.astype(np.int32))
-
-
-def refine(mesh: dmesh.Mesh) -> tuple[dmesh.Mesh, np.ndarray]:
-    """Uniform refinement of triangles or tetrahedra, every cell staying on its rank (collective).
-
-    Returns:
-        The refined mesh and, for each of its owned cells, the local cell of `mesh` it came from.
-    """
-    mesh.topology.create_entities(1)
-    if OLD:
-        option = _cpp.refinement.RefinementOptions.parent_cell
-        refined, raw, _ = _cpp.refinement.plaza_refine_data(mesh._mesh, False, option)
-        new = dmesh.Mesh(refined, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
-    else:
-        # 0.9 forgets ghosts unless a partitioner asks for them; 0.11 keeps them by default
-        keep: dict[str, Any] = {}
-        if not NEW:
-            keep["partitioner"] = None if mesh.comm.size == 1 else _partitioner(stay=True)
-        new, raw, _ = dmesh.refine(mesh, None, option=dmesh.RefinementOption.parent_cell, **keep)
-    # parents come in the order in which cells were made, cells have been renumbered since
-    raw = np.asarray(raw, dtype=np.int32)
-    first = sum(mesh.comm.allgather(len(raw))[: mesh.comm.rank])
-    own = new.topology.index_map(new.topology.dim).size_local
-    parents = raw[np.asarray(new.topology.original_cell_index)[:own] - first]
-    return settle(new), parents
 
 
 def incident_entities(mesh: dmesh.Mesh, entities: np.ndarray, d0: int, d1: int) -> np.ndarray:

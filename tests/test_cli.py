@@ -89,7 +89,16 @@ def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
 def test_unconverged_exits_3_and_keeps_what_was_computed(ranks, tmp_path):
     limit = ["--", "-penalty_snes_max_it", "8", "-penalty_snes_linesearch_type", "basic"]
     done = run(
-        "study", DEMOS / "disk.toml", "--vary", "eps=1e-1..1e-6", "--output", tmp_path / "out", *limit, ranks=ranks
+        "study",
+        DEMOS / "disk.toml",
+        "--vary",
+        "eps=1e-1..1e-6",
+        "--start",
+        "cold",
+        "--output",
+        tmp_path / "out",
+        *limit,
+        ranks=ranks,
     )
     assert done.returncode == 3, done.stderr
     assert "limit of steps was reached (DIVERGED_MAX_IT)" in done.stderr
@@ -208,3 +217,17 @@ def test_lists_of_values(text, key, values):
 def test_ranges_need_positive_ends():
     with pytest.raises(InputError, match="positive"):
         values_of("0..3", "cells")
+
+
+def test_60_lines_become_3():
+    """Both blocks of the page run as they stand and agree."""
+    page = (DEMOS / "your_60_lines_become_3.md").read_text()
+    printed = []
+    for block in page.split("```python\n")[1:]:
+        code = block.partition("```")[0]
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, cwd=DEMOS.parent,
+                              timeout=120, check=False)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        printed.append(done.stdout)
+    assert len(printed) == 2
+    assert printed[0] == printed[1] == "force on the ball 4.2724\n"

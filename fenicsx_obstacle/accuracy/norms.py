@@ -54,7 +54,10 @@ class Formulas:
         """The formula itself; of materials each within its own cells (then collective)."""
         if isinstance(value, Materials):
             return sum(self._inside(name) * self.cellwise(formula) for name, formula in value.parts.items())
-        return value.evaluate(self.names, self.alphabet) + self._zero
+        try:
+            return value.evaluate(self.names, self.alphabet) + self._zero
+        except releases.UFL_ERRORS as error:
+            raise InputError(f"{value.place} = {value.text}: cannot be differentiated: {error}") from None
 
     def _inside(self, name: str) -> fem.Function:
         inside = fem.Function(self.level.W)
@@ -77,6 +80,7 @@ class Exact:
             raise InputError(f"{scene.source}: has no [exact] solution")
         self.formula = scene.formula(exact.u, "[exact] u")
         self.formulas = Formulas(scene, problem.level)
+        problem.data.nodal(self.formula, {"eps": 1.0})  # refuses what is not finite at a node
         self.u = fem.Function(problem.level.V)
         ue = self.formulas.cellwise(self.formula)
         error, dx = ue - self.u, self.formulas.dx
@@ -100,8 +104,7 @@ class Exact:
 
     def nodal(self, eps: float | None) -> np.ndarray:
         """Exact values at local dofs."""
-        points = np.ascontiguousarray(self.problem.level.V.tabulate_dof_coordinates().T)
-        return self.problem.scene.at_points(self.formula, points, {"eps": eps or 0.0})
+        return self.problem.scene.at_points(self.formula, self.problem.level.points, {"eps": eps or 0.0})
 
     @cached_property
     def dual(self) -> DualNorm:

@@ -86,13 +86,17 @@ class Answer:
         forces = [
             f"force on {side} obstacle {contact[side]['force']:.6g}" for side in ("lower", "upper") if side in contact
         ]
+        figures = [f"energy {r['energy']:.10g}"]
+        if forces:
+            figures += [f"contact area {contact['area']:.6g}", *forces, f"penetration {r['penetration']:.3g}"]
+        if r["free"] == 0:
+            figures.append("u is given at every node: take more cells")
         lines = [
             f"{r['title'] or r['scene']}",
             f"  {r['method']}{eps}; {size}; {r['ranks']} rank{'s' * (r['ranks'] > 1)}",
             f"  {r['newton_iterations']} Newton steps, {r['krylov_iterations']} CG steps, "
             f"{r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), {r['memory_mb']:.0f} MB",
-            f"  energy {r['energy']:.10g}; contact area {contact['area']:.6g}; " + "; ".join(forces)
-            + f"; penetration {r['penetration']:.3g}",
+            "  " + "; ".join(figures),
         ]  # fmt: skip
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
@@ -102,7 +106,7 @@ class Answer:
         return "\n".join(lines)
 
     def save(self, folder: str | Path) -> None:
-        """Write answer.json, scene.toml, history.csv and fields.xdmf into a folder, in one step (collective).
+        """Write answer.json, scene.toml, history.csv and fields.xdmf into a folder (collective).
 
         Raises:
             InputError: If the folder cannot be written.
@@ -122,12 +126,15 @@ class Answer:
 
         return read(Path(folder))
 
-    def plot(self, path: str | Path) -> None:
-        """Draw u, contact and pressure into a PNG file (collective).
+    def plot(self, path: str | Path) -> str:
+        """Draw u with its obstacles, free boundary and pressure into a PNG file (collective).
+
+        Returns:
+            One line: the file, who drew it, and why.
 
         Raises:
             InputError: If the file cannot be written.
         """
         from fenicsx_obstacle.show.pictures import draw_answer
 
-        draw_answer(self, Path(path))
+        return draw_answer(self, Path(path))

@@ -2,22 +2,43 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.scenes.scene import Scene
 
 METHODS = {
     "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy should sets repeat",
     "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set stays as it was",
     "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }
+NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
 LINEAR_SOLVER = "conjugate gradients with algebraic multigrid (hypre BoomerAMG)"
+
+
+def nested(scene: Scene) -> bool:
+    """Whether a scene is solved from the coarsest level of its mesh on, where it has more than one.
+
+    Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
+    at the nodes. (3.4)* is the paper's own iteration, which starts without contact; `start = "cold"` asks for the same
+    of the other methods. Whatever is not nested is solved on the finest level alone, with `LINEAR_SOLVER`.
+    """
+    table = scene.tables.solve
+    simple = all(effect.affine and effect.symmetric and effect.convex for effect in scene.effects)
+    return simple and table.start == "nested" and table.method != "successive"
+
+
+def chain(problem: Problem) -> list[Problem]:
+    """The problems from the coarsest level to this one (collective); only this one where the others do not serve."""
+    problems = [problem]
+    while (level := problems[0].level.coarse) is not None:
+        try:
+            problems.insert(0, Problem(problem.scene, level))
+        except InputError:  # data that only the fine levels resolve
+            break
+    return problems
 
 
 def penalty_parameter(problem: Problem, value: float | str) -> float:

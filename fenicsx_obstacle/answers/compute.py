@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import dolfinx
@@ -15,11 +18,15 @@ from petsc4py import PETSc
 from fenicsx_obstacle.accuracy.contact import contact_of
 from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.choose import penalty_parameter
+from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.parallel import peak_memory_mb
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import peak_memory_mb, total
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers import multigrid
+from fenicsx_obstacle.solvers.multigrid import Multigrid
+from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.newton import solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
@@ -28,8 +35,9 @@ from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.functionals import Report
 
+_log = logging.getLogger(__name__)
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
-          "element": "solve.element"}  # fmt: skip
+          "start": "solve.start", "element": "solve.element"}  # fmt: skip
 
 
 def solve(
@@ -39,6 +47,7 @@ def solve(
     cells: int | None = None,
     refine: int | None = None,
     method: str | None = None,
+    start: str | None = None,
     element: str | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     yardstick: bool = False,
@@ -51,6 +60,7 @@ def solve(
         cells: Cells per side, for shapes.
         refine: Uniform refinements.
         method: penalty, successive or vi.
+        start: nested, from the coarsest level of the mesh on, or cold.
         element: Pair of spaces, P1.
         comm: Communicator; a mesh of the scene's own brings its own.
         yardstick: Time one linear Poisson solve on the same mesh as well.
@@ -62,13 +72,15 @@ def solve(
         InputError: For bad data.
         NotConverged: With PETSc's reason.
     """
-    given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "element": element}
+    given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
     return Workbench(changed(scene, given), comm).answer(yardstick=yardstick)
 
 
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:
-    """The scene with options that are not None; cells, refine, eps, method and element by their short names."""
+    """The scene with options that are not None; cells, refine, eps, method, start and element by their short names."""
     changes = {_SHORT.get(key, key): value for key, value in options.items() if value is not None}
+    if "mesh.cells" in changes and (scene.mesh is not None or scene.tables.mesh.file is not None):
+        raise InputError(f"{scene.source}: cells are for shapes; a mesh of your own is refined with 'refine'")
     return scene.change(changes) if changes else scene
 
 
@@ -84,7 +96,9 @@ class Workbench:
         comm = scene.mesh.comm if scene.mesh is not None else comm
         level = levels.build(scene, comm)
         self.mesh_seconds = time.perf_counter() - self.started
+        _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(scene, level)
+        self._grids: list[Multigrid] | None = None
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
         if scene.report:
@@ -114,22 +128,42 @@ class Workbench:
             NotConverged: With PETSc's reason.
         """
         problem, scene = self.problem, scene or self.problem.scene
+        levels_serve = nested(scene) and problem.level.coarse is not None
+        grids = self._hierarchy() if levels_serve else []
         start = time.perf_counter()
-        problem.refer(problem.cold_start())
         method, eps = scene.tables.solve.method, None
-        if method == "vi" or not problem.constrained:
-            outcome = solve_vi(problem)
-            pressure = residual_pressure(problem)
+        exact = method == "vi"
+        if exact:
+            solver: Callable[..., Outcome] = solve_vi
+        elif not problem.constrained:
+            solver = partial(solve_penalty, eps=1.0)
         else:
             eps = penalty_parameter(problem, scene.tables.solve.eps)
-            outcome = solve_penalty(problem, eps, successive=method == "successive")
-            pressure = _penalty_pressure(problem)
+            solver = partial(solve_penalty, eps=eps, successive=method == "successive")
+        if grids:
+            outcomes = solve_nested(grids, solver)
+        else:
+            problem.refer(problem.cold_start())
+            outcomes = [solver(problem)]
+        pressure = residual_pressure(problem) if exact else _penalty_pressure(problem)
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
+            _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
-        return self._answer(scene, outcome, eps, pressure, seconds)
+        return self._answer(scene, outcomes, eps, pressure, seconds)
 
-    def _answer(self, scene: Scene, outcome: Outcome, eps: float | None, p: np.ndarray, seconds: float) -> Answer:
+    def _hierarchy(self) -> list[Multigrid]:
+        """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""
+        if self._grids is None:
+            start = time.perf_counter()
+            self._grids = multigrid.chain(chain(self.problem))
+            self.setup_seconds += time.perf_counter() - start
+        return self._grids
+
+    def _answer(
+        self, scene: Scene, outcomes: list[Outcome], eps: float | None, p: np.ndarray, seconds: float
+    ) -> Answer:
+        outcome = outcomes[-1]
         problem, level = self.problem, self.problem.level
         contact = contact_of(problem, p)
         u = problem.heights()
@@ -143,10 +177,12 @@ class Workbench:
             "scene": scene.name, "title": scene.tables.title, "method": scene.tables.solve.method,
             "element": scene.tables.solve.element, "ranks": level.comm.size,
             "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
-            "cells_total": level.cells, "dofs": level.dofs, "h": level.h, "h_max": level.h_max, "eps": eps,
+            "cells_total": level.cells, "dofs": level.dofs,
+            "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
+            "h": level.h, "h_max": level.h_max, "eps": eps,
             "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
             "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov,
-            "newton_total": outcome.iterations, "krylov_total": outcome.krylov,
+            "newton_total": sum(o.iterations for o in outcomes), "krylov_total": sum(o.krylov for o in outcomes),
             "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
             "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,

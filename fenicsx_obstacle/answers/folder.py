@@ -18,7 +18,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import gathered, new_folder, on_root
+from fenicsx_obstacle.parallel import gathered, new_files, on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
@@ -28,18 +28,13 @@ DERIVED = ("gap",)  # written for ParaView, not read back
 
 
 def save(answer: Answer, folder: Path) -> None:
-    """Write an answer (collective). The old folder of that name is replaced when the new one is whole."""
+    """Write an answer; of what is in the folder only an older answer is replaced (collective)."""
     arrays = gather(answer)
     comm = answer.level.comm
-    with new_folder(comm, folder) as scratch:
+    with new_files(comm, folder) as scratch:
 
         def write() -> None:
-            table = answer.scene.tables.mesh
-            scene = answer.scene
-            if table.file is not None:
-                place = os.path.relpath((scene.folder / table.file).resolve(), folder.resolve())
-                scene = scene.change({"mesh.file": place})
-            (scratch / "scene.toml").write_text(scene.toml())
+            (scratch / "scene.toml").write_text(_scene_there(answer.scene, folder).toml())
             (scratch / "answer.json").write_text(json.dumps(dict(answer.record), indent=1) + "\n")
             (scratch / "history.csv").write_text(_history(answer.history))
             with h5py.File(scratch / "fields.h5", "w") as file:
@@ -57,16 +52,21 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         for name in ("answer.json", "fields.h5", "scene.toml", "history.csv"):
             if not (folder / name).exists():
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
-        with h5py.File(folder / "fields.h5") as file:
-            arrays = {name: values[()] for name, values in file.items()}
-        return json.loads((folder / "answer.json").read_text()), arrays, (folder / "history.csv").read_text()
+        try:
+            with h5py.File(folder / "fields.h5") as file:
+                arrays = {name: values[()] for name, values in file.items()}
+            record = json.loads((folder / "answer.json").read_text())
+        except (OSError, ValueError) as error:
+            raise InputError(f"{folder}: the saved answer is damaged: {error}") from None
+        return record, arrays, (folder / "history.csv").read_text()
 
     record, arrays, history = on_root(comm, load)
     mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")
     gdim, kind = int(arrays.pop("gdim")), _CELL[cells.shape[1]]
     mine = slice(None) if comm.rank == 0 else slice(0, 0)
     mesh = releases.create_mesh(comm, cells[mine], points[mine, :gdim], kind)
-    V = releases.functionspace(mesh, "Lagrange", 1)
+    level = Level(mesh, record["h"])
+    V = level.V
     # where each dof stood when it was saved
     saved = np.asarray(mesh.geometry.input_global_indices)[releases.dof_nodes(V)]
     fields: dict[str, fem.Function] = {}
@@ -77,11 +77,20 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
         for r in csv.DictReader(io.StringIO(history))
     )
-    level = Level(mesh, V, record["h"], {})
     return Answer(
         Scene.read(folder / "scene.toml"), level, fields["u"], fields["pressure"], fields["contact"],
         fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
     )  # fmt: skip
+
+
+def _scene_there(scene: Scene, folder: Path) -> Scene:
+    """The scene as it can be read from its folder: a mesh of the caller's own is the one in fields.xdmf."""
+    file = scene.tables.mesh.file
+    if scene.mesh is not None:
+        return scene.with_mesh_file("fields.xdmf")
+    if file is None:
+        return scene
+    return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})
 
 
 def gather(answer: Answer) -> dict[str, np.ndarray]:
@@ -92,7 +101,7 @@ def gather(answer: Answer) -> dict[str, np.ndarray]:
     numbering = level.V.dofmap.index_map
     dofs = releases.cell_dofs(level.V)[:own_cells]
     cells = np.asarray(numbering.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
-    parts = {"points": level.V.tabulate_dof_coordinates()[:owned], "cells": cells}
+    parts = {"points": level.points.T[:owned], "cells": cells}
     parts |= {name: function.x.array[:owned].real for name, function in answer.functions().items()}
     found = {name: gathered(comm, values) for name, values in parts.items()}
     if comm.rank != 0:

@@ -10,9 +10,9 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import releases
 
 
-def corners(mesh: dmesh.Mesh) -> np.ndarray:
-    """Coordinates of the vertices of each local cell, shape (cells, vertices, 3)."""
-    return mesh.geometry.x[releases.geometry_dofs(mesh)]
+def corners(mesh: dmesh.Mesh, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Coordinates of the vertices of local cells, shape (cells, vertices, 3)."""
+    return mesh.geometry.x[releases.geometry_dofs(mesh)[cells]]
 
 
 def volumes(corners: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.scene import COORDINATES, Scene
 
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
 
@@ -52,14 +52,14 @@ class Data:
             self._cellwise[value.place] = function
         return self._cellwise[value.place]
 
-    def nodal(self, value: Formula) -> fem.Function:
-        """Nodal interpolant in V (collective).
+    def nodal(self, value: Formula, values: Mapping[str, float] | None = None) -> fem.Function:
+        """Nodal interpolant in V, with values of further names (collective).
 
         Raises:
             InputError: If it is not finite somewhere.
         """
         function = fem.Function(self.level.V)
-        self._sample(function, value)
+        self._sample(function, value, values)
         return function
 
     @cached_property
@@ -88,7 +88,7 @@ class Data:
             dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, facets)
             formula = self.scene.formula(0.0 if part.value is None else part.value, f"{place} value")
             function = fem.Function(level.V)
-            function.x.array[dofs] = self._at_points(formula, self._points(level.V)[:, dofs])
+            function.x.array[dofs] = self._at_points(formula, level.points[:, dofs])
             self._refuse_infinite(formula, function)
             values.x.array[dofs] = function.x.array[dofs]
             fixed[dofs] = True
@@ -105,6 +105,8 @@ class Data:
         """
         comm, source = self.level.comm, self.scene.source
         dofs, values = self.fixed
+        if self.lower is None and self.upper is None and total(comm, len(dofs)) == 0:
+            raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
         heights = [f.x.array for f in (self.lower, self.upper) if f is not None] + [values.x.array[dofs]]
         high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
         tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
@@ -129,7 +131,11 @@ class Data:
         if where is not None:
             formula = self.scene.formula(where, f"{place} where")
             dim = level.mesh.topology.dim - 1
-            return dmesh.locate_entities_boundary(level.mesh, dim, lambda x: self.scene.at_points(formula, x) != 0)
+            marks = lambda x: np.nan_to_num(self.scene.at_points(formula, x)) != 0  # noqa: E731
+            found = dmesh.locate_entities_boundary(level.mesh, dim, marks)
+            if total(level.comm, len(found)) == 0:
+                raise InputError(f"{formula.place} = {formula.text}: holds on no facet of the boundary")
+            return found
         if on is None:
             return level.boundary_facets
         names = (on,) if isinstance(on, str) else on
@@ -144,11 +150,17 @@ class Data:
         return np.unique(np.concatenate([level.facets[name] for name in names])).astype(np.int32)
 
     def _points(self, V: fem.FunctionSpace) -> np.ndarray:
+        """Points of the local dofs, shape (3, dofs)."""
+        if V is self.level.V:
+            return self.level.points
         return np.ascontiguousarray(V.tabulate_dof_coordinates().T)
 
-    def _sample(self, function: fem.Function, formula: Formula) -> None:
-        function.x.array[:] = self._at_points(formula, self._points(function.function_space))
-        function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
+    def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
+        if not self.scene.needs(formula) & {*COORDINATES, "distance"}:
+            function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), values)
+        else:
+            function.x.array[:] = self._at_points(formula, self._points(function.function_space), values)
+            function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
 
     def _sample_materials(self, function: fem.Function, value: Materials) -> None:
@@ -179,10 +191,11 @@ class Data:
 
         return BoundaryDistance(self.level)
 
-    def _at_points(self, formula: Formula, x: np.ndarray) -> np.ndarray:
+    def _at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, float] | None = None) -> np.ndarray:
         """Values at points (3, n) (collective if the formula names the distance)."""
         named = "distance" in self.scene.needs(formula)
-        return self.scene.at_points(formula, x, {"distance": self.boundary_distance(x.T)} if named else None)
+        known = {**(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
+        return self.scene.at_points(formula, x, known)
 
     def _refuse_infinite(self, formula: Value, function: fem.Function) -> None:
         self._refuse(formula, function, ~np.isfinite(function.x.array), "is not a finite number: it is")
@@ -195,17 +208,17 @@ class Data:
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
         """Value and place of the first bad dof, the same on every rank (collective)."""
-        points, values = function.function_space.tabulate_dof_coordinates(), function.x.array
-        mine = next(((values[i], points[i]) for i in np.flatnonzero(bad)), None)
+        points, values = self._points(function.function_space).T, function.x.array
+        mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
         return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
 
     def _refuse_gap(self, excess: np.ndarray, tolerance: float, message: str) -> None:
         """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
-        points = self.level.V.tabulate_dof_coordinates()
-        worst = int(np.argmax(excess)) if len(excess) else 0
-        mine = (float(excess[worst]), points[worst]) if len(excess) else (-np.inf, np.zeros(3))
-        gap, point = max(self.level.comm.allgather(mine), key=lambda pair: pair[0])
+        gap = largest(self.level.comm, excess)
         if gap > tolerance:
+            # of places alike the first by coordinates, whatever the partition
+            places = self.level.points[:, excess >= gap * (1 - 1e-9)].T.tolist()
+            point = np.array(min(place for part in self.level.comm.allgather(places) for place in part))
             raise InputError(f"{message}: by {gap:.3g} at {self._at(point)}")
 
     def _at(self, point: np.ndarray) -> str:

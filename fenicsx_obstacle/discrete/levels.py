@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from math import factorial
@@ -14,40 +13,74 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import files
-from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices, volumes
+from fenicsx_obstacle.discrete import files, parents
+from fenicsx_obstacle.discrete.cells import corners, volumes
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import before, largest
+from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import shapes
 from fenicsx_obstacle.scenes.scene import Scene
 
+COARSEST = 500  # cells at least on the coarsest level of a shape,
+PER_RANK = 100  # and on each rank: cells stay on their rank when refined
 BYTES_PER_VERTEX = {1: 400, 2: 900, 3: 2500}  # of a solve with AMG, measured
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """A mesh with its nodal space, and what is known of its boundary.
+    """A mesh with its nodal space, and what is known of its boundary; what is not the mesh is made on first use.
 
     Attributes:
         mesh: Simplices.
-        V: Continuous P1 functions, the paper's V_h without boundary values.
         h: Side of the grid for shapes, largest sqrt(2|T|) or (6|T|)^(1/3) for other meshes.
-        facets: Local facets of each named part of the boundary, or curve (in solids, surface) inside.
-        groups: Owned cells of each named material.
-        shape: The recipe, for shapes.
+        named: Local facets of each named part of the boundary, or curve (in solids, surface) inside; None where they
+            are those of `coarse`.
+        materials: Owned cells of each named material; None likewise.
+        shape: The recipe asked for, for shapes; `mesh` has a coarser grid where it is to be refined.
         coarse: The level it was refined from.
-        ends: For each owned dof the two local dofs of `coarse` of which it is the mean: the ends of the edge it
-            halves, or twice the vertex it coincides with; shape (owned dofs, 2).
+        parents: For each owned cell the local cell of `coarse` it came from.
     """
 
     mesh: dmesh.Mesh
-    V: fem.FunctionSpace
     h: float
-    facets: dict[str, np.ndarray]
-    groups: dict[str, np.ndarray] = field(default_factory=dict)
+    named: dict[str, np.ndarray] | None = None
+    materials: dict[str, np.ndarray] | None = None
     shape: shapes.Shape | None = None
     coarse: Level | None = None
-    ends: np.ndarray | None = None
+    parents: np.ndarray | None = None
+
+    @cached_property
+    def V(self) -> fem.FunctionSpace:
+        """Continuous P1 functions, the paper's V_h without boundary values (first use is collective)."""
+        return releases.functionspace(self.mesh, "Lagrange", 1)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """Coordinates of the local dofs, shape (3, dofs)."""
+        # as the mesh has them: DOLFINx's own table is off in the last digit, differently on each rank
+        return np.ascontiguousarray(self.mesh.geometry.x[releases.dof_nodes(self.V)].T)
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """For each owned dof the two local dofs of `coarse` of which it is the mean.
+
+        The ends of the edge it halves, or twice the vertex it coincides with; shape (owned dofs, 2).
+        """
+        assert self.coarse is not None and self.parents is not None
+        return parents.ends_of(self.V, self.coarse.V, self.parents)
+
+    @cached_property
+    def facets(self) -> dict[str, np.ndarray]:
+        """Local facets of each named part of the boundary, curve or surface inside."""
+        if self.coarse is None or self.parents is None:
+            return self.named or {}
+        return parents.inherited(self.coarse.facets, self.coarse.mesh, self.mesh, self.parents)
+
+    @cached_property
+    def groups(self) -> dict[str, np.ndarray]:
+        """Owned cells of each named material."""
+        if self.coarse is None or self.parents is None:
+            return self.materials or {}
+        return {name: np.flatnonzero(np.isin(self.parents, cells)) for name, cells in self.coarse.groups.items()}
 
     @property
     def comm(self) -> MPI.Comm:
@@ -96,43 +129,34 @@ class Level:
 def build(scene: Scene, comm: MPI.Comm) -> Level:
     """The scene's mesh, refined as often as it says (collective).
 
+    A shape begins with a coarser grid where that leads to the same vertices: the levels below serve multigrid.
+
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
     table = scene.tables.mesh
+    refine = table.refine
     if scene.mesh is not None:
         level = _level(releases.settle(scene.mesh))
     elif table.file is not None:
         level = _level(*files.read(scene.folder / table.file, comm))
     else:
-        level = _from_shape(_shape(scene), table.refine, comm)
-    for _ in range(table.refine):
+        level, halvings = _from_shape(_shape(scene), refine, comm)
+        refine += halvings
+    for _ in range(refine):
+        dim = level.mesh.topology.dim
+        _check_memory(level.dofs * 2.0**dim, BYTES_PER_VERTEX[dim], "'refine' fewer times")
         level = refined(level)
     return level
 
 
 def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
-    mesh = level.mesh
-    interval = mesh.topology.dim == 1
-    new, parents = _halved(level) if interval else releases.refine(mesh)
-    V = releases.functionspace(new, "Lagrange", 1)
-    weights = barycentric(corners(new)[: len(parents)], corners(mesh)[parents])
-    ends = np.empty((V.dofmap.index_map.size_local, 2), dtype=np.int32)
-    dofs, parent_dofs = releases.cell_dofs(V)[: len(parents)], releases.cell_dofs(level.V)[parents]
-    for vertex in range(dofs.shape[1]):
-        own = dofs[:, vertex] < len(ends)
-        # weights are 1 at one end, or 1/2 at two: the first and the last that is not zero
-        touched = weights[:, vertex] > 0.25
-        first, last = touched.argmax(axis=1), touched.shape[1] - 1 - touched[:, ::-1].argmax(axis=1)
-        cell = np.flatnonzero(own)
-        ends[dofs[own, vertex], 0] = parent_dofs[cell, first[own]]
-        ends[dofs[own, vertex], 1] = parent_dofs[cell, last[own]]
-    shape, facets = level.shape, _inherited(level, new, parents, weights)
-    if shape is not None and shape.project is not None:
-        _snap(V, dmesh.exterior_facet_indices(new.topology), shape.project)
-    groups = {name: np.flatnonzero(np.isin(parents, cells)) for name, cells in level.groups.items()}
-    return Level(new, V, level.h / 2, facets, groups, shape, level, ends)
+    new, cells = parents.halved(level.mesh, level.V)
+    fine = Level(new, level.h / 2, shape=level.shape, coarse=level, parents=cells)
+    if level.shape is not None and level.shape.project is not None:
+        parents.snap(fine.V, fine.boundary_facets, level.shape.project)
+    return fine
 
 
 def _shape(scene: Scene) -> shapes.Shape:
@@ -140,10 +164,11 @@ def _shape(scene: Scene) -> shapes.Shape:
 
     def corner(axis: str) -> tuple[float, float]:
         a, b = (scene.number(value, f"[mesh] {axis}") for value in getattr(table, axis))
+        place = f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]"
         if not a < b:
-            raise InputError(
-                f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]: the first end must be less than the second"
-            )
+            raise InputError(f"{place}: the first end must be less than the second")
+        if not max(1e-14, 1e-13 * max(abs(a), abs(b))) < b - a < 1e150:
+            raise InputError(f"{place}: too near or too far for floating point; choose another unit or origin")
         return a, b
 
     match table.shape:
@@ -161,15 +186,16 @@ def _shape(scene: Scene) -> shapes.Shape:
     return shapes.disk(radius, table.cells)
 
 
-def _from_shape(shape: shapes.Shape, refine: int, comm: MPI.Comm) -> Level:
-    dim = len(shape.cells)
-    needed = shape.vertices * 2.0 ** (dim * refine) * BYTES_PER_VERTEX[dim]
-    free = _free_memory()
-    if needed > free or shape.vertices * 6 > 2**31:
-        raise InputError(
-            f"[mesh] cells = {shape.cells[0]}, refine = {refine}: needs about {needed / 1e9:.3g} GB of memory, "
-            f"{free / 1e9:.3g} GB are free; take fewer cells"
-        )
+def _from_shape(asked: shapes.Shape, refine: int, comm: MPI.Comm) -> tuple[Level, int]:
+    """The coarsest level of a shape, and how often to refine it for the grid asked for."""
+    dim = len(asked.cells)
+    _check_memory(asked.vertices * 2.0 ** (dim * refine), BYTES_PER_VERTEX[dim], "take fewer 'cells'")
+    shape, halvings = asked, 0
+    while shape.coarser is not None:
+        coarser = shape.coarser()
+        if coarser.simplices < max(COARSEST, PER_RANK * comm.size):
+            break
+        shape, halvings = coarser, halvings + 1
     if shape.arrays is not None:
         points, cells = shape.arrays() if comm.rank == 0 else (np.empty((0, dim)), np.empty((0, dim + 1), np.int64))
         mesh = releases.create_mesh(comm, cells, points, shape.cell)
@@ -184,8 +210,7 @@ def _from_shape(shape: shapes.Shape, refine: int, comm: MPI.Comm) -> Level:
         else:
             mesh = dmesh.create_box(comm, ends, list(shape.cells), **ghosts)
         mesh = releases.settle(mesh)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    return Level(mesh, V, shape.h, _named(mesh, shape), shape=shape)
+    return Level(mesh, shape.h, _named(mesh, shape), shape=asked), halvings
 
 
 def _level(
@@ -196,27 +221,7 @@ def _level(
     if cell not in ("interval", "triangle", "tetrahedron"):
         raise InputError(f"the mesh has {cell} cells; P1 needs intervals, triangles or tetrahedra")
     h = largest(mesh.comm, (factorial(dim) * volumes(corners(mesh))) ** (1 / dim))
-    return Level(mesh, releases.functionspace(mesh, "Lagrange", 1), h, facets or {}, groups or {})
-
-
-def _halved(level: Level) -> tuple[dmesh.Mesh, np.ndarray]:
-    """Refined interval: DOLFINx refines intervals only from 0.9 on."""
-    mesh, owned = level.mesh, level.owned
-    own_cells = mesh.topology.index_map(1).size_local
-    dofs = releases.cell_dofs(level.V)
-    first = before(level.comm, owned + own_cells)
-    number = fem.Function(level.V)  # of each vertex among the new points; ghosts learn theirs from the owner
-    number.x.array[:owned] = first + np.arange(owned)
-    number.x.scatter_forward()
-    ends = number.x.array[dofs[:own_cells]].real.astype(np.int64)
-    middle = first + owned + np.arange(own_cells)
-    cells = np.column_stack([ends[:, 0], middle, middle, ends[:, 1]]).reshape(-1, 2)
-    gdim = mesh.geometry.dim
-    points = np.vstack([level.V.tabulate_dof_coordinates()[:owned], corners(mesh)[:own_cells].mean(axis=1)])[:, :gdim]
-    new = releases.create_mesh(level.comm, cells, points, "interval", stay=True)
-    start = before(level.comm, len(cells))
-    own = new.topology.index_map(1).size_local
-    return new, (np.asarray(new.topology.original_cell_index)[:own] - start) // 2
+    return Level(mesh, h, facets, groups)
 
 
 def _named(mesh: dmesh.Mesh, shape: shapes.Shape) -> dict[str, np.ndarray]:
@@ -224,30 +229,10 @@ def _named(mesh: dmesh.Mesh, shape: shapes.Shape) -> dict[str, np.ndarray]:
     return {name: dmesh.locate_entities_boundary(mesh, dim, marker) for name, marker in shape.sides.items()}
 
 
-def _snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarray], np.ndarray]) -> None:
-    """Move new boundary vertices onto the curved boundary: a refined polygon never becomes a circle."""
-    mesh = V.mesh
-    dofs = fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)
-    nodes, gdim = releases.dof_nodes(V)[dofs], mesh.geometry.dim
-    mesh.geometry.x[nodes, :gdim] = project(mesh.geometry.x[nodes, :gdim])
-
-
-def _inherited(level: Level, new: dmesh.Mesh, parents: np.ndarray, weights: np.ndarray) -> dict[str, np.ndarray]:
-    """Named facets of a refined file: those that lie within a named facet of their parent cell."""
-    dim = new.topology.dim
-    members = facet_vertices(dim)
-    old_facets, new_facets = cell_facets(level.mesh)[parents], cell_facets(new)[: len(parents)]
-    found: dict[str, np.ndarray] = {}
-    for name, named in level.facets.items():
-        marked = np.isin(old_facets, named)
-        inside = []
-        for i, of_new in enumerate(members):
-            for k, of_old in enumerate(members):
-                outside = [j for j in range(dim + 1) if j not in of_old]
-                on_old = np.all(weights[:, of_new][:, :, outside] < 0.25, axis=(1, 2))
-                inside.append(new_facets[on_old & marked[:, k], i])
-        found[name] = np.unique(np.concatenate(inside)).astype(np.int32)
-    return found
+def _check_memory(vertices: float, each: int, remedy: str) -> None:
+    needed, free = vertices * each, _free_memory()
+    if needed > free or vertices * 6 > 2**31:
+        raise InputError(f"[mesh] needs about {needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free; {remedy}")
 
 
 def _free_memory() -> float:

@@ -1,4 +1,4 @@
-"""The discrete problem on one level: the penalised residual (3.4) in UFL, assembled for PETSc.
+"""The discrete problem on one level: the penalised residual (3.4) in the shape a PETSc solver takes.
 
 The unknown is not u but w = u - r, with r the obstacle that a node may touch ('gap form'). In contact w = -eps p
 is tiny, and exact to its own last digit; computed as a difference of heights of order 1 the penalty w/eps would be
@@ -8,19 +8,18 @@ round-off for eps < 1e-12.
 from __future__ import annotations
 
 import numpy as np
-import ufl
 from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
-from fenicsx_obstacle.forms.rules import nodal_rule
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 
-INFINITE = 1e20  # PETSc's bound for 'no bound' is anything beyond this
+INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
+REACH = 1e3  # an obstacle farther off than this many times the range of heights is no place to count from
 
 
 class Problem:
@@ -44,43 +43,18 @@ class Problem:
         self.scene, self.level = scene, level
         self.data = data = Data(scene, level)
         data.check()
-        V, v = level.V, ufl.TestFunction(level.V)
-        self.w, self.reference = fem.Function(V, name="w"), fem.Function(V, name="r")
-        self.eps = fem.Constant(level.mesh, PETSc.ScalarType(1.0))
-        # distances of the obstacles from r, filled in by `refer`
-        self.below = fem.Function(V) if data.lower is not None else None
-        self.above = fem.Function(V) if data.upper is not None else None
-        u = self.w + self.reference
-
-        rule = nodal_rule(releases.cell_name(level.mesh))
-        dI = rule.on(data.dx)
-        a_minus_f = sum(effect.terms(u, v, data) for effect in scene.effects)
-        energies = [effect.energy(u, data) for effect in scene.effects]
+        affine = all(effect.affine for effect in scene.effects)
+        self.forms = forms = (Nodal if affine else Forms)(scene.effects, data)
+        self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
+        self.below, self.above = forms.below, forms.above
         self.constrained = self.below is not None or self.above is not None
-        derivative = ufl.derivative(a_minus_f, self.w)
-        self._elastic, self._stiffness = releases.form(a_minus_f), releases.form(derivative)
-        self._energy = None if None in energies else releases.form(sum(energies))
-        if self.constrained:
-            gaps = {"eps": self.eps, "lower": self.below, "upper": self.above}
-            contact = penalty(self.w, v, rule=rule, **gaps)
-            self._contact = releases.form(contact)
-            self._jacobian = releases.form(derivative + ufl.derivative(contact, self.w))
-            self._contact_energy = releases.form(penalty_energy(self.w, dI=dI, **gaps))
-
-        dofs, values = data.fixed
-        owned = level.owned
-        self.fixed = np.zeros(owned, dtype=bool)
-        self.fixed[dofs[dofs < owned]] = True
-        self._bc = fem.dirichletbc(values, dofs)
-        self.A = releases.create_matrix(self._stiffness)
-        self.elastic = releases.create_vector(self._elastic, V)
-        self.reaction = releases.create_vector(self._elastic, V)
-        weights = releases.create_vector(self._elastic, V)
-        self._assemble(weights, releases.form(v * dI))
-        self.weights = weights.array.copy()
-        weights.destroy()
-        self.refer(self.cold_start())
+        self.fixed = np.zeros(level.owned, dtype=bool)
+        self.fixed[forms.fixed] = True
+        self.A = forms.create_matrix()
+        self.elastic, self.reaction = forms.vector(), forms.vector()
+        self.weights = forms.weights()
         self.load = self._load()
+        self.refer(self.cold_start())
 
     def cold_start(self) -> np.ndarray:
         """Heights, ghosts included: the boundary values, and inside their mean, or the obstacle it would cross.
@@ -94,6 +68,9 @@ class Problem:
         lower, upper = self.obstacles()
         np.clip(heights, lower, upper, out=heights)
         heights[dofs] = values.x.array[dofs]
+        if self.constrained and total(comm, len(own)) == 0:
+            # nothing else holds a floating membrane: begin with contact everywhere
+            heights = np.broadcast_to(lower - 1.0 if self.below is not None else upper + 1.0, heights.shape).copy()
         return heights
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
@@ -107,31 +84,75 @@ class Problem:
         with np.errstate(invalid="ignore"):
             nearer_below = np.abs(heights - lower) <= np.abs(upper - heights)
         r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(heights)
+        comm = self.level.comm
+        reach = REACH * (largest(comm, heights) - smallest(comm, heights))
+        r = np.where((np.abs(r - heights) > reach) & (reach > 0), heights, r)
         # the owner of a dof decides for all: by round-off in its point, ranks may see different obstacles nearer
         self.reference.x.array[:] = r
         self.reference.x.scatter_forward()
         r = self.reference.x.array
-        if self.below is not None:
-            self.below.x.array[:] = lower - r
-        if self.above is not None:
-            self.above.x.array[:] = upper - r
         self.w.x.array[:] = heights - r
         dofs, values = self.data.fixed
         self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
+        self._measure_gaps()
 
-    def refer_to_contact(self) -> bool:
-        """Count w from the obstacle that each node touches now; whether that changed any (two obstacles only)."""
-        if self.below is None or self.above is None:
+    def begin_from(self, coarse: Problem) -> None:
+        """Let w be the state of the next coarser level, interpolated.
+
+        Where both ends of an edge are in contact its middle is: distances, not heights are interpolated there, or
+        the middle of a curved obstacle's edge would start far off.
+        """
+        ends, own = self.level.ends, self.level.owned
+        heights = fem.Function(self.level.V)
+        heights.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
+        heights.x.scatter_forward()
+        self.refer(heights.x.array)
+        w = self.w.x.array
+        for ours, theirs, sign in ((self.below, coarse.below, 1), (self.above, coarse.above, -1)):
+            if ours is None or theirs is None:
+                continue
+            distance = sign * (coarse.w.x.array - theirs.x.array)
+            touching = np.all(distance[ends] <= 0, axis=1) & ~self.fixed
+            w[:own][touching] = (ours.x.array[:own] + sign * distance[ends].mean(axis=1))[touching]
+        self.w.x.scatter_forward()
+
+    def refer_to_contact(self, *, blunt: bool = False) -> bool:
+        """Count w from the obstacle that each node touches now; whether that changed any.
+
+        Args:
+            blunt: Count w of the other nodes from their present heights: w has become so large, because an obstacle
+                is far off, that its last digit is felt.
+        """
+        if not self.constrained:
             return False
         w, r = self.w.x.array, self.reference.x.array
-        wrong_above = (w >= self.above.x.array) & (self.above.x.array > 0)
-        wrong_below = (w <= self.below.x.array) & (self.below.x.array < 0)
-        # subtract distances, never heights: the excess keeps its digits
-        w[:] = np.where(wrong_above, w - self.above.x.array, np.where(wrong_below, w - self.below.x.array, w))
         lower, upper = self.obstacles()
-        r[:] = np.where(wrong_above, upper, np.where(wrong_below, lower, r))
-        self.below.x.array[:], self.above.x.array[:] = lower - r, upper - r
-        return total(self.level.comm, np.count_nonzero(wrong_above | wrong_below)) > 0
+        new_w, new_r, free = w.copy(), r.copy(), np.ones(len(w), dtype=bool)
+        for gap, obstacle, sign in ((self.below, lower, -1), (self.above, upper, 1)):
+            if gap is None:
+                continue
+            touching = sign * (w - gap.x.array) >= 0
+            wrong = touching & (gap.x.array != 0)
+            # subtract distances, never heights: the excess keeps its digits
+            new_w = np.where(wrong, w - gap.x.array, new_w)
+            new_r = np.where(wrong, obstacle, new_r)
+            free &= ~touching
+        if blunt:
+            new_r, new_w = np.where(free, r + w, new_r), np.where(free, 0.0, new_w)
+        changed = total(self.level.comm, np.count_nonzero(new_r != r)) > 0
+        if changed:
+            w[:], r[:] = new_w, new_r
+            self._measure_gaps()
+        return changed
+
+    def _measure_gaps(self) -> None:
+        """Distances of the obstacles from r."""
+        lower, upper = self.obstacles()
+        if self.below is not None:
+            self.below.x.array[:] = lower - self.reference.x.array
+        if self.above is not None:
+            self.above.x.array[:] = upper - self.reference.x.array
+        self.forms.refer()
 
     def heights(self) -> fem.Function:
         """u = w + r."""
@@ -152,36 +173,35 @@ class Problem:
     def residual(self, x: PETSc.Vec, out: PETSc.Vec, *, penalised: bool = True) -> None:
         """out = a(u, .) + (1/eps) I((u - g)^+, .) - f at w = x, (3.4); 0 at fixed dofs, where x has its value."""
         self.take(x)
-        self._assemble(self.elastic, self._elastic)
-        out_array = self.elastic.array_r.copy()
+        self.forms.elastic(self.elastic)
+        values = out.array
+        values[:] = self.elastic.array_r
         if self.constrained and penalised:
-            self._assemble(self.reaction, self._contact)
-            out_array += self.reaction.array_r
-        out_array[self.fixed] = 0.0
-        out.array[:] = out_array
+            self.forms.reaction(self.reaction)
+            values += self.reaction.array_r
+        values[self.fixed] = 0.0
 
     def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
         """Derivative of `residual` at w = x, with rows and columns of fixed dofs those of the identity."""
         self.take(x)
-        self.A.zeroEntries()
-        form = self._jacobian if self.constrained and penalised else self._stiffness
-        fem.petsc.assemble_matrix(self.A, form, [self._bc])
-        self.A.assemble()
+        self.forms.jacobian(self.A, penalised=self.constrained and penalised)
         return self.A
+
+    def hold(self, held: np.ndarray) -> None:
+        """Let A be the stiffness matrix of a membrane held at these owned dofs (affine effects only)."""
+        assert isinstance(self.forms, Nodal)
+        self.forms.hold(self.A, held)
 
     @property
     def has_energy(self) -> bool:
         """Whether the residual is the derivative of a convex energy."""
-        return self._energy is not None and all(effect.convex for effect in self.scene.effects)
+        energies = [effect.energy(self.forms.w, self.data) for effect in self.scene.effects]
+        return None not in energies and all(effect.convex for effect in self.scene.effects)
 
     def energy(self, x: PETSc.Vec, *, penalised: bool = True) -> float:
         """a(u, u)/2 - f(u) + I((u - g)^+ ^2, 1)/(2 eps) at w = x."""
         self.take(x)
-        comm = self.level.comm
-        value = total(comm, fem.assemble_scalar(self._energy))
-        if self.constrained and penalised:
-            value += total(comm, fem.assemble_scalar(self._contact_energy))
-        return value
+        return self.forms.energy(penalised=self.constrained and penalised)
 
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances u - lower and upper - u at owned dofs; inf where there is no obstacle."""
@@ -192,20 +212,7 @@ class Problem:
         return lower, upper
 
     def _load(self) -> float:
-        """Sum of |f_i| over free dofs: the elastic residual of u = 0."""
-        x = self.state()
-        x.array[:] = -self.reference.x.array[: self.level.owned]
-        keep = self.w.x.array.copy()
-        out = x.duplicate()
-        self.residual(x, out, penalised=False)
-        self.w.x.array[:] = keep
-        value = total(self.level.comm, np.abs(out.array_r))
-        x.destroy()
-        out.destroy()
-        return value
-
-    def _assemble(self, b: PETSc.Vec, form: object) -> None:
-        with b.localForm() as local:
-            local.set(0.0)
-        fem.petsc.assemble_vector(b, form)
-        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        """Sum of |f_i| over free dofs: the elastic residual of u = 0, as long as w and r are 0."""
+        self.forms.refer()
+        self.forms.elastic(self.elastic)
+        return total(self.level.comm, np.abs(self.elastic.array_r[~self.fixed]))

@@ -10,6 +10,7 @@ import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from fenicsx_obstacle.errors import InputError
 
 MAX_LENGTH = 2000  # characters; the parser of Python itself runs out of memory at 1e5 signs
-MAX_DEPTH = 60  # nested operations
+MAX_DEPTH = 150  # nested operations
 
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^", ast.Mod: "%"}
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -51,7 +52,7 @@ class Formula:
     place: str
     tree: ast.expr
 
-    @property
+    @cached_property
     def names(self) -> set[str]:
         """Names of the values it needs."""
         called = {id(node.func) for node in ast.walk(self.tree) if isinstance(node, ast.Call)}
@@ -83,7 +84,8 @@ class Formula:
             alphabet: Operations by sign or name, as `NUMPY` below.
         """
         self.check_names(values)
-        return _walk(self, self.tree, values, alphabet)
+        value = _walk(self, self.tree, values, alphabet)
+        return alphabet["where"](value, 1.0, 0.0) if _is_condition(self.tree) else value
 
     def on_arrays(self, values: Mapping[str, Any]) -> np.ndarray:
         """Value as a float array; not-a-numbers are left for the caller to report."""
@@ -105,7 +107,10 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
     if isinstance(text, bool):
         raise InputError(f"{place}: expected a number or a formula, found {str(text).lower()}")
     if not isinstance(text, str):
-        return Formula(repr(text), place, ast.Constant(float(text)))
+        try:
+            return Formula(repr(text), place, ast.Constant(float(text)))
+        except OverflowError:
+            raise InputError(f"{place}: a number with too many digits") from None
     if len(text) > MAX_LENGTH:
         raise InputError(f"{place}: formula of {len(text)} characters; the limit is {MAX_LENGTH}")
     bare = Formula(text, place, ast.Constant(0.0))
@@ -137,6 +142,8 @@ def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str,
     match node:
         case ast.Constant(value=bool()) | ast.Constant(value=complex()):
             raise InputError(formula.pointing(node, "only real numbers"))
+        case ast.Constant(value=int() as value) if abs(value) > 10**300:
+            raise InputError(formula.pointing(node, "a number with too many digits"))
         case ast.Constant(value=int() | float()) | ast.Name():
             children = []
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
@@ -182,6 +189,8 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
             return float(value)
         case ast.Name(id=name):
             return values[name]
+        case ast.BinOp(op=op) if _BINARY[type(op)] not in do:
+            raise InputError(formula.pointing(node, f"{_BINARY[type(op)]} cannot be differentiated, so not in [exact]"))
         case ast.BinOp(left=left, op=op, right=right):
             return do[_BINARY[type(op)]](number(left), number(right))
         case ast.UnaryOp(op=ast.Not(), operand=operand):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import keyword
 import math
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -88,11 +90,13 @@ class Scene:
         Raises:
             InputError: For anything that is wrong without looking at a mesh.
         """
+        if isinstance(mesh, str):
+            raise InputError(f"scene: mesh = {mesh!r}: expected a DOLFINx mesh or a table such as {{'shape': 'disk'}}")
         raw = {
             "title": title, "u": u, "define": dict(define or {}), "effects": effects,
             "mesh": mesh if isinstance(mesh, dict) else {},
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
-            "boundary": list(boundary), "report": dict(report or {}),
+            "boundary": list(boundary or ()), "report": dict(report or {}),
         }  # fmt: skip
         if exact is not None:
             raw["exact"] = {"u": exact}
@@ -121,7 +125,7 @@ class Scene:
             *path, last = key.split(".")
             table = raw
             for step in path:
-                table = table.setdefault(step, {})
+                table = table.setdefault(step, {}) if isinstance(table, dict) else None
             if not isinstance(table, dict):
                 raise InputError(f"{key}: not a key that can be set")
             if path == ["define"] and last not in table:  # a new name would change nothing
@@ -131,8 +135,15 @@ class Scene:
         new._fill(raw, self.source, self.folder, self.mesh)
         return new
 
+    def with_mesh_file(self, file: str) -> Scene:
+        """The scene of a mesh of the caller's own, with that mesh in a file."""
+        new = Scene.__new__(Scene)
+        raw = msgspec.to_builtins(self.tables)
+        new._fill({**raw, "mesh": {"file": file}}, self.source, self.folder, None)
+        return new
+
     def _fill(self, raw: dict[str, Any], source: str, folder: Path, mesh: Any) -> None:
-        typed = tables.checked(raw, source)
+        typed = tables.checked(_plain(raw), source)
         set_ = lambda key, value: object.__setattr__(self, key, value)  # noqa: E731  (the class is frozen)
         set_("name", Path(source).stem)
         set_("source", source)
@@ -154,6 +165,8 @@ class Scene:
         for number, part in enumerate(typed.boundary):
             if part.value is None:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): the key 'value' is missing")
+            if part.on == ():
+                raise InputError(f"{source}: [[boundary]] (no. {number + 1}) on = []: names no part")
             if part.on is not None and part.where is not None:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): 'on' and 'where' exclude each other")
             if part.where is not None and "distance" in self.needs(self.formula(part.where, "")):
@@ -194,12 +207,14 @@ class Scene:
         Returns:
             Array of n values.
         """
-        names: dict[str, Any] = {**CONSTANTS, **(values or {})}
-        names.update(zip(COORDINATES, (*x, np.linalg.norm(x, axis=0), np.arctan2(x[1], x[0])), strict=True))
-        needed = self.needs(formula)
-        for key, defined in self.define.items():
-            if key in needed:
-                names[key] = defined.on_arrays(names)
+        names: dict[str, Any] = {**CONSTANTS, **(values or {}), **dict(zip("xyz", x, strict=True))}
+        needed = self.needs(formula)  # of a million points, only what the formula needs
+        if "r" in needed:
+            names["r"] = np.linalg.norm(x, axis=0)
+        if "theta" in needed:
+            names["theta"] = np.arctan2(x[1], x[0])
+        for key in (key for key in self.define if key in needed):
+            names[key] = self.define[key].on_arrays(names)
         return np.broadcast_to(formula.on_arrays(names), x.shape[1:])
 
     def number(self, value: float | str, place: str, values: Mapping[str, float] | None = None) -> float:
@@ -223,8 +238,10 @@ class Scene:
         definitions: dict[str, Formula] = {}
         for key, value in self.tables.define.items():
             place = f"[define] {key}"
-            if not key.isidentifier():
-                raise InputError(f"{self.source}: {place}: a name has letters, digits and _ only")
+            if not key.isidentifier() or keyword.iskeyword(key) or unicodedata.normalize("NFKC", key) != key:
+                raise InputError(
+                    f"{self.source}: {place}: not a name; take letters, digits and _, and no word of Python"
+                )
             if key in RESERVED:
                 raise InputError(f"{self.source}: {place}: '{key}' has a meaning already; choose another name")
             formula = self.formula(value, place)
@@ -270,3 +287,12 @@ class Scene:
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""
         return msgspec.toml.encode(self.tables).decode()
+
+
+def _plain(value: Any) -> Any:
+    """The same with Python's own numbers and lists for NumPy's."""
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from math import factorial
 
 import numpy as np
 
@@ -24,6 +25,7 @@ class Shape:
         h: Side of the grid.
         arrays: Makes (points, cells) where DOLFINx has no builder for the shape.
         project: Moves boundary points, shape (n, gdim), onto the true boundary, where that is curved.
+        coarser: Makes the recipe with cells twice as large whose uniform refinement is this grid; None without one.
     """
 
     cell: str
@@ -35,11 +37,17 @@ class Shape:
     diagonal: str = "right"
     arrays: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None
     project: Callable[[np.ndarray], np.ndarray] | None = field(default=None, compare=False)
+    coarser: Callable[[], Shape] | None = field(default=None, compare=False)
 
     @property
     def vertices(self) -> float:
         """About how many vertices the mesh will have."""
         return float(np.prod([float(n) + 1 for n in self.cells])) * (2 if self.diagonal == "crossed" else 1)
+
+    @property
+    def simplices(self) -> float:
+        """About how many cells the mesh will have."""
+        return factorial(len(self.cells)) * float(np.prod(self.cells))
 
 
 def box(cell: str, corners: list[tuple[float, float]], cells: int, diagonal: str = "right") -> Shape:
@@ -54,7 +62,17 @@ def box(cell: str, corners: list[tuple[float, float]], cells: int, diagonal: str
         for axis, (pair, ends) in enumerate(zip(names, corners, strict=True))
         for name, at in zip(pair, ends, strict=True)
     }
-    return Shape(cell, lower, upper, along, sides, h, diagonal)
+    shape = Shape(cell, lower, upper, along, sides, h, diagonal)
+    # halving every edge keeps one direction of the diagonal, but not a pattern of several
+    return _halving(shape) if diagonal in ("right", "left") else shape
+
+
+def _halving(shape: Shape) -> Shape:
+    """The grid, with the way to half as many cells along each side, if they are even."""
+    if any(n % 2 for n in shape.cells):
+        return shape
+    coarse = replace(shape, cells=tuple(n // 2 for n in shape.cells), h=2 * shape.h, coarser=None)
+    return replace(shape, coarser=lambda: _halving(coarse))
 
 
 def _near(axis: int, at: float, tolerance: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -86,7 +104,9 @@ def l_shape(corners: list[tuple[float, float]], cells: int) -> Shape:
         return np.any([np.abs(x[axis] - at) < tolerance for axis, at in ends], axis=0)
 
     sides = {"outer": outer, "notch": notch}
-    return Shape("triangle", (x0, y0), (x1, y1), (cells, cells), sides, (x1 - x0) / cells, arrays=arrays)
+    coarser = None if cells % 4 else lambda: l_shape(corners, cells // 2)
+    h = (x1 - x0) / cells
+    return Shape("triangle", (x0, y0), (x1, y1), (cells, cells), sides, h, arrays=arrays, coarser=coarser)
 
 
 def disk(radius: float, cells: int) -> Shape:
@@ -117,5 +137,7 @@ def disk(radius: float, cells: int) -> Shape:
         return x * (radius / np.linalg.norm(x, axis=1))[:, None]
 
     sides = {"circle": lambda x: np.abs(np.hypot(x[0], x[1]) - radius) < 1e-9 * radius}
-    corner = (-radius, -radius), (radius, radius)
-    return Shape("triangle", *corner, (2 * rings, 2 * rings), sides, radius / rings, arrays=arrays, project=project)
+    coarser = None if rings % 2 else lambda: disk(radius, rings)
+    low, high, h = (-radius, -radius), (radius, radius), radius / rings
+    grid = (2 * rings, 2 * rings)
+    return Shape("triangle", low, high, grid, sides, h, arrays=arrays, project=project, coarser=coarser)

@@ -14,7 +14,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import nearest
 
 Value = float | str  # a number or a formula
-Positive = Annotated[int, Meta(ge=1)]
+Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
 
 class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -27,7 +27,7 @@ class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     z: tuple[Value, Value] = (0.0, 1.0)
     radius: Value = 1.0
     cells: Positive = 32
-    refine: Annotated[int, Meta(ge=0)] = 0
+    refine: Annotated[int, Meta(ge=0, le=20)] = 0
     diagonal: Literal["right", "left", "crossed", "union-jack"] = "right"
 
 
@@ -57,6 +57,7 @@ class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 
     element: Literal["P1"] = "P1"
     method: Literal["penalty", "successive", "vi"] = "penalty"
+    start: Literal["nested", "cold"] = "nested"
     eps: Value = "h^2"
 
 
@@ -93,6 +94,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: nested too deeply") from None
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def checked(raw: dict[str, Any], source: str) -> Tables:

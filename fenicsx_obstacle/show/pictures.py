@@ -1,8 +1,7 @@
-"""Pictures by matplotlib: an answer, orders of convergence, error against time. Rank 0 draws."""
+"""The picture of an answer: u with its obstacles, the free boundary, the contact pressure. Rank 0 draws."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,132 +11,180 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.studies.theory import lookup, parameter, quantities
+from fenicsx_obstacle.show import relief
+from fenicsx_obstacle.show.boundary import SIDES, free_boundary
+from fenicsx_obstacle.show.figures import BLUE, VERMILION, figure, save
+from fenicsx_obstacle.show.simplices import Patch, patch_of, zero
+from fenicsx_obstacle.show.space import draw_view
 
-# Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
-MARKERS = ("o", "s", "^", "D")
+PRESSURE = "contact pressure p"
 
 
-def draw_answer(answer: Answer, path: Path) -> None:
-    """u with its obstacles, contact set and pressure in one picture (collective).
+def draw_answer(answer: Answer, path: Path) -> str:
+    """Draw an answer into a PNG file (collective).
+
+    Returns:
+        One line: the file, who drew it, and why.
 
     Raises:
-        InputError: If the file cannot be written.
+        InputError: If the file cannot be written, or the mesh is a network of intervals.
     """
     arrays = gather(answer)
-    on_root(answer.level.comm, _answer, answer, arrays, path)
+    return on_root(answer.level.comm, _draw, answer, arrays, path)
 
 
-def draw_convergence(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], path: Path) -> None:
-    """Measured quantities against eps or h, with the slopes of the paper (one rank)."""
-    by = parameter(varied)
-    figure, axes = _figure(6.0, 4.6)
-    drawn = quantities(varied, rows[-1])
-    x = np.array([row[by] for row in rows], dtype=float)
-    for number, quantity in enumerate(drawn):
-        y = np.array([lookup(row, quantity.key) for row in rows], dtype=float)
-        style = {"color": COLOURS[number], "marker": MARKERS[number], "markersize": 5}
-        axes.loglog(x, y, label=quantity.tex, **style)
-        # the expected slope, from just below the first value
-        slope = 0.75 * y[0] * (x / x[0]) ** quantity.order
-        axes.loglog(x, slope, ":", color=COLOURS[number], linewidth=1)
-    axes.plot([], [], ":", color="grey", label="expected slopes")
-    axes.set_xlabel(f"{by}   ({'h' if by == 'eps' else 'eps'}: {_other(rows, by)})")
-    axes.set_ylabel("against the solution of SNES VI" if by == "eps" else "error")
-    _finish(figure, axes, rows, path)
+def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path) -> str:
+    patch, u = patch_of(arrays), answer.scene.tables.u
+    kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
+    if kind == 2 and gdim > 1:
+        raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
+    if kind == 2:
+        page, who = _line(patch, u)
+    elif kind == 4:
+        page, who = _solid(patch, u)
+    else:
+        page, who = _flat(patch, u) if gdim == 2 else _curved(patch, u)
+    page.suptitle(answer.scene.tables.title or answer.scene.name, fontsize=12)
+    save(page, path)
+    return f"{path}: drawn by {who}"
 
 
-def draw_cost(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], path: Path) -> None:
-    """What accuracy costs: the first measured quantity against the time of the solve (one rank)."""
-    figure, axes = _figure(6.0, 4.6)
-    quantity = quantities(varied, rows[-1])[0]
-    seconds = [lookup(row, "seconds.solve") for row in rows]
-    axes.loglog(seconds, [lookup(row, quantity.key) for row in rows], "o-", color=COLOURS[0], label=quantity.tex)
-    for row, time in zip(rows, seconds, strict=True):
-        label = f"{row['dofs']} unknowns" if parameter(varied) == "h" else f"eps = {row['eps']:.0e}"
-        at = (time, lookup(row, quantity.key))
-        axes.annotate(label, at, textcoords="offset points", xytext=(6, 4), fontsize=7)
-    axes.set_xlabel("seconds of the solve")
-    axes.set_ylabel(quantity.tex)
-    axes.margins(x=0.2)
-    _finish(figure, axes, rows, path)
-
-
-def _answer(answer: Answer, arrays: Mapping[str, np.ndarray], path: Path) -> None:
-    draw: dict[int, Callable[..., Any]] = {2: _line, 3: _surface}
-    vertices = arrays["cells"].shape[1]
-    if vertices not in draw:
-        raise InputError("pictures are drawn of intervals and surfaces; open fields.xdmf in ParaView for a solid")
-    figure = draw[vertices](answer, arrays)
-    figure.suptitle(answer.scene.tables.title or answer.scene.name, fontsize=11)
-    _save(figure, path)
-
-
-def _line(answer: Answer, arrays: Mapping[str, np.ndarray]) -> Any:
-    order = np.argsort(arrays["points"][:, 0])
-    x = arrays["points"][order, 0]
-    figure, (top, bottom) = _figure(6.4, 5.4, rows=2)
-    for side in ("lower", "upper"):
-        if side in arrays:
-            top.plot(x, arrays[side][order], color="0.55", linestyle="--", label=f"{side} obstacle")
-    top.plot(x, arrays["u"][order], color=COLOURS[0], label=answer.scene.tables.u)
-    touching = arrays["contact"][order] > 0
-    top.plot(x[touching], arrays["u"][order][touching], ".", color=COLOURS[1], markersize=4, label="contact")
-    top.set_ylabel(answer.scene.tables.u)
-    top.legend(fontsize=8)
-    bottom.plot(x, arrays["pressure"][order], color=COLOURS[1])
-    bottom.set_ylabel("contact pressure p")
+def _line(patch: Patch, u: str) -> tuple[Any, str]:
+    """u over an interval, and the pressure below."""
+    order = np.argsort(patch.points[:, 0])
+    x, fields = patch.points[order, 0], {name: values[order] for name, values in patch.fields.items()}
+    page, (top, bottom) = figure(6.4, 5.2, rows=2)
+    low, high = fields["u"].min(), fields["u"].max()
+    margin = 0.15 * (high - low or 1.0)
+    low, high = low - margin, high + margin
+    for side, outside in (("lower", low), ("upper", high)):
+        if side in fields:
+            edge = np.clip(fields[side], low, high)
+            top.fill_between(x, edge, outside, color="0.88", hatch="////", edgecolor="0.7", linewidth=0)
+            top.plot(
+                x, np.where(edge == fields[side], edge, np.nan), color="0.35", linewidth=1, label=f"{side} obstacle"
+            )
+    top.plot(x, fields["u"], color=BLUE, linewidth=2, label=u)
+    bottom.fill_between(x, fields["pressure"], color=VERMILION, alpha=0.25, linewidth=0)
+    bottom.plot(x, fields["pressure"], color=VERMILION)
+    bottom.axhline(0, color="0.6", linewidth=0.8)
+    for number, end in enumerate(end for part in free_boundary(patch) for end in part.points[:, 0]):
+        for axis in (top, bottom):
+            axis.axvline(end, color=relief.INK, linewidth=1, linestyle="--",
+                         label="free boundary" if axis is top and number == 0 else None)  # fmt: skip
+    top.set_ylim(low, high)
+    top.set_xlim(x[0], x[-1])
+    top.set_ylabel(u)
+    top.legend(fontsize=8, loc="best", framealpha=1)
+    bottom.set_ylabel(PRESSURE)
     bottom.set_xlabel("x")
-    return figure
+    return page, "matplotlib, as intervals need no third dimension"
 
 
-def _surface(answer: Answer, arrays: Mapping[str, np.ndarray]) -> Any:
+def _flat(patch: Patch, u: str) -> tuple[Any, str]:
+    """The graph of u in space, and the map of the pressure beside it."""
+    page, (left, right) = figure(12.0, 4.8, columns=2, widths=(1.25, 1))
+    scale = _pressures(patch.fields["pressure"])
+    who = draw_view(left, relief.membrane(patch, scale.to_rgba, u))
+    _map(page, right, patch, relief.touching(patch), scale, u)
+    _legend(left, patch)
+    return page, who
+
+
+def _curved(patch: Patch, u: str) -> tuple[Any, str]:
+    """A surface in space, coloured by u and by the pressure."""
+    page, axes = figure(12.0, 5.2, columns=2)
+    scales = (_heights(patch.fields["u"]), _pressures(patch.fields["pressure"]))
+    for axis, name, scale, label in zip(axes, ("u", "pressure"), scales, (u, PRESSURE), strict=True):
+        who = draw_view(axis, relief.in_space(patch, scale.to_rgba(patch.fields[name])))
+        page.colorbar(scale, ax=axis, label=label, shrink=0.7)
+    return page, who
+
+
+def _solid(patch: Patch, u: str) -> tuple[Any, str]:
+    """A slice through the middle of the contact set, or of the solid: y is constant on it."""
+    where = patch.points[patch.fields["contact"] > 0]
+    at = float((where if len(where) else patch.points)[:, 1].mean())
+    cut = zero(patch, patch.points[:, 1] - at)
+    lines = [zero(part, part.points[:, 1] - at) for part in free_boundary(patch)]
+    page, axes = figure(12.0, 5.0, columns=2)
+    scales = (_heights(cut.fields["u"]), _pressures(cut.fields["pressure"]))
+    for axis, name, scale, label in zip(axes, ("u", "pressure"), scales, (u, PRESSURE), strict=True):
+        axis.tripcolor(_triangles(cut, 0, 2), cut.fields[name], shading="gouraud", cmap=scale.cmap, norm=scale.norm)
+        page.colorbar(scale, ax=axis, label=label, shrink=0.8)
+        _strokes(axis, lines, (0, 2))
+        axis.set(aspect="equal", xlabel="x", ylabel="z", title=f"slice at y = {at:.3g}")
+    return page, "matplotlib, as a slice through the solid; fields.xdmf shows all of it in ParaView"
+
+
+def _map(page: Any, axis: Any, patch: Patch, contact: Patch, scale: Any, u: str) -> None:
+    """From above: contact in the colours of the pressure, u as contour lines, the free boundary."""
+    whole = _triangles(patch, 0, 1)
+    low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
+    if len(contact.cells):
+        axis.tripcolor(_triangles(contact, 0, 1), contact.fields["pressure"], shading="gouraud",
+                       cmap=scale.cmap, norm=scale.norm)  # fmt: skip
+    if np.ptp(patch.fields["u"]) > 0:
+        lines = axis.tricontour(whole, patch.fields["u"], levels=8, colors="0.45", linewidths=0.6, linestyles="solid")
+        _inside(axis.clabel(lines, fontsize=6.5, inline=False), low, high)
+    _strokes(axis, free_boundary(patch), (0, 1))
+    axis.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    axis.set_title(f"grey lines: {u}", fontsize=9)
+    page.colorbar(scale, ax=axis, label=PRESSURE, shrink=0.85)
+
+
+def _inside(labels: Any, low: np.ndarray, high: np.ndarray) -> None:
+    """Labels of contour lines on white; those that the frame would cut are left away."""
+    from matplotlib.patheffects import withStroke
+
+    margin = 0.06 * (high - low)
+    for label in labels:
+        at = np.array(label.get_position())
+        label.set_path_effects([withStroke(linewidth=3, foreground="white", alpha=0.75)])
+        label.set_visible(bool(np.all((at > low + margin) & (at < high - margin))))
+
+
+def _strokes(axis: Any, lines: list[Patch], plane: tuple[int, int]) -> None:
+    from matplotlib.collections import LineCollection
+
+    for line in lines:
+        axis.add_collection(LineCollection(line.points[:, plane][line.cells], colors=relief.INK, linewidths=1.6))
+
+
+def _legend(axis: Any, patch: Patch) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch as Swatch
+
+    handles: list[Any] = [Swatch(facecolor=relief.FREE, label="out of contact")]
+    if patch.fields["contact"].any():
+        handles.append(Line2D([], [], color=relief.INK, label="free boundary"))
+    handles += [Swatch(facecolor=relief.OBSTACLE, alpha=1.0 if side == "lower" else 0.4, label=f"{side} obstacle")
+                for side in SIDES if side in patch.fields]  # fmt: skip
+    axis.legend(handles=handles, fontsize=8, loc="upper left", frameon=False, ncols=1)
+
+
+def _triangles(patch: Patch, i: int, j: int) -> Any:
     from matplotlib.tri import Triangulation
 
-    x, y = arrays["points"][:, 0], arrays["points"][:, 1]
-    mesh = Triangulation(x, y, arrays["cells"])
-    figure, axes = _figure(11.0, 4.2, columns=2)
-    fields = (("u", answer.scene.tables.u, "viridis"), ("pressure", "contact pressure p", "cividis"))
-    for axis, (name, label, colours) in zip(axes, fields, strict=True):
-        image = axis.tripcolor(mesh, arrays[name], shading="gouraud", cmap=colours)
-        figure.colorbar(image, ax=axis, label=label, shrink=0.9)
-        if 0 < arrays["contact"].sum() < len(x):
-            # the free boundary: halfway between nodes in and out of contact
-            axis.tricontour(mesh, arrays["contact"], levels=[0.5], colors=COLOURS[1], linewidths=1.2)
-        axis.set_aspect("equal")
-        axis.set_xlabel("x")
-        axis.set_ylabel("y")
-    axes[0].plot([], [], color=COLOURS[1], label="free boundary")
-    axes[0].legend(fontsize=8, loc="lower left")
-    return figure
+    return Triangulation(patch.points[:, i], patch.points[:, j], patch.cells)
 
 
-def _other(rows: Sequence[Mapping[str, Any]], by: str) -> str:
-    values = [row["h" if by == "eps" else "eps"] for row in rows]
-    if None in values:
-        return "none, SNES VI"
-    return f"{values[0]:.3g}" if len(set(values)) == 1 else f"{values[0]:.1e} to {values[-1]:.1e}"
+def _heights(values: np.ndarray) -> Any:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(values.min(), values.max()), "YlGnBu")
 
 
-def _figure(width: float, height: float, rows: int = 1, columns: int = 1) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def _pressures(values: np.ndarray) -> Any:
+    """No pressure is light; both signs, where there are two obstacles, go to different dark colours."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
 
-    figure = Figure(figsize=(width, height), dpi=150, constrained_layout=True)
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots(rows, columns, sharex=rows > 1)
-
-
-def _finish(figure: Any, axes: Any, rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    axes.grid(True, which="major", color="0.9")
-    axes.legend(fontsize=8)
-    axes.set_title(f"{rows[0]['title'] or rows[0]['scene']} ({rows[0]['element']}, {rows[0]['method']})", fontsize=10)
-    _save(figure, path)
-
-
-def _save(figure: Any, path: Path) -> None:
-    scratch = path.with_name(f".{path.stem}.part.png")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(scratch)
-    scratch.replace(path)
+    low, high = min(values.min(), 0.0), max(values.max(), 0.0)
+    if low < 0 < high:
+        both = max(-low, high)
+        return ScalarMappable(Normalize(-both, both), "PuOr_r")
+    if low < 0:
+        return ScalarMappable(Normalize(low, 0.0), "YlOrRd_r")
+    return ScalarMappable(Normalize(0.0, high or 1.0), "YlOrRd")

@@ -13,7 +13,8 @@ from fenicsx_obstacle.answers.compute import solve
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.pictures import draw_convergence, draw_cost
+from fenicsx_obstacle.show import page, plots
+from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.tables import EARLIER, StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.rows import RowStore
@@ -69,13 +70,14 @@ def report_study(
     if last is not None:
         last.save(folder / "last")
         if answer_has_picture(last):
-            last.plot(folder / "last" / "answer.png")
+            say(last.plot(folder / "last" / "answer.png"))
         on_root(comm, write_text, folder / "last" / "row", rows[-1]["key"])
-    drawn = ["last/"]
-    if len(rows) > 1 and study.by and quantities(study.varied, rows[-1]):
-        on_root(comm, draw_convergence, rows, study.varied, folder / "convergence.png")
-        on_root(comm, draw_cost, rows, study.varied, folder / "cost.png")
+    drawn, plotted = ["last/"], bool(len(rows) > 1 and study.by and quantities(study.varied, rows[-1]))
+    if plotted:
+        on_root(comm, _draw_plots, rows, study.varied, folder)
         drawn += ["convergence.png", "cost.png"]
+    on_root(comm, _study_page, folder, study, rows, table, plotted)
+    drawn.append(page.NAME)
     say(f"saved in {folder}: rows.csv, rows.jsonl, {', '.join(drawn)}")
     for store in stores:
         store.close()
@@ -87,15 +89,42 @@ def _open_store(stores: list[RowStore], folder: Path, fresh: bool) -> int:
     return stores[0].run
 
 
+def _draw_plots(rows: list[Row], varied: list[str], folder: Path) -> None:
+    save(plots.convergence(rows, varied), folder / "convergence.png")
+    save(plots.cost(rows, varied), folder / "cost.png")
+
+
 def _is_drawn(folder: Path, row: Row) -> bool:
     """Whether last/ holds the answer of this row."""
     mark = folder / "last" / "row"
     return mark.exists() and mark.read_text() == row["key"]
 
 
+def _study_page(folder: Path, study: Study, rows: list[Row], table: StudyTable, plotted: bool) -> None:
+    picture = folder / "last" / "answer.png"
+    page.write_page(folder / page.NAME, study.last, rows[-1], picture if picture.exists() else None,
+                    rows=rows, table=table.rows, varied=study.varied, plotted=plotted)  # fmt: skip
+
+
+def report_answer(answer: Answer, folder: Path) -> str:
+    """Draw an answer and write its page into its folder (collective).
+
+    Returns:
+        One line: who drew it, and why.
+
+    Raises:
+        InputError: If the folder cannot be written.
+    """
+    picture = folder / "answer.png" if answer_has_picture(answer) else None
+    who = answer.plot(picture) if picture is not None else f"{folder}: a network of intervals has no picture"
+    comm, path = answer.level.comm, folder / page.NAME
+    on_root(comm, page.write_page, path, answer.scene, answer.record, picture)
+    return who
+
+
 def answer_has_picture(answer: Answer) -> bool:
-    """Whether pictures can show it: solids are for ParaView."""
-    return answer.level.mesh.topology.dim < 3
+    """Whether pictures can show it: networks of intervals are for ParaView."""
+    return answer.level.mesh.topology.dim > 1 or answer.level.mesh.geometry.dim == 1
 
 
 def run_demo(folder: Path, say: Say) -> None:
@@ -105,8 +134,8 @@ def run_demo(folder: Path, say: Say) -> None:
     for name in ("string", "disk", "ball", "two_sided"):
         answer = solve(Scene.read(DEMOS / f"{name}.toml"))
         answer.save(folder / name)
-        answer.plot(folder / name / "answer.png")
-        say(answer.summary() + "\n")
+        drawn = report_answer(answer, folder / name)
+        say(f"{answer.summary()}\n  {drawn}\n")
     studies: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
         ("disk", "h fixed: u_eps tends to the solution of the variational inequality with order eps",
          {"eps": [10.0**-k for k in range(1, 11)]}, {"cells": 64}),

@@ -6,12 +6,14 @@ linear problem of (3.4)* on the present active set.
 
 from __future__ import annotations
 
+from typing import Any
+
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.solvers.snes import LINEAR, Outcome, require, run, user_has_set
-from fenicsx_obstacle.solvers.stopping import Stopping
+from fenicsx_obstacle.solvers.multigrid import Multigrid
+from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
+from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
 
 NEWTON = {
-    **LINEAR,
     "snes_type": "newtonls",
     "snes_max_it": 500,
     "snes_max_funcs": 100000,
@@ -21,9 +23,17 @@ NEWTON = {
     "snes_stol": 0.0,
     "snes_divergence_tolerance": -1.0,
 }
+COUNTED_ANEW = 4  # times, at most
 
 
-def solve_penalty(problem: Problem, eps: float, *, successive: bool = False) -> Outcome:
+def solve_penalty(
+    problem: Problem,
+    eps: float,
+    *,
+    successive: bool = False,
+    multigrid: Multigrid | None = None,
+    tolerance: float = TOLERANCE,
+) -> Outcome:
     """Solve (3.4) from the problem's present state (collective).
 
     Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
@@ -33,6 +43,8 @@ def solve_penalty(problem: Problem, eps: float, *, successive: bool = False) -> 
         problem: Holds the start, then the solution.
         eps: Penalty parameter, in units of u/p.
         successive: The paper's (3.4)*: start without contact, stop when the active set stays as it was.
+        multigrid: Preconditioner; by default algebraic multigrid.
+        tolerance: Unbalanced force over acting forces to stop at.
 
     Returns:
         The converged outcome, iterations of all attempts together.
@@ -43,26 +55,31 @@ def solve_penalty(problem: Problem, eps: float, *, successive: bool = False) -> 
     problem.eps.value = eps
     if successive:
         problem.refer(problem.cold_start())
-    outcome = _attempts(problem, successive)
-    while outcome.converged and problem.refer_to_contact():
-        outcome = _joined(outcome, _attempts(problem, successive))
+    how = {"unchanged": successive, "tolerance": tolerance}
+    outcome = _attempts(problem, how, multigrid)
+    for _ in range(COUNTED_ANEW):
+        if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
+            break
+        outcome = joined(outcome, _attempts(problem, how, multigrid))
     return require(outcome, problem, eps)
 
 
-def _attempts(problem: Problem, unchanged: bool) -> Outcome:
+def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     own_search = user_has_set("penalty_snes_linesearch_type")
     outcome = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "basic"},
-                  Stopping(problem, unchanged=unchanged, watch_cycles=not own_search),
-                  objective=own_search and problem.has_energy)  # fmt: skip
+                  Stopping(problem, watch_cycles=not own_search, **how),
+                  objective=own_search and problem.has_energy, multigrid=multigrid)  # fmt: skip
     if outcome.converged or own_search or not problem.has_energy:
         return outcome
     searched = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "bt"},
-                   Stopping(problem, unchanged=unchanged), objective=True)  # fmt: skip
-    return _joined(outcome, searched)
+                   Stopping(problem, **how), objective=True, multigrid=multigrid)  # fmt: skip
+    return joined(outcome, searched)
 
 
-def _joined(first: Outcome, second: Outcome) -> Outcome:
+def joined(first: Outcome, second: Outcome) -> Outcome:
+    """One outcome of two attempts."""
     return Outcome(
         first.solver, first.iterations + second.iterations, first.krylov + second.krylov,
         first.history + second.history, first.seconds + second.seconds, second.reason,
+        second.blunt,
     )  # fmt: skip

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.solvers.multigrid import SMOOTHER, Multigrid, OnInactive
 from fenicsx_obstacle.solvers.stopping import Step, Stopping, in_words
 
 LINEAR = {
@@ -20,6 +21,13 @@ LINEAR = {
     "ksp_max_it": 500,
     "pc_type": "hypre",
     "pc_hypre_type": "boomeramg",
+}
+INEXACT = {
+    "ksp_type": "cg",
+    # M^-1 r is a height: unlike r it is not drowned by (1/eps) w at nodes that have just come into contact
+    "ksp_norm_type": "preconditioned",
+    "ksp_max_it": 500,
+    **SMOOTHER,
 }
 
 
@@ -34,6 +42,7 @@ class Outcome:
         history: One step per line.
         seconds: Time of the iteration.
         reason: PETSc's reason.
+        blunt: Balance was only reached up to the round-off of w.
     """
 
     solver: str
@@ -42,6 +51,7 @@ class Outcome:
     history: tuple[Step, ...]
     seconds: float
     reason: int
+    blunt: bool = False
 
     @property
     def converged(self) -> bool:
@@ -57,6 +67,7 @@ def run(
     penalised: bool = True,
     objective: bool = False,
     prepare: Callable[[PETSc.SNES], None] | None = None,
+    multigrid: Multigrid | None = None,
 ) -> Outcome:
     """Solve from the problem's present state; w is the last state whatever happens (collective).
 
@@ -68,19 +79,36 @@ def run(
         penalised: Whether the penalty is part of the residual.
         objective: Give the line search the energy.
         prepare: Called with the SNES before it solves.
+        multigrid: Preconditioner, unless the user's options name another.
     """
     start = time.perf_counter()
+    if multigrid is not None and user_has_set(f"{name}_pc_type"):
+        multigrid = None
+    options = {**options, **(LINEAR if multigrid is None else INEXACT)}
     snes = PETSc.SNES().create(problem.level.comm)
     x = problem.state()
     residual = x.duplicate()
     # a NaN is seen by PETSc on all ranks; an exception would leave the others waiting
     snes.setFunction(lambda _, x, out: problem.residual(x, out, penalised=penalised), residual)
-    snes.setJacobian(lambda _, x, A, P: problem.jacobian(x, penalised=penalised), problem.A)
+
+    def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        problem.jacobian(x, penalised=penalised)
+        if multigrid is not None:
+            snes.ksp.setTolerances(rtol=stopping.forcing)
+            if penalised:
+                multigrid.hold(stopping.active)
+
+    snes.setJacobian(jacobian, problem.A)
     if objective:
         snes.setObjective(lambda _, x: problem.energy(x, penalised=penalised))
     snes.setOptionsPrefix(f"{name}_")
     with _defaults(f"{name}_", options):
+        if multigrid is not None and penalised:
+            multigrid.install(snes.ksp.pc)
         snes.setFromOptions()
+        if multigrid is not None and not penalised:
+            snes.ksp.pc.setType("python")
+            snes.ksp.pc.setPythonContext(OnInactive(snes, multigrid, f"{name}_"))
         if prepare is not None:
             prepare(snes)
         snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
@@ -88,7 +116,7 @@ def run(
     problem.take(x)
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
-        time.perf_counter() - start, snes.getConvergedReason(),
+        time.perf_counter() - start, snes.getConvergedReason(), stopping.blunt,
     )  # fmt: skip
     for owner in (snes, x, residual):
         owner.destroy()

@@ -6,6 +6,7 @@ Here the unbalanced force, summed over the free nodes, is compared with the forc
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any
@@ -16,7 +17,10 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
 
+_log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
+BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
+FORCING = 1e-2  # relative accuracy of linear systems on the way
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
@@ -50,6 +54,9 @@ class Stopping:
         exact_bounds: Whether contact is held by bounds (SNES VI) instead of the penalty.
         unchanged: Stop only where no node at all has changed, as (3.4)* does.
         watch_cycles: Give up where an active set comes back.
+        tolerance: Unbalanced force over acting forces.
+        touching: How near to a bound a node touches it (bounds only).
+        blunt: Balance was only reached up to the round-off of w.
         history: One `Step` per evaluation.
     """
 
@@ -57,6 +64,9 @@ class Stopping:
     exact_bounds: bool = False
     unchanged: bool = False
     watch_cycles: bool = False
+    tolerance: float = TOLERANCE
+    touching: float = 0.0
+    blunt: bool = False
     history: list[Step] = field(default_factory=list)
     _last: np.ndarray | None = None
     _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
@@ -80,15 +90,33 @@ class Stopping:
             krylov=krylov - self._krylov,
         )
         self.history.append(step)
+        _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
+                  iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
         self._last, self._krylov = active, krylov
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
-        balanced = unbalanced <= max(TOLERANCE * forces, self._round_off(snes))
+        floor = self._round_off(snes)
+        balanced = unbalanced <= max(self.tolerance * forces, floor)
+        self.blunt = floor > BLUNT * forces
         if balanced and not (self.unchanged and step.changed):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
             return CYCLING
         return CONTINUE
+
+    @property
+    def active(self) -> np.ndarray:
+        """Owned nodes in contact at the last state."""
+        assert self._last is not None
+        return self._last != 0
+
+    @property
+    def forcing(self) -> float:
+        """How far to solve the next linear system: not far while contact changes, then to the end."""
+        step = self.history[-1]
+        if step.changed:
+            return FORCING
+        return min(FORCING, max(0.1 * self.tolerance * step.forces / max(step.unbalanced, 1e-300), 1e-12))
 
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
@@ -96,7 +124,7 @@ class Stopping:
         lower, upper = problem.gaps()
         if self.exact_bounds:
             # complementarity: at the lower bound the support may only push up, a(u, phi) - f >= 0
-            below, above = (lower <= 0) & (elastic > 0), (upper <= 0) & (elastic < 0)
+            below, above = (lower <= self.touching) & (elastic > 0), (upper <= self.touching) & (elastic < 0)
             residual = np.where(below | above, 0.0, elastic)
         else:
             below, above = lower < 0, upper < 0

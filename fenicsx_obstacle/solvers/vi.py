@@ -6,18 +6,21 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.solvers.newton import NEWTON
+from fenicsx_obstacle.solvers.multigrid import Multigrid
+from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, joined
 from fenicsx_obstacle.solvers.snes import Outcome, require, run
-from fenicsx_obstacle.solvers.stopping import Stopping
+from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
 
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
 
-def solve_vi(problem: Problem) -> Outcome:
+def solve_vi(problem: Problem, *, multigrid: Multigrid | None = None, tolerance: float = TOLERANCE) -> Outcome:
     """Solve a(u, v - u) >= f(v - u) for all v between the obstacles, from the present state (collective).
 
     Args:
         problem: Holds the start, then the solution.
+        multigrid: Preconditioner; by default algebraic multigrid.
+        tolerance: Unbalanced force over acting forces to stop at.
 
     Returns:
         The converged outcome.
@@ -25,6 +28,15 @@ def solve_vi(problem: Problem) -> Outcome:
     Raises:
         NotConverged: With PETSc's reason.
     """
+    outcome = _attempt(problem, multigrid, tolerance)
+    for _ in range(COUNTED_ANEW):
+        if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
+            break
+        outcome = joined(outcome, _attempt(problem, multigrid, tolerance))
+    return require(outcome, problem, None)
+
+
+def _attempt(problem: Problem, multigrid: Multigrid | None, tolerance: float) -> Outcome:
     own = problem.level.owned
     x = problem.state()
     lower, upper = x.duplicate(), x.duplicate()
@@ -34,13 +46,14 @@ def solve_vi(problem: Problem) -> Outcome:
     lower.array[problem.fixed], upper.array[problem.fixed] = -INFINITE, INFINITE
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
     problem.take(x)
-    options = {**VI, "snes_vi_zero_tolerance": 1e-12 * _height(problem)}
-    stopping = Stopping(problem, exact_bounds=True)
-    outcome = run(problem, "vi", options, stopping, penalised=False,
+    touching = 1e-12 * _height(problem)
+    options = {**VI, "snes_vi_zero_tolerance": touching}
+    stopping = Stopping(problem, exact_bounds=True, tolerance=tolerance, touching=touching)
+    outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
                   prepare=lambda snes: snes.setVariableBounds(lower, upper))  # fmt: skip
     for vector in (x, lower, upper):
         vector.destroy()
-    return require(outcome, problem, None)
+    return outcome
 
 
 def _height(problem: Problem) -> float:

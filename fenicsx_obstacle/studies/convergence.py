@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any
@@ -17,6 +18,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.rows import RowStore, flat, row_key
 from fenicsx_obstacle.studies.theory import parameter
 
+_log = logging.getLogger(__name__)
 Row = dict[str, Any]
 OnRow = Callable[[Row, Answer | None], None]
 
@@ -92,7 +94,9 @@ class Study:
             on_row: Called with each row, and its answer where it was computed now.
         """
         rows: list[Row] = []
-        for combination, scene in self.points:
+        for number, (combination, scene) in enumerate(self.points, start=1):
+            values = ", ".join(f"{key}={value}" for key, value in combination.items())
+            _log.info(values, extra={"row": number, "rows": len(self.points)})
             key = on_root(self.comm, row_key, scene, self.by, self.comm.size) if self._stored else ""
             row = on_root(self.comm, self._find, key)
             answer = None

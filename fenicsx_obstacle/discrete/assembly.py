@@ -1,0 +1,170 @@
+"""Two ways to evaluate (3.4) on one level: the UFL forms each time, and matrices assembled once.
+
+With the nodal rule the penalty (3.6) is a diagonal, so whenever all effects are affine the residual is
+A w + (A r - f) + D chi (w - gap) / eps, and a Newton step changes nothing but the diagonal of its matrix. That makes
+an evaluation some twenty times cheaper than running over the cells again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
+from fenicsx_obstacle.forms.rules import nodal_rule
+from fenicsx_obstacle.parallel import total
+
+HELD = 1e16  # times the diagonal of a row that is to answer zero
+
+
+class Forms:
+    """The residual, its derivative and the energy in UFL, assembled at every evaluation (all methods collective).
+
+    Attributes:
+        w: The unknown.
+        reference: r; the heights are w + r.
+        below: Distance of the lower obstacle from r, or None.
+        above: Likewise of the upper obstacle.
+        eps: Penalty parameter.
+    """
+
+    def __init__(self, effects: Sequence[Effect], data: Data):
+        self.effects, self.data = effects, data
+        V = data.level.V
+        self.w, self.reference = fem.Function(V, name="w"), fem.Function(V, name="r")
+        self.below = fem.Function(V) if data.lower is not None else None
+        self.above = fem.Function(V) if data.upper is not None else None
+        self.eps = fem.Constant(data.level.mesh, PETSc.ScalarType(1.0))
+        self.v, self.rule = ufl.TestFunction(V), nodal_rule(releases.cell_name(data.level.mesh))
+        self._a_minus_f = sum(effect.terms(self.w + self.reference, self.v, data) for effect in effects)
+        self._elastic = releases.form(self._a_minus_f)
+        self._stiffness = releases.form(ufl.derivative(self._a_minus_f, self.w))
+        dofs, values = data.fixed
+        self.fixed = dofs[dofs < data.level.owned]
+        self._bc = fem.dirichletbc(values, dofs)
+        self._made: dict[str, Any] = {}
+
+    def vector(self) -> PETSc.Vec:
+        """A new vector, ghosted."""
+        return releases.create_vector(self._elastic, self.data.level.V)
+
+    def weights(self) -> np.ndarray:
+        """D_i = I(phi_i, 1) at owned dofs."""
+        out = self.vector()
+        self._assemble(out, releases.form(self.v * self.rule.on(self.data.dx)))
+        values = out.array.copy()
+        out.destroy()
+        return values
+
+    def refer(self) -> None:
+        """Called when r has changed."""
+
+    def elastic(self, out: PETSc.Vec) -> None:
+        """out = a(w + r, .) - f."""
+        self._assemble(out, self._elastic)
+
+    def reaction(self, out: PETSc.Vec) -> None:
+        """out = (1/eps) I((u - g)^+, .)."""
+        self._assemble(out, self._form("contact"))
+
+    def create_matrix(self) -> PETSc.Mat:
+        """The matrix that `jacobian` fills."""
+        return releases.create_matrix(self._stiffness)
+
+    def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
+        """Fill A with the derivative of the residual; rows and columns of fixed dofs are those of the identity."""
+        A.zeroEntries()
+        fem.petsc.assemble_matrix(A, self._form("jacobian") if penalised else self._stiffness, [self._bc])
+        A.assemble()
+
+    def energy(self, *, penalised: bool) -> float:
+        """a(u, u)/2 - f(u), and the energy of the penalty."""
+        comm = self.data.level.comm
+        value = total(comm, fem.assemble_scalar(self._form("energy")))
+        return value + (total(comm, fem.assemble_scalar(self._form("contact energy"))) if penalised else 0.0)
+
+    def _form(self, name: str) -> Any:
+        """Compiled on first use (collective): the fast path needs none of these."""
+        if name not in self._made:
+            gaps: dict[str, Any] = {"eps": self.eps, "lower": self.below, "upper": self.above}
+            if name == "energy":
+                form = sum(effect.energy(self.w + self.reference, self.data) for effect in self.effects)  # type: ignore[misc]
+            elif name == "contact energy":
+                form = penalty_energy(self.w, dI=self.rule.on(self.data.dx), **gaps)
+            else:
+                form = penalty(self.w, self.v, rule=self.rule, **gaps)
+            if name == "jacobian":
+                form = ufl.derivative(self._a_minus_f + form, self.w)
+            self._made[name] = releases.form(form)
+        return self._made[name]
+
+    def _assemble(self, b: PETSc.Vec, form: object) -> None:
+        with b.localForm() as local:
+            local.set(0.0)
+        fem.petsc.assemble_vector(b, form)
+        b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+
+
+class Nodal(Forms):
+    """The same for affine effects, from A, f and D assembled once (all methods collective)."""
+
+    def __init__(self, effects: Sequence[Effect], data: Data):
+        super().__init__(effects, data)
+        self._stiff = super().create_matrix()
+        fem.petsc.assemble_matrix(self._stiff, self._stiffness)
+        self._stiff.assemble()
+        self._constant, self._minus_load = self.vector(), self.vector()
+        self._assemble(self._minus_load, self._elastic)  # w = r = 0
+        self._D = super().weights()
+
+    def weights(self) -> np.ndarray:
+        return self._D
+
+    def refer(self) -> None:
+        self._stiff.mult(releases.vec(self.reference), self._constant)
+        self._constant.axpy(1.0, self._minus_load)
+
+    def elastic(self, out: PETSc.Vec) -> None:
+        self._stiff.multAdd(releases.vec(self.w), self._constant, out)
+
+    def reaction(self, out: PETSc.Vec) -> None:
+        out.array[:] = self._D * self._excess() / float(self.eps.value)
+
+    def create_matrix(self) -> PETSc.Mat:
+        A = self._stiff.duplicate(copy=True)
+        own = self.data.level.V.dofmap.index_map.local_range[0]
+        A.zeroRowsColumns((own + self.fixed).astype(PETSc.IntType), 1.0)
+        self._diagonal = A.getDiagonal()
+        self._changed = self._diagonal.duplicate()
+        return A
+
+    def hold(self, A: PETSc.Mat, held: np.ndarray) -> None:
+        """Fill A with the stiffness, its rows at the held owned dofs answering nothing but zero."""
+        self._diagonal.copy(self._changed)
+        self._changed.array[held] *= HELD
+        A.setDiagonal(self._changed)
+
+    def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
+        self._diagonal.copy(self._changed)
+        if penalised:
+            stiff = self._D * (self._excess() != 0) / float(self.eps.value)
+            stiff[self.fixed] = 0.0
+            self._changed.array[:] += stiff
+        A.setDiagonal(self._changed)
+
+    def _excess(self) -> np.ndarray:
+        """(u - upper)^+ - (lower - u)^+ at owned dofs."""
+        own = len(self._D)
+        w = self.w.x.array[:own]
+        none = np.zeros(own)
+        above = none if self.above is None else np.maximum(w - self.above.x.array[:own], 0.0)
+        below = none if self.below is None else np.maximum(self.below.x.array[:own] - w, 0.0)
+        return above - below

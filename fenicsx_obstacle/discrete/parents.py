@@ -1,0 +1,177 @@
+"""How a refined mesh hangs on the one it came from: each new cell knows its parent, everything else follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices
+from fenicsx_obstacle.parallel import before
+
+
+def ends_of(V: fem.FunctionSpace, coarse: fem.FunctionSpace, parents: np.ndarray) -> np.ndarray:
+    """For each owned dof of V the two local dofs of `coarse` of which it is the mean, shape (owned dofs, 2).
+
+    A vertex of a refined cell is a vertex of its parent or the middle of one of its edges, so looking at the
+    parent's vertices two by two finds it. Vertices moved onto a curved boundary stay nearest to their edge's middle.
+    """
+    owned, gdim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
+    dofs = releases.cell_dofs(V)[: len(parents)]
+    cell = np.empty(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one cell of each dof
+    cell[dofs.ravel()] = np.repeat(np.arange(len(parents), dtype=np.int32), dofs.shape[1])
+    parent = parents[cell[:owned]]
+    points = V.mesh.geometry.x[releases.dof_nodes(V)[:owned]]
+    corners, nodes = coarse.mesh.geometry.x, releases.geometry_dofs(coarse.mesh)[parent]
+    nearest = np.full(owned, np.inf)
+    first, last = np.zeros(owned, dtype=np.int32), np.zeros(owned, dtype=np.int32)
+    for i, j in combinations_with_replacement(range(nodes.shape[1]), 2):
+        distance = np.zeros(owned)
+        for axis in range(gdim):
+            distance += (corners[nodes[:, i], axis] + corners[nodes[:, j], axis] - 2 * points[:, axis]) ** 2
+        nearer = distance < nearest
+        nearest[nearer], first[nearer], last[nearer] = distance[nearer], i, j
+    rows = releases.cell_dofs(coarse)[parent]
+    every = np.arange(owned)
+    return np.column_stack([rows[every, first], rows[every, last]])
+
+
+def prolongation(ends: np.ndarray, fine: fem.FunctionSpace, coarse: fem.FunctionSpace) -> PETSc.Mat:
+    """P1 interpolation from a mesh to its refinement as a matrix (collective)."""
+    numbering = coarse.dofmap.index_map
+    same = ends[:, 0] == ends[:, 1]
+    keep = np.column_stack([np.ones(len(ends), dtype=bool), ~same])
+    columns = np.asarray(numbering.local_to_global(np.sort(ends, axis=1).astype(np.int32).ravel()))
+    values = np.repeat(np.where(same, 1.0, 0.5), 2)
+    starts = np.concatenate([[0], np.cumsum(keep.sum(axis=1))]).astype(PETSc.IntType)
+    size = [(space.dofmap.index_map.size_local, space.dofmap.index_map.size_global) for space in (fine, coarse)]
+    kept = keep.ravel()
+    csr = starts, columns[kept].astype(PETSc.IntType), values[kept]
+    return PETSc.Mat().createAIJ(size, csr=csr, comm=fine.mesh.comm)
+
+
+def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarray]:
+    """The mesh with all edges halved, and the parent of each of its owned cells (collective).
+
+    Triangles are cut into four of their own shape, so that a grid stays a grid; DOLFINx's own refinement bisects
+    longest edges, which turns every other diagonal.
+    """
+    comm, dim, gdim = mesh.comm, mesh.topology.dim, mesh.geometry.dim
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(dim, 1)
+    vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
+    own = mesh.topology.index_map(dim).size_local
+    dofs = releases.cell_dofs(V)[:own]
+    sides = _EDGES[dim]
+    if dim == 1:
+        halves = np.arange(own, dtype=np.int32).reshape(-1, 1)
+    else:
+        halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(sides))[:own]
+    # points in the order of ranks, of each its vertices and then the middles of its edges
+    first = before(comm, vertices.size_local + edges.size_local)
+    number = np.hstack(
+        [_numbers(comm, vertices, dofs, first), _numbers(comm, edges, halves, first + vertices.size_local)]
+    )
+    points = np.empty((vertices.size_local + edges.size_local, gdim))
+    points[: vertices.size_local] = mesh.geometry.x[releases.dof_nodes(V)[: vertices.size_local], :gdim]
+    corner = mesh.geometry.x[releases.geometry_dofs(mesh)[:own], :gdim]
+    middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
+    for side, (i, j) in enumerate(sides):
+        middle[halves[:, side]] = (corner[:, i] + corner[:, j]) / 2
+    points[vertices.size_local :] = middle[: edges.size_local]
+    if dim == 3:
+        diagonal = _inner_diagonal(corner)
+        patterns = np.array([_CORNERS[3] + [(*d, *edge) for edge in ring] for d, ring in _RING.items()])
+        cells = np.take_along_axis(number, patterns[diagonal].reshape(own, -1), axis=1)
+    else:
+        cells = number[:, np.array(_CORNERS[dim] + _MIDDLE[dim]).ravel()]
+    cells = cells.reshape(-1, dim + 1)
+    new = releases.create_mesh(comm, cells, points, releases.cell_name(mesh), stay=True)
+    start = before(comm, len(cells))
+    kept = np.asarray(new.topology.original_cell_index)[: new.topology.index_map(dim).size_local]
+    return new, ((kept - start) // 2**dim).astype(np.int32)
+
+
+# a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
+_EDGES = {
+    1: [(0, 1)],
+    2: [(1, 2), (0, 2), (0, 1)],
+    3: [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)],
+}
+_CORNERS: dict[int, list[tuple[int, ...]]] = {
+    1: [(0, 2), (2, 1)],
+    2: [(0, 5, 4), (5, 1, 3), (4, 3, 2)],
+    3: [(0, 9, 8, 7), (9, 1, 6, 5), (8, 6, 2, 4), (7, 5, 4, 3)],
+}
+_MIDDLE: dict[int, list[tuple[int, ...]]] = {1: [], 2: [(3, 4, 5)]}
+# the octahedron in a tetrahedron: a diagonal, and the ring of edges around it
+_RING = {
+    (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
+    (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
+    (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
+}
+
+
+def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
+    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `_RING`.
+
+    The shortest; of two alike the one along the longest edge: then the six tetrahedra of a cube become those of its
+    eight parts.
+    """
+    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (_EDGES[3][m - 4] for m in pair)] for pair in _RING]
+    edges = np.stack([corner[:, j] - corner[:, i] for i, j in _EDGES[3]], axis=1)
+    longest = edges[np.arange(len(edges)), (edges**2).sum(axis=2).argmax(axis=1)]
+    score = []
+    for a, b in ends:
+        along = np.abs(((a - b) * longest).sum(axis=1))
+        score.append(((a - b) ** 2).sum(axis=1) - 1e-6 * along)
+    return np.argmin(score, axis=0)
+
+
+def _numbers(comm: MPI.Comm, entities: Any, local: np.ndarray, first: int) -> np.ndarray:
+    """Global numbers of local entities where those of each rank begin at its `first` (collective)."""
+    starts = np.array(comm.allgather((entities.local_range[0], first)), dtype=np.int64).reshape(-1, 2)
+    place = np.asarray(entities.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64)
+    # ranks that own none share their start with the next: take the last
+    rank = np.searchsorted(starts[:, 0], place, side="right") - 1
+    return (place - starts[rank, 0] + starts[rank, 1]).reshape(local.shape)
+
+
+def inherited(
+    named: dict[str, np.ndarray], mesh: dmesh.Mesh, new: dmesh.Mesh, parents: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Named facets of a refined mesh: those that lie within a named facet of their parent cell (local)."""
+    dim = new.topology.dim
+    members = facet_vertices(dim)
+    old_facets, new_facets = cell_facets(mesh), cell_facets(new)
+    found: dict[str, np.ndarray] = {}
+    for name, facets in named.items():
+        marked = np.zeros(old_facets.max(initial=-1) + 1, dtype=bool)
+        marked[facets] = True
+        # nearly all cells lie inside: look at the children of those that have such a facet only
+        children = np.flatnonzero(marked[old_facets].any(axis=1)[parents])
+        on_facet = marked[old_facets[parents[children]]]
+        weights = barycentric(corners(new, children), corners(mesh, parents[children]))
+        inside = []
+        for i, of_new in enumerate(members):
+            for k, of_old in enumerate(members):
+                outside = [j for j in range(dim + 1) if j not in of_old]
+                on_old = np.all(weights[:, of_new][:, :, outside] < 0.25, axis=(1, 2))
+                inside.append(new_facets[children[on_old & on_facet[:, k]], i])
+        found[name] = np.unique(np.concatenate(inside)).astype(np.int32)
+    return found
+
+
+def snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Move new boundary vertices onto the curved boundary: a refined polygon never becomes a circle."""
+    mesh = V.mesh
+    dofs = fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)
+    nodes, gdim = releases.dof_nodes(V)[dofs], mesh.geometry.dim
+    mesh.geometry.x[nodes, :gdim] = project(mesh.geometry.x[nodes, :gdim])
