@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM
+from conftest import COMM, DEMOS
 from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
@@ -160,3 +160,107 @@ def test_own_mesh():
     assert answer.record["cells_total"] == 50
     with pytest.raises(InputError, match="quadrilateral cells"):
         solve(Scene(mesh=dmesh.create_unit_square(COMM, 3, 3, cell_type=dmesh.CellType.quadrilateral), tension=1))
+
+
+GEO = """
+SetFactory("OpenCASCADE");
+Rectangle(1) = {0, 0, 0, 0.5, 1};
+Rectangle(2) = {0.5, 0, 0, 0.5, 1};
+BooleanFragments{ Surface{1}; Delete; }{ Surface{2}; Delete; }
+MeshSize{ PointsOf{ Surface{:}; } } = 0.15;
+middle() = Curve In BoundingBox {0.49, -1, -1, 0.51, 2, 1};
+left() = Curve In BoundingBox {-0.01, -1, -1, 0.01, 2, 1};
+right() = Curve In BoundingBox {0.99, -1, -1, 1.01, 2, 1};
+Physical Curve("middle") = {middle()};
+Physical Curve("left") = {left()};
+Physical Curve("right") = {right()};
+Physical Surface("steel") = {1};
+Physical Surface("rubber") = {2};
+"""
+
+
+@pytest.fixture
+def halves(folder):
+    """Two materials with an interior curve between them."""
+    on_root(COMM, lambda: (folder / "halves.geo").write_text(GEO))
+    ends = [{"on": "left", "value": 0}, {"on": "right", "value": 1}]
+    return lambda **given: Scene(**{"mesh": {"file": str(folder / "halves.geo")}, "boundary": ends, **given})
+
+
+@pytest.mark.parametrize("refine", [0, 1, 2])
+def test_materials(halves, refine):
+    """Two springs in a row: the same force in both, u linear in each; refined cells keep their material."""
+    scene = halves(
+        tension={"steel": 2, "rubber": "x/x"}, exact="where(x < 1/2, 2/3*x, 1/3 + 4/3*(x - 1/2))",
+        report={"force": "integral(flux, 'middle')", "half": "integral(1, 'steel')", "soft": "integral(u, 'rubber')",
+                "most": "sup(flux)", "least": "inf(flux)", "middle": "at(u, 1/2, 0.3)"},
+    )  # fmt: skip
+    answer = solve(scene.change({"mesh.refine": refine}))
+    expected = {"force": 4 / 3, "half": 0.5, "soft": 1 / 3, "most": 4 / 3, "least": 4 / 3, "middle": 1 / 3}
+    for name, value in expected.items():
+        assert np.isclose(answer.report[name], value, rtol=1e-8), name
+    assert answer.record["errors"]["max"] < 1e-9
+    assert answer.record["errors"]["energy"] < 1e-8
+
+
+def test_mistakes_in_materials(halves):
+    cases = [
+        ({"steal": 1, "rubber": 1}, "tension: no material named 'steal'; did you mean 'steel'"),
+        ({"steel": 1}, "tension = {steel = 1}: no value for the material 'rubber'"),
+        ({"steel": 1, "rubber": "-x"}, "must be positive; it is -"),
+        ({"steel": 1, "rubber": "q"}, r"tension.rubber: unknown name 'q'"),
+        ({"steel": 1, "rubber": [1]}, r"tension.rubber = \[1\]: expected a number or a formula"),
+        ({}, "expected a number, a formula or {material = value}"),
+    ]
+    for tension, message in cases:
+        with pytest.raises(InputError, match=message) as caught:
+            solve(halves(tension=tension))
+        assert len(set(COMM.allgather(str(caught.value)))) == 1
+    with pytest.raises(InputError, match="no material named 'steel'; the mesh has no named groups of cells"):
+        solve(Scene(mesh={"shape": "interval"}, tension={"steel": 1}))
+
+
+@pytest.mark.parametrize("refine", [0, 1])
+def test_interior_curve(halves, refine):
+    """u given on a curve inside: a roof, on any number of ranks."""
+    boundary = [{"on": "middle", "value": 1}, {"on": ["left", "right"], "value": 0}]
+    scene = halves(tension=1, boundary=boundary, exact="1 - abs(2*x - 1)", report={"length": "integral(1, 'middle')"})
+    answer = solve(scene.change({"mesh.refine": refine}))
+    assert answer.record["errors"]["max"] < 1e-9
+    assert np.isclose(answer.report["length"], 1)
+
+
+def test_curve_that_is_not_in_the_mesh(folder):
+    """A curve beside the surface, and an entity in two groups, are refused with a reason."""
+    loose = GEO + "Point(90) = {0.1, 0.2, 0}; Point(91) = {0.3, 0.2, 0}; Line(99) = {90, 91};\n"
+    loose += 'Physical Curve("loose") = {99};'
+    doubled = GEO + 'Physical Surface("all") = {1, 2};'
+
+    def write():
+        (folder / "loose.geo").write_text(loose)
+        (folder / "doubled.geo").write_text(doubled)
+
+    on_root(COMM, write)
+    scene = Scene(mesh={"file": str(folder / "loose.geo")}, tension=1, boundary=[{"on": "loose", "value": 0}])
+    with pytest.raises(InputError, match="'loose' is not on the mesh; a part inside must be embedded"):
+        solve(scene)
+    with pytest.raises(InputError, match="surface 1 is in the physical groups 'steel' and 'all'"):
+        solve(scene.change({"mesh.file": str(folder / "doubled.geo")}))
+
+
+@pytest.mark.parametrize("refine", [0, 1])
+def test_cylinder_surface_is_periodic(refine):
+    """No seam at theta = pi: u = z and u = cos(theta) are found up to the polygon, whose triangles lean a little."""
+    mesh = {"file": str(DEMOS / "bearing.geo"), "refine": refine}
+    report = {"area": "integral(1)", "groove": "integral(1, 'groove')", "rim": "integral(1, 'ends')",
+              "seam": "at(u, -1, 0, 0.25)", "off": "at(u, cos(1), sin(1), 0.25)"}  # fmt: skip
+    answer = solve(Scene(mesh=mesh, tension=1, boundary=[{"on": "ends", "value": "z"}], exact="z", report=report))
+    assert answer.record["errors"]["max"] < 2e-4
+    assert np.isclose(answer.report["area"], 4 * np.pi, rtol=3e-3)
+    assert np.isclose(answer.report["groove"], 2)
+    assert np.isclose(answer.report["rim"], 4 * np.pi, rtol=3e-3)
+    assert np.isclose(answer.report["seam"], 0.25, atol=2e-4)
+    assert np.isclose(answer.report["off"], 0.25, atol=2e-4)
+    wave = solve(Scene(mesh=mesh, tension=1, load="cos(theta)", exact="cos(theta)",
+                       boundary=[{"on": "ends", "value": "cos(theta)"}]))  # fmt: skip
+    assert wave.record["errors"]["max"] < 0.01

@@ -145,7 +145,7 @@ class Data:
                     f"{self.scene.source}: {place} on: no part named '{name}'" + nearest(name, level.facets)
                 )
             if total(level.comm, len(level.facets[name])) == 0:
-                what = "no edge of the mesh lies on it; a curve inside must be embedded in its surface"
+                what = "no facet of the mesh lies on it; a part inside must be embedded in its domain"
                 raise InputError(f"{self.scene.source}: {place} on = '{name}': {what}")
         return np.unique(np.concatenate([level.facets[name] for name in names])).astype(np.int32)
 
@@ -175,7 +175,7 @@ class Data:
             values[inside] = self._at_points(formula, points[:, inside])
             times += inside
         for name in groups:
-            if largest(comm, self.level.indicator(name) & (times == 0)) > 0:
+            if total(comm, np.count_nonzero(self.level.indicator(name) & (times == 0))) > 0:
                 raise InputError(f"{value.place} = {value.text}: no value for the material '{name}'")
         for bad, what in ((times == 0, "no value for a cell without material"), (times > 1, "two values for a cell")):
             found = self._first(function, bad)

@@ -93,6 +93,14 @@ def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, dict[str, tuple[int
                 kind = ("point", "curve", "surface", "volume")[d]
                 words = " and ".join(f"'{name}'" for name in both)
                 raise InputError(f"{path}: {kind} {entity} is in the physical groups {words}; one is allowed")
+    in_cells = np.concatenate(
+        [model.mesh.getNodesForPhysicalGroup(*group)[0] for group in model.getPhysicalGroups(dim)]
+    )
+    for d, tag in model.getPhysicalGroups(dim - 1):
+        # DOLFINx crashes on them
+        if not np.isin(model.mesh.getNodesForPhysicalGroup(d, tag)[0], in_cells).all():
+            name = model.getPhysicalName(d, tag) or str(tag)
+            raise InputError(f"{path}: '{name}' is not on the mesh; a part inside must be embedded in its domain")
     coordinates = np.asarray(model.mesh.getNodes()[1]).reshape(-1, 3)
     flat = np.abs(coordinates).max(axis=0) > 1e-12 * np.abs(coordinates).max()
     gdim = max(dim, int(np.flatnonzero(flat).max(initial=0)) + 1)

@@ -41,7 +41,9 @@ def locate(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Mean of the values found at each of `count` points, not-a-number where there is none (collective)."""
-    sums = np.array([np.bincount(rows, values, count), np.bincount(rows, minlength=count)])
+    sums = np.zeros((2, count))
+    np.add.at(sums[0], rows, values)
+    np.add.at(sums[1], rows, 1.0)
     comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
     return np.divide(sums[0], sums[1], out=np.full(count, np.nan), where=sums[1] > 0)
 
