@@ -166,4 +166,4 @@ class Nodal(Forms):
         w = self.w.x.array[:own]
         above = 0.0 if self.above is None else np.maximum(w - self.above.x.array[:own], 0.0)
         below = 0.0 if self.below is None else np.maximum(self.below.x.array[:own] - w, 0.0)
-        return above - below
+        return np.asarray(above - below)

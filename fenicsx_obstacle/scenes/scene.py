@@ -174,7 +174,7 @@ class Scene:
         names: dict[str, Any] = {**CONSTANTS, **(values or {}), **dict(zip("xyz", x, strict=True))}
         # a million points: only what the formula needs
         needed = set(formula.names)
-        for key in reversed(self.define):
+        for key in reversed(list(self.define)):
             needed |= self.define[key].names if key in needed else set()
         if "r" in needed:
             names["r"] = np.linalg.norm(x, axis=0)
