@@ -87,18 +87,9 @@ def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
 
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_unconverged_exits_3_and_keeps_what_was_computed(ranks, tmp_path):
-    limit = ["--", "-penalty_snes_max_it", "8", "-penalty_snes_linesearch_type", "basic"]
+    limit = ["--start", "cold", "--", "-penalty_snes_max_it", "8", "-penalty_snes_linesearch_type", "basic"]
     done = run(
-        "study",
-        DEMOS / "disk.toml",
-        "--vary",
-        "eps=1e-1..1e-6",
-        "--start",
-        "cold",
-        "--output",
-        tmp_path / "out",
-        *limit,
-        ranks=ranks,
+        "study", DEMOS / "disk.toml", "--vary", "eps=1e-1..1e-6", "--output", tmp_path / "out", *limit, ranks=ranks
     )
     assert done.returncode == 3, done.stderr
     assert "limit of steps was reached (DIVERGED_MAX_IT)" in done.stderr

@@ -264,3 +264,18 @@ def test_cylinder_surface_is_periodic(refine):
     wave = solve(Scene(mesh=mesh, tension=1, load="cos(theta)", exact="cos(theta)",
                        boundary=[{"on": "ends", "value": "cos(theta)"}]))  # fmt: skip
     assert wave.record["errors"]["max"] < 0.01
+
+
+@pytest.mark.parametrize("name", ["rectangle", "box"])
+def test_a_shape_begins_coarse_and_ends_with_its_own_grid(name):
+    """Halving edges leads to the grid asked for: its vertices, and edges along its own diagonal only."""
+    shape = {"rectangle": {"shape": "rectangle", "cells": 32}, "box": {"shape": "box", "cells": 16}}[name]
+    level = build(shape)
+    assert level.coarse is not None
+    assert level.dofs == (shape["cells"] + 1) ** level.mesh.topology.dim
+    corners = level.mesh.geometry.x[releases.geometry_dofs(level.mesh)]
+    edges = np.concatenate([corners[:, i] - corners[:, j] for i in range(corners.shape[1]) for j in range(i)])
+    steps = np.round(edges / level.h).astype(int)
+    assert np.abs(steps).max(initial=1) == 1
+    # all in the directions of (1, 1, 1), none across
+    assert not np.any((steps.min(axis=1, initial=0) < 0) & (steps.max(axis=1, initial=0) > 0))

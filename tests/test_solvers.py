@@ -225,3 +225,67 @@ def test_line_search_breaks_a_cycle():
     w = problem.w.x.array
     assert outcome.converged
     assert np.abs(np.array(A) @ w + np.maximum(w, 0) / 1e-3 - b).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["ball", "disk", "two_sided", "string"])
+def test_nodal_path_is_the_forms(name):
+    """Products with A, f and D give what the UFL forms give: residual, energy and Jacobian."""
+    from fenicsx_obstacle.discrete.assembly import Forms
+
+    problem = Workbench(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16})).problem
+    problem.eps.value = 1e-3
+    own, fast = problem.level.owned, problem.forms
+    x = problem.level.points
+    problem.w.x.array[:] += 0.3 * np.sin(7 * x[0] + 3 * x[1])
+    out = [fast.vector() for _ in range(4)]
+    fast.elastic(out[0])
+    fast.reaction(out[1])
+    Forms.elastic(fast, out[2])
+    Forms.reaction(fast, out[3])
+    for ours, forms in ((0, 2), (1, 3)):
+        scale = largest(COMM, np.abs(out[forms].array[:own]))
+        assert largest(COMM, np.abs(out[ours].array - out[forms].array)) <= 1e-13 * scale
+    A = problem.jacobian(problem.state())
+    B = A.duplicate()
+    Forms.jacobian(fast, B, penalised=True)
+    scale = B.norm(PETSc.NormType.INFINITY)
+    B.axpy(-1.0, A)
+    assert B.norm(PETSc.NormType.INFINITY) <= 1e-13 * scale
+
+
+@pytest.mark.parametrize(("method", "eps"), [("penalty", "h^2"), ("penalty", 1e-8), ("penalty", 1e-12), ("vi", 1.0)])
+def test_nested_finds_what_a_cold_start_finds_in_few_steps(ball, method, eps):
+    """Newton steps on the finest level <= 6, CG steps <= 15, whatever h and eps; the same answer."""
+    for cells in (64, 128):
+        ours = solve(ball, method=method, eps=eps, cells=cells).record
+        cold = solve(ball, method=method, eps=eps, cells=cells, start="cold").record
+        assert ours["newton_iterations"] <= 6
+        assert ours["krylov_iterations"] <= 15
+        assert ours["newton_total"] > ours["newton_iterations"]
+        for key in ("l2", "max", "energy"):
+            assert np.isclose(ours["errors"][key], cold["errors"][key], rtol=1e-6)
+        assert np.isclose(ours["contact"]["lower"]["force"], cold["contact"]["lower"]["force"], rtol=1e-9)
+
+
+def test_line_contact_is_seen_on_coarse_levels():
+    """A ridge: contact one node wide must not vanish from coarse levels."""
+    scene = membrane(mesh={"shape": "rectangle", "x": [-1, 1], "y": [-1, 1], "cells": 64}, lower="0.3 - 4*abs(x)")
+    scene = scene.change({"boundary": [{"value": "max(0, 0.3 - 4*abs(x))"}]})
+    for method, eps in (("penalty", 1e-12), ("vi", 1.0)):
+        record = solve(scene, method=method, eps=eps).record
+        assert record["newton_iterations"] <= 6
+        assert record["krylov_iterations"] <= 30
+
+
+def test_three_dimensions():
+    """Nochetto, Siebert, Veeser in a cube: the same counts as in two dimensions."""
+    q = "(x^2 + y^2 + z^2)"
+    scene = Scene(
+        mesh={"shape": "box", "x": [-1, 1], "y": [-1, 1], "z": [-1, 1], "cells": 16}, tension=1, lower=0,
+        load=f"where({q} > 0.49, -4*(2*{q} + 3*({q} - 0.49)), -8*0.49*(1.49 - {q}))",
+        boundary=[{"value": f"max({q} - 0.49, 0)^2"}], exact=f"max({q} - 0.49, 0)^2",
+    )  # fmt: skip
+    record = solve(scene, eps=1e-8).record
+    assert record["newton_iterations"] <= 6
+    assert record["krylov_iterations"] <= 20
+    assert record["errors"]["max"] < 0.05

@@ -71,23 +71,23 @@ def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarr
     dofs = releases.cell_dofs(V)[:own]
     sides = _EDGES[dim]
     if dim == 1:
-        halves = np.arange(own, dtype=np.int32).reshape(-1, 1)
+        halves = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
     else:
-        halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(sides))[:own]
+        halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(sides))
     # points in the order of ranks, of each its vertices and then the middles of its edges
     first = before(comm, vertices.size_local + edges.size_local)
     number = np.hstack(
-        [_numbers(comm, vertices, dofs, first), _numbers(comm, edges, halves, first + vertices.size_local)]
+        [_numbers(comm, vertices, dofs, first), _numbers(comm, edges, halves[:own], first + vertices.size_local)]
     )
     points = np.empty((vertices.size_local + edges.size_local, gdim))
     points[: vertices.size_local] = mesh.geometry.x[releases.dof_nodes(V)[: vertices.size_local], :gdim]
-    corner = mesh.geometry.x[releases.geometry_dofs(mesh)[:own], :gdim]
+    corner = mesh.geometry.x[releases.geometry_dofs(mesh), :gdim]
     middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
     for side, (i, j) in enumerate(sides):
         middle[halves[:, side]] = (corner[:, i] + corner[:, j]) / 2
     points[vertices.size_local :] = middle[: edges.size_local]
     if dim == 3:
-        diagonal = _inner_diagonal(corner)
+        diagonal = _inner_diagonal(corner[:own])
         patterns = np.array([_CORNERS[3] + [(*d, *edge) for edge in ring] for d, ring in _RING.items()])
         cells = np.take_along_axis(number, patterns[diagonal].reshape(own, -1), axis=1)
     else:

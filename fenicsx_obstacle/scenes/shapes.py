@@ -105,8 +105,8 @@ def l_shape(corners: list[tuple[float, float]], cells: int) -> Shape:
 
     sides = {"outer": outer, "notch": notch}
     coarser = None if cells % 4 else lambda: l_shape(corners, cells // 2)
-    h = (x1 - x0) / cells
-    return Shape("triangle", (x0, y0), (x1, y1), (cells, cells), sides, h, arrays=arrays, coarser=coarser)
+    grid = (cells, cells), sides, (x1 - x0) / cells
+    return Shape("triangle", (x0, y0), (x1, y1), *grid, arrays=arrays, coarser=coarser)
 
 
 def disk(radius: float, cells: int) -> Shape:
@@ -138,6 +138,5 @@ def disk(radius: float, cells: int) -> Shape:
 
     sides = {"circle": lambda x: np.abs(np.hypot(x[0], x[1]) - radius) < 1e-9 * radius}
     coarser = None if rings % 2 else lambda: disk(radius, rings)
-    low, high, h = (-radius, -radius), (radius, radius), radius / rings
-    grid = (2 * rings, 2 * rings)
-    return Shape("triangle", low, high, grid, sides, h, arrays=arrays, project=project, coarser=coarser)
+    grid = (-radius, -radius), (radius, radius), (2 * rings, 2 * rings), sides, radius / rings
+    return Shape("triangle", *grid, arrays=arrays, project=project, coarser=coarser)

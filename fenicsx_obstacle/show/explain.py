@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fenicsx_obstacle.answers.choose import LINEAR_SOLVER, METHODS
+from fenicsx_obstacle.answers.choose import LINEAR_SOLVER, METHODS, NESTED, nested
 from fenicsx_obstacle.effects.effect import registered
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -134,7 +134,9 @@ def _solver(scene: Scene) -> list[str]:
     return [
         METHODS[scene.tables.solve.method],
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
-        f"each step: {LINEAR_SOLVER}",
+        f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
+        if nested(scene)
+        else f"each step: {LINEAR_SOLVER}, on the finest level alone",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
 

@@ -1,8 +1,9 @@
 """Truncated multigrid: the preconditioner for a membrane that is held at its contact nodes.
 
 A coarse correction must not move a node in contact. So the rows of the prolongation at held nodes are zero, a coarse
-node is held where the fine node it coincides with is, and the operator of a coarse level is its own stiffness matrix
-with the held rows and columns eliminated (after Kornhuber's truncated monotone multigrid, without its triple product).
+node is held where the fine node it coincides with is (and where contact would be lost), and the operator of a coarse
+level is its own stiffness matrix with the held rows and columns eliminated (after Kornhuber's truncated monotone
+multigrid, without its triple product).
 Held is a matter of the diagonal alone: a matrix row whose diagonal is 1e16 times what it was answers with zero. That
 makes the change from one active set to the next cheap, and serves the penalty, whose diagonal is D/eps there, and the
 variational inequality alike.
@@ -65,15 +66,31 @@ class Multigrid:
         self._moves.array[:] = ~(held | self.problem.fixed)
         if self.coarser is None:
             return
-        with self._flags.localForm() as local:
-            local.set(0.0)
-            local.array[self._twin] = held[self._same]
-        self._flags.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        coarse = self._flags.array_r > 0
+        coarse = self._coarse(held)
         self.coarser.hold(coarse)
         self.coarser.problem.hold(coarse)
         self._whole.copy(self.P, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
+
+    def _coarse(self, held: np.ndarray) -> np.ndarray:
+        """Which owned coarse nodes are held: twins of held nodes, and one end of each held edge that has none.
+
+        Without the second kind, contact along a line would vanish from coarse levels, whose corrections then press
+        through it.
+        """
+        flags, ends = self._flags, self.problem.level.ends[held]
+        with flags.localForm() as local:
+            local.set(0.0)
+            local.array[self._twin] = held[self._same]
+        flags.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        flags.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+        with flags.localForm() as local:
+            values = local.array
+            lost = ends[values[ends].max(axis=1, initial=0.0) == 0, 0]
+            values[len(flags.array_r) :] = 0.0
+            values[lost] = 1.0
+        flags.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        return flags.array_r > 0
 
     def install(self, pc: PETSc.PC) -> None:
         """Make a PC the cycle over all levels; options of `SMOOTHER` under its prefix say how."""

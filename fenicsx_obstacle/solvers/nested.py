@@ -14,7 +14,7 @@ from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
 
-ON_THE_WAY = 1e-3  # unbalanced force on coarse levels: their discretisation error is larger by far
+ON_THE_WAY = 1e-2  # unbalanced force on coarse levels: their discretisation error is larger by far
 
 
 def solve_nested(grids: Sequence[Multigrid], solve: Callable[..., Outcome]) -> list[Outcome]:

@@ -20,7 +20,8 @@ from fenicsx_obstacle.parallel import total
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
-FORCING = 1e-2  # relative accuracy of linear systems on the way
+FORCING = 3e-2  # relative accuracy of linear systems on the way: more of it finds no better active set
+EXACT = 1e-10
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
@@ -71,6 +72,7 @@ class Stopping:
     _last: np.ndarray | None = None
     _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
     _krylov: int = 0
+    _exact: bool = False
 
     def __call__(self, snes: PETSc.SNES, iteration: int, norms: Any) -> int:
         """PETSc's callback (collective); the state is the one of the last residual."""
@@ -101,7 +103,10 @@ class Stopping:
         if balanced and not (self.unchanged and step.changed):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
-            return CYCLING
+            if self._exact:
+                return CYCLING
+            self._exact = True  # it may have been the inexact systems
+            self._seen.clear()
         return CONTINUE
 
     @property
@@ -114,9 +119,11 @@ class Stopping:
     def forcing(self) -> float:
         """How far to solve the next linear system: not far while contact changes, then to the end."""
         step = self.history[-1]
+        if self._exact:
+            return EXACT
         if step.changed:
             return FORCING
-        return min(FORCING, max(0.1 * self.tolerance * step.forces / max(step.unbalanced, 1e-300), 1e-12))
+        return min(FORCING, max(0.1 * self.tolerance * step.forces / max(step.unbalanced, 1e-300), EXACT))
 
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
