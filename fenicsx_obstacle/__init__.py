@@ -17,7 +17,9 @@ _HOME = {
     "contact_pressure": "forms.penalty",
     "nodal_rule": "forms.rules",
     "penalty": "forms.penalty",
+    "compare": "answers.difference",
     "solve": "answers.compute",
+    "solve_form": "answers.bring",
     "study": "studies.convergence",
 }
 
@@ -27,10 +29,12 @@ __all__ = [
     "NotConverged",
     "ObstacleError",
     "Scene",
+    "compare",
     "contact_pressure",
     "nodal_rule",
     "penalty",
     "solve",
+    "solve_form",
     "study",
 ]
 

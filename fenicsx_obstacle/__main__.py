@@ -33,6 +33,10 @@ def _run(arguments: list[str]) -> int:
     except click.ClickException as error:
         usage = error.ctx.get_usage() + "\n" if isinstance(error, click.UsageError) and error.ctx else ""
         return _fail(f"{usage}Error: {error.format_message()}", 2)
+    except RuntimeError as error:
+        if type(error).__module__ != "petsc4py.PETSc":
+            raise
+        return _fail(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
     except click.Abort:
         return _fail("interrupted", 130)
     except BrokenPipeError:
@@ -48,6 +52,8 @@ def _fail(message: str, status: int) -> int:
 
 def _begin(petsc: list[str]) -> None:
     """MPI, PETSc with its options, and an exception hook that ends all ranks."""
+    if petsc and not petsc[0].startswith("-"):
+        sys.exit(_fail(f"Error: after -- come PETSc's options, such as -penalty_pc_type lu, not {petsc[0]}", 2))
     import petsc4py
 
     petsc4py.init([sys.argv[0], *petsc])

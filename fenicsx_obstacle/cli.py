@@ -77,8 +77,8 @@ def solve(
 ) -> None:
     """Solve a scene: u, contact pressure p, contact set.
 
-    Writes answer.json, scene.toml, history.csv and fields.xdmf (for ParaView), answer.png and
-    report.html into out/SCENE.
+    Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv,
+    answer.png and report.html into out/SCENE.
     """
     from fenicsx_obstacle.answers.compute import Workbench, changed
     from fenicsx_obstacle.show.page import NAME
@@ -87,6 +87,7 @@ def solve(
 
     scene = changed(_read(scene_file), _typed(given))
     folder = output or Path("out") / scene.name
+    _check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
         answer = Workbench(scene).answer(yardstick=yardstick)
         answer.save(folder)
@@ -99,7 +100,7 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("cells", "refine", "element", "method", "start", "eps")
+@_options("set", "cells", "refine", "element", "method", "start", "eps")
 def explain(scene_file: str, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     from fenicsx_obstacle.answers.compute import changed
@@ -136,12 +137,35 @@ def study(
 
     scene = _read(scene_file)
     varied = dict(_varied(item) for item in vary)
+    if len(varied) < len(vary):
+        raise InputError("--vary: the same key twice; give all its values in one list")
     folder = output or Path("out") / scene.name / "-".join(varied)
+    _check_places(folder, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else _say
     with progress(scene.name, quiet=quiet):
         rows = report_study(scene, varied, _typed(given), folder, say, fresh=fresh, latex=latex)
     if json_file is not None:
         _write_json(json_file, rows)
+
+
+@commands.command()
+@click.argument("first", type=click.Path(path_type=Path), metavar="A")
+@click.argument("second", type=click.Path(path_type=Path), metavar="B")
+@_options("json")
+def compare(first: Path, second: Path, json_file: str | None) -> None:
+    """Compare two saved results: norms, contact sets, forces.
+
+    Also on different meshes: the difference is taken at the nodes of the finer one.
+    """
+    from fenicsx_obstacle.answers.answer import Answer
+    from fenicsx_obstacle.answers.difference import compare
+    from fenicsx_obstacle.show.tables import difference
+
+    found = compare(Answer.read(first), Answer.read(second))
+    if json_file is not None:
+        _write_json(json_file, [found])
+    if json_file != "-":
+        _say(difference(found, str(first), str(second)))
 
 
 @commands.command()
@@ -182,6 +206,8 @@ def values_of(text: str, key: str) -> list[Any]:
     whole = isinstance(first, int) and isinstance(last, int)
     if match[3] is not None:
         count = int(match[3])
+        if count < 1:
+            raise InputError(f"--vary {key}={text}: at least one value")
         steps = [first * (last / first) ** (i / max(count - 1, 1)) for i in range(count)]
     else:
         factor = 10.0 if key == "eps" else 2.0
@@ -240,6 +266,17 @@ def _say(text: str) -> None:
     if MPI.COMM_WORLD.rank == 0:
         with beside_bars(sys.stdout):
             click.echo(text)
+
+
+def _check_places(folder: Path, json_file: str | None) -> None:
+    """Refuse places that cannot be written to before anything is computed (collective)."""
+    from mpi4py import MPI
+
+    from fenicsx_obstacle.parallel import check_folder
+
+    check_folder(MPI.COMM_WORLD, folder)
+    if json_file is not None and Path(json_file).is_dir():
+        raise InputError(f"--json {json_file}: is a folder; name a file")
 
 
 def _write_json(file: str, records: Sequence[Any]) -> None:

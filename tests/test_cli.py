@@ -222,3 +222,37 @@ def test_60_lines_become_3():
         printed.append(done.stdout)
     assert len(printed) == 2
     assert printed[0] == printed[1] == "force on the ball 4.2724\n"
+
+
+def test_compare_and_free_boundary(tmp_path):
+    """Two saved results on different meshes; the free boundary of the ball is the circle r = 0.698 to within h."""
+    for cells in (32, 64):
+        assert (
+            run(
+                "solve", DEMOS / "ball.toml", "--cells", cells, "--method", "vi", "--output", tmp_path / str(cells)
+            ).returncode
+            == 0
+        )
+    done = run("compare", tmp_path / "32", tmp_path / "64", "--json", tmp_path / "c.json", ranks=2)
+    assert done.returncode == 0, done.stderr
+    assert "Jaccard" in done.stdout
+    assert json.loads((tmp_path / "c.json").read_text())["u"]["l2"] < 0.01
+    line = np.loadtxt(tmp_path / "64" / "free_boundary.csv", delimiter=",", skiprows=1)
+    assert np.abs(np.hypot(line[:, 0], line[:, 1]) - 0.697965148223374).max() < 2 * 4 / 64
+    assert run("compare", tmp_path / "32", tmp_path / "nothing").returncode == 2
+
+
+def test_files_of_others_stay(tmp_path):
+    """A result never removes what it did not write, and a bad folder is refused before anything is computed."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("years")
+    assert run("solve", DEMOS / "string.toml", "--output", tmp_path / "out").returncode == 0
+    assert (tmp_path / "out" / "thesis.tex").read_text() == "years"
+    assert not [name for name in os.listdir(tmp_path / "out") if name.startswith(".")]
+    refused = run("solve", DEMOS / "string.toml", "--output", tmp_path / "out" / "thesis.tex")
+    assert refused.returncode == 2
+    assert "is a file" in refused.stderr
+    options = run("solve", DEMOS / "string.toml", "--output", tmp_path / "o", "--", "-penalty_ksp_type", "nonsense")
+    assert options.returncode == 2
+    assert "PETSc" in options.stderr
+    assert "Traceback" not in options.stderr

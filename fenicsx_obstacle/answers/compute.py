@@ -27,7 +27,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
-from fenicsx_obstacle.solvers.newton import solve_penalty
+from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
@@ -145,7 +145,7 @@ class Workbench:
         else:
             problem.refer(problem.cold_start())
             outcomes = [solver(problem)]
-        pressure = residual_pressure(problem) if exact else _penalty_pressure(problem)
+        pressure = residual_pressure(problem) if exact else penalty_pressure(problem)
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
@@ -210,13 +210,6 @@ def versions() -> dict[str, str]:
 
     petsc = ".".join(str(part) for part in PETSc.Sys.getVersion())
     return {"fenicsx_obstacle": version("fenicsx_obstacle"), "dolfinx": dolfinx.__version__, "petsc": petsc}
-
-
-def _penalty_pressure(problem: Problem) -> np.ndarray:
-    """(3.7)-(3.8) in the gap form: p_i = -(w - gap)^+ / eps, at free owned dofs."""
-    lower, upper = problem.gaps()
-    p = (np.maximum(-lower, 0.0) - np.maximum(-upper, 0.0)) / float(problem.eps.value)
-    return np.where(problem.fixed, 0.0, p)
 
 
 def _function(level: levels.Level, values: np.ndarray) -> fem.Function:

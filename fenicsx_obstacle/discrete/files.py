@@ -46,8 +46,8 @@ def _gmsh(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
     mesh, cell_tags, facet_tags = releases.from_gmsh(gmsh.model, comm, gdim)
     if comm.rank == 0:
         gmsh.finalize()
-    facets = {name: facet_tags.find(tag) for name, (d, tag) in names.items() if d == dim - 1 and facet_tags is not None}
-    groups = {name: _owned(mesh, cell_tags.find(tag)) for name, (d, tag) in names.items() if d == dim}
+    facets = {name: facet_tags.find(tag) for name, d, tag in names if d == dim - 1 and facet_tags is not None}
+    groups = {name: _owned(mesh, cell_tags.find(tag)) for name, d, tag in names if d == dim}
     return mesh, facets, groups
 
 
@@ -55,7 +55,7 @@ def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
     return cells[cells < own_cells(mesh)]
 
 
-def _open_gmsh(path: Path) -> tuple[int, int, dict[str, tuple[int, int]]]:
+def _open_gmsh(path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
     """Load the model on rank 0: its dimension, the space it lies in, its physical names."""
     try:
         import gmsh
@@ -76,7 +76,7 @@ def _open_gmsh(path: Path) -> tuple[int, int, dict[str, tuple[int, int]]]:
         raise InputError(f"{path}: Gmsh cannot read it: {error}") from None
 
 
-def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, dict[str, tuple[int, int]]]:
+def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
     dims = [dim for dim in (1, 2, 3) if len(model.mesh.getElementTypes(dim))]
     if not dims:
         raise InputError(f"{path}: holds no cells")
@@ -104,7 +104,7 @@ def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, dict[str, tuple[int
     coordinates = np.asarray(model.mesh.getNodes()[1]).reshape(-1, 3)
     flat = np.abs(coordinates).max(axis=0) > 1e-12 * np.abs(coordinates).max()
     gdim = max(dim, int(np.flatnonzero(flat).max(initial=0)) + 1)
-    names = {model.getPhysicalName(d, tag) or str(tag): (d, tag) for d, tag in model.getPhysicalGroups()}
+    names = [(model.getPhysicalName(d, tag) or str(tag), d, tag) for d, tag in model.getPhysicalGroups()]
     return dim, gdim, names
 
 

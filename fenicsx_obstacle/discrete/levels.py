@@ -150,6 +150,20 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     return level
 
 
+def of_space(V: fem.FunctionSpace) -> Level:
+    """The level of a P1 space of the caller's own (collective).
+
+    Raises:
+        InputError: If it is another space.
+    """
+    element = V.ufl_element()
+    if releases.called(element.degree) != 1 or V.dofmap.index_map_bs != 1 or "DG" in str(element):
+        raise InputError("u must be a continuous P1 Function of one component")
+    level = _level(releases.settle(V.mesh))
+    level.__dict__["V"] = V  # in place of one made on first use
+    return level
+
+
 def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
     new, cells = parents.halved(level.mesh, level.V)

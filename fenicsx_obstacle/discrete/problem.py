@@ -19,7 +19,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
-REACH = 1e3  # an obstacle farther off than this many times the range of heights is no place to count from
+REACH = 1e3  # an obstacle so many times farther off than heights differ, or than the nearest, is no place to count from
 
 
 class Problem:
@@ -39,9 +39,10 @@ class Problem:
         reaction: (1/eps) I((u - g)^+, .) at the last state.
     """
 
-    def __init__(self, scene: Scene, level: Level):
+    def __init__(self, scene: Scene, level: Level, data: Data | None = None):
+        """Assemble what stays; `data` is by default what the scene's formulas are on the level."""
         self.scene, self.level = scene, level
-        self.data = data = Data(scene, level)
+        self.data = data = Data(scene, level) if data is None else data
         data.check()
         affine = all(effect.affine for effect in scene.effects)
         self.forms = forms = (Nodal if affine else Forms)(scene.effects, data)
@@ -85,8 +86,10 @@ class Problem:
             nearer_below = np.abs(heights - lower) <= np.abs(upper - heights)
         r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(heights)
         comm = self.level.comm
-        reach = REACH * (largest(comm, heights) - smallest(comm, heights))
-        r = np.where((np.abs(r - heights) > reach) & (reach > 0), heights, r)
+        gap = np.abs(r - heights)
+        spread = largest(comm, heights) - smallest(comm, heights)
+        reach = REACH * max(spread, smallest(comm, gap[gap > 0]))
+        r = np.where(gap > reach, heights, r)
         # the owner of a dof decides for all: by round-off in its point, ranks may see different obstacles nearer
         self.reference.x.array[:] = r
         self.reference.x.scatter_forward()
@@ -191,6 +194,11 @@ class Problem:
         """Let A be the stiffness matrix of a membrane held at these owned dofs (affine effects only)."""
         assert isinstance(self.forms, Nodal)
         self.forms.hold(self.A, held)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the Jacobian is symmetric."""
+        return all(effect.symmetric for effect in self.scene.effects)
 
     @property
     def has_energy(self) -> bool:

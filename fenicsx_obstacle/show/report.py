@@ -6,16 +6,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import solve
+from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page, plots
+from fenicsx_obstacle.show.boundary import free_boundary
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.tables import EARLIER, StudyTable
+from fenicsx_obstacle.show.simplices import patch_of
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.rows import RowStore
 from fenicsx_obstacle.studies.theory import quantities
@@ -119,7 +123,18 @@ def report_answer(answer: Answer, folder: Path) -> str:
     who = answer.plot(picture) if picture is not None else f"{folder}: a network of intervals has no picture"
     comm, path = answer.level.comm, folder / page.NAME
     on_root(comm, page.write_page, path, answer.scene, answer.record, picture)
+    arrays = gather(answer)
+    on_root(comm, _write_free_boundary, arrays, folder / "free_boundary.csv")
     return who
+
+
+def _write_free_boundary(arrays: Mapping[str, Any], path: Path) -> None:
+    """One line of the table per piece of the free boundary: the coordinates of its ends, or of its corners."""
+    pieces = [line.points[line.cells].reshape(len(line.cells), -1) for line in free_boundary(patch_of(arrays))]
+    table = np.concatenate([*pieces, np.empty((0, pieces[0].shape[1] if pieces else 6))])
+    heads = [f"{axis}{corner}" for corner in range(1, table.shape[1] // 3 + 1) for axis in "xyz"]
+    rows = [",".join(heads), *(",".join(f"{x:.9g}" for x in row) for row in table)]
+    write_text(path, "\n".join(rows) + "\n")
 
 
 def answer_has_picture(answer: Answer) -> bool:

@@ -86,6 +86,27 @@ class StudyTable:
         return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""])
 
 
+def difference(found: Mapping[str, Any], first: str, second: str) -> str:
+    """The figures of `compare` in lines of text."""
+    norms = ", ".join(f"{name} {value:.4g}" for name, value in found["u"].items())
+    contact = found["contact"]
+    gap = "none" if contact["hausdorff"] is None else f"{contact['hausdorff']:.4g}"
+    lines = [
+        f"{first} and {second}",
+        f"  difference of u: {norms}",
+        "  of pressure: " + ", ".join(f"{name} {value:.4g}" for name, value in found["pressure"].items()),
+        f"  contact sets: Jaccard {contact['jaccard']:.4g}, Hausdorff distance {gap}",
+        "  contact area: " + " and ".join(f"{area:.6g}" for area in contact["area"]),
+    ]
+    for side, forces in found["force"].items():
+        if None not in forces:
+            lines.append(f"  force on {side} obstacle: " + " and ".join(f"{force:.6g}" for force in forces))
+    lines.append("  energy: " + " and ".join(f"{energy:.8g}" for energy in found["energy"]))
+    if found["outside"]:
+        lines.append(f"  {found['outside']} nodes of the finer mesh lie outside of the other and do not count")
+    return "\n".join(lines)
+
+
 def short(value: Any) -> str:
     """A varied value in few characters."""
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
@@ -83,3 +85,10 @@ def joined(first: Outcome, second: Outcome) -> Outcome:
         first.history + second.history, first.seconds + second.seconds, second.reason,
         second.blunt,
     )  # fmt: skip
+
+
+def penalty_pressure(problem: Problem) -> np.ndarray:
+    """(3.7)-(3.8) in the gap form: p_i = -(w - gap)^+ / eps, at free owned dofs."""
+    lower, upper = problem.gaps()
+    p = (np.maximum(-lower, 0.0) - np.maximum(-upper, 0.0)) / float(problem.eps.value)
+    return np.where(problem.fixed, 0.0, p)

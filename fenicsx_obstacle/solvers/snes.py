@@ -22,6 +22,7 @@ LINEAR = {
     "pc_type": "hypre",
     "pc_hypre_type": "boomeramg",
 }
+GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_norm_type": "preconditioned"}  # without symmetry
 INEXACT = {
     "ksp_type": "cg",
     # M^-1 r is a height: unlike r it is not drowned by (1/eps) w at nodes that have just come into contact
@@ -84,7 +85,8 @@ def run(
     start = time.perf_counter()
     if multigrid is not None and user_has_set(f"{name}_pc_type"):
         multigrid = None
-    options = {**options, **(LINEAR if multigrid is None else INEXACT)}
+    linear = LINEAR if problem.symmetric else GENERAL
+    options = {**options, **(linear if multigrid is None else INEXACT)}
     snes = PETSc.SNES().create(problem.level.comm)
     x = problem.state()
     residual = x.duplicate()

@@ -1,0 +1,140 @@
+"""Bring your own residual: the solvers of this package on a form that somebody else has written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.contact import Contact, contact_of
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.levels import Level, of_space
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
+from fenicsx_obstacle.solvers.stopping import Step
+from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
+
+
+@dataclass(frozen=True, eq=False)
+class FormAnswer:
+    """A converged solution of a residual of the caller's own.
+
+    Attributes:
+        u: The caller's Function, holding the solution.
+        pressure: Contact pressure at the nodes.
+        contact: Contact set, area and forces.
+        iterations: Newton steps.
+        history: The steps of the iteration.
+    """
+
+    u: fem.Function
+    pressure: fem.Function
+    contact: Contact
+    iterations: int
+    history: tuple[Step, ...]
+
+
+def solve_form(
+    F: ufl.Form,
+    u: fem.Function,
+    *,
+    bcs: Sequence[Any] = (),
+    lower: Any = None,
+    upper: Any = None,
+    eps: float | None = None,
+    energy: ufl.Form | None = None,
+) -> FormAnswer:
+    """Solve F(u; v) + (1/eps) I((u - g)^+, v) = 0 for u between obstacles (collective).
+
+    F is the residual without contact: the penalty is added here. Linear or not, in any UFL; PETSc options with the
+    prefix `penalty_` or `vi_` choose the linear solver (default: conjugate gradients with BoomerAMG where an energy is
+    given, GMRES with BoomerAMG otherwise).
+
+    Args:
+        F: Residual, a linear form in one test function.
+        u: Unknown of F, a continuous P1 Function: start and solution.
+        bcs: Dirichlet conditions.
+        lower: Obstacle below: a Function of the same space, a number, or a UFL expression.
+        upper: Obstacle above, likewise.
+        eps: Penalty parameter; None for the variational inequality, by SNES VI.
+        energy: The functional whose derivative F is; with it a line search safeguards the iteration.
+
+    Raises:
+        InputError: If the space is not P1 on simplices, no obstacle is given, or data are not admissible.
+        NotConverged: With PETSc's reason.
+    """
+    if lower is None and upper is None:
+        raise InputError("solve_form: give an obstacle, lower= or upper=")
+    if eps is not None and not 0 < eps < np.inf:
+        raise InputError(f"eps = {eps}: must be positive and finite")
+    level = of_space(u.function_space)
+    given = _Given(F, u, energy)
+    scene: Any = SimpleNamespace(effects=(given,), source="solve_form")
+    data = _Data(scene, level, bcs, lower, upper)
+    problem = Problem(scene, level, data)
+    start = u.x.array.copy()
+    dofs, values = data.fixed
+    start[dofs] = values.x.array[dofs]
+    low, high = problem.obstacles()
+    problem.refer(np.clip(start, low, high))
+    if eps is None:
+        outcome = solve_vi(problem)
+        p = residual_pressure(problem)
+    else:
+        outcome = solve_penalty(problem, eps)
+        p = penalty_pressure(problem)
+    contact = contact_of(problem, p)
+    u.x.array[:] = problem.heights().x.array
+    pressure = fem.Function(u.function_space, name="p")
+    pressure.x.array[: len(p)] = p
+    pressure.x.scatter_forward()
+    return FormAnswer(u, pressure, contact, outcome.iterations, outcome.history)
+
+
+class _Given:
+    """The caller's residual as an effect: what a problem is made of."""
+
+    elastic, affine = True, False
+
+    def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
+        arguments = F.arguments()
+        if len(arguments) != 1:
+            raise InputError("solve_form: F must be linear in one test function, and hold no trial function")
+        self.F, self.u, self.v, self.functional = F, u, arguments[0], energy
+        self.symmetric = self.convex = energy is not None
+
+    def terms(self, u: Any, v: Any, data: Any) -> ufl.Form:
+        return ufl.replace(self.F, {self.u: u, self.v: v})
+
+    def energy(self, u: Any, data: Any) -> ufl.Form | None:
+        return None if self.functional is None else ufl.replace(self.functional, {self.u: u})
+
+
+class _Data(Data):
+    """Obstacles and boundary values that are given as they are, not sampled."""
+
+    def __init__(self, scene: Any, level: Level, bcs: Sequence[Any], lower: Any, upper: Any):
+        super().__init__(scene, level)
+        self.lower, self.upper = (None if g is None else self._taken(g) for g in (lower, upper))
+        values = fem.Function(level.V)
+        fem.set_bc(values.x.array, list(bcs))
+        values.x.scatter_forward()
+        dofs = [np.asarray(bc.dof_indices()[0]) for bc in bcs]
+        self.fixed = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)])).astype(np.int32), values
+
+    def _taken(self, g: Any) -> fem.Function:
+        taken = fem.Function(self.level.V)
+        if isinstance(g, fem.Function) and g.function_space == self.level.V:
+            taken.x.array[:] = g.x.array
+        elif isinstance(g, ufl.core.expr.Expr):
+            taken.interpolate(releases.expression(g, self.level.V))
+        else:
+            taken.x.array[:] = float(g)
+        return taken

@@ -1,0 +1,108 @@
+"""What distinguishes two answers: norms of u and p, contact sets, forces, energy; on one mesh or on two."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+from scipy.spatial import cKDTree
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
+from fenicsx_obstacle.discrete.points import values_at
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, total
+
+
+def compare(a: Answer, b: Answer) -> dict[str, Any]:
+    """Differences of two answers, taken at the nodes of the finer mesh (collective).
+
+    Returns:
+        `u`: l2, h1 and max norm of the difference, and `energy` ||mu^(1/2) grad(.)|| where the tension of the finer
+        answer is a formula of the place; `pressure`: l2 and max; `contact`: Jaccard measure (common area / joint area,
+        1 for equal sets) and Hausdorff distance of the contact nodes, and areas; `force` and `energy` of both;
+        `outside`, the number of nodes of the finer mesh that do not lie in the other.
+
+    Raises:
+        InputError: If the answers live in spaces of different dimensions.
+    """
+    fine, coarse = (a, b) if a.level.dofs >= b.level.dofs else (b, a)
+    if fine.level.mesh.geometry.dim != coarse.level.mesh.geometry.dim:
+        raise InputError("compare: the answers live in spaces of different dimensions")
+    comm, own = fine.level.comm, fine.level.owned
+    there = {name: _at_nodes(coarse.functions()[name], coarse, fine) for name in ("u", "pressure", "contact")}
+    outside = np.isnan(there["u"])
+    difference = {name: np.where(outside, 0.0, getattr(fine, name).x.array - there[name]) for name in there}
+    lumped = _lumped(fine)
+    ours, theirs = fine.contact.x.array[:own] > 0.5, there["contact"][:own] > 0.5
+    joint = total(comm, lumped[ours | theirs])
+    return {
+        "u": _norms(fine, difference["u"]),
+        "pressure": {key: value for key, value in _norms(fine, difference["pressure"]).items() if key in ("l2", "max")},
+        "contact": {
+            "jaccard": total(comm, lumped[ours & theirs]) / joint if joint else 1.0,
+            "hausdorff": _hausdorff(a, b),
+            "area": [x.record["contact"]["area"] for x in (a, b)],
+        },
+        "force": {
+            side: [x.record["contact"].get(side, {}).get("force") for x in (a, b)] for side in ("lower", "upper")
+        },
+        "energy": [x.record["energy"] for x in (a, b)],
+        "outside": int(total(comm, np.count_nonzero(outside[:own]))),
+    }
+
+
+def _at_nodes(function: fem.Function, source: Answer, target: Answer) -> np.ndarray:
+    """Values of a function of one answer at the local nodes of another, not-a-number outside (collective)."""
+    mine = target.level.points.T
+    parts = target.level.comm.allgather(mine)
+    start = sum(len(part) for part in parts[: target.level.comm.rank])
+    return values_at(source.level, function, np.vstack(parts))[start : start + len(mine)]
+
+
+def _norms(answer: Answer, nodal: np.ndarray) -> dict[str, float]:
+    """Norms of a P1 function given at the local nodes, exact on each cell (collective)."""
+    level = answer.level
+    count, comm = own_cells(level.mesh), level.comm
+    x = corners(level.mesh)[:count]
+    size, values = volumes(x), nodal[releases.cell_dofs(level.V)[:count]]
+    vertices = values.shape[1]
+    # the mass matrix of a simplex is (ones + identity) |T| / ((d + 1)(d + 2))
+    squared = size / (vertices * (vertices + 1)) * (values.sum(axis=1) ** 2 + (values**2).sum(axis=1))
+    edges, rises = x[:, 1:] - x[:, :1], values[:, 1:] - values[:, :1]
+    gram = edges @ edges.transpose(0, 2, 1)
+    slopes = np.einsum("ci,ci->c", rises, np.linalg.solve(gram, rises[:, :, None])[:, :, 0])
+    l2, gradient = total(comm, squared), total(comm, size * slopes)
+    norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
+    tension = next(effect.value for effect in answer.scene.effects if effect.elastic)
+    if not hasattr(tension, "parts") and "distance" not in answer.scene.needs(tension):
+        mu = answer.scene.at_points(tension, np.ascontiguousarray(x.mean(axis=1).T))
+        norms["energy"] = math.sqrt(total(comm, mu * size * slopes))
+    return norms
+
+
+def _lumped(answer: Answer) -> np.ndarray:
+    """D_i at owned nodes (collective)."""
+    level = answer.level
+    count, weights = own_cells(level.mesh), fem.Function(level.V)
+    dofs, size = releases.cell_dofs(level.V), volumes(corners(level.mesh))
+    np.add.at(weights.x.array, dofs[:count].ravel(), np.repeat(size[:count] / dofs.shape[1], dofs.shape[1]))
+    releases.vec(weights).ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    return weights.x.array[: level.owned].copy()
+
+
+def _hausdorff(a: Answer, b: Answer) -> float | None:
+    """Largest distance from a contact node of one to the nearest of the other; None where one has none (collective)."""
+    sets = []
+    for answer in (a, b):
+        own = answer.level.owned
+        mine = answer.level.points.T[:own][answer.contact.x.array[:own] > 0.5]
+        sets.append(np.vstack(answer.level.comm.allgather(mine)))
+    if not all(len(points) for points in sets):
+        return None
+    trees = [cKDTree(points) for points in sets]
+    return float(max(trees[0].query(sets[1])[0].max(), trees[1].query(sets[0])[0].max()))
