@@ -18,8 +18,8 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page, plots
 from fenicsx_obstacle.show.boundary import free_boundary
 from fenicsx_obstacle.show.figures import save
-from fenicsx_obstacle.show.tables import EARLIER, StudyTable
 from fenicsx_obstacle.show.simplices import patch_of
+from fenicsx_obstacle.show.tables import EARLIER, StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.rows import RowStore
 from fenicsx_obstacle.studies.theory import quantities
