@@ -163,7 +163,8 @@ class Tiny:
         self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0)
         self.w = SimpleNamespace(x=SimpleNamespace(array=np.zeros(n)))
         self.eps = SimpleNamespace(value=1.0)
-        self.fixed, self.constrained, self.has_energy, self.symmetric = np.zeros(n, bool), True, True, True
+        self.fixed, self.constrained, self.affine = np.zeros(n, bool), True, True
+        self.has_energy, self.symmetric = True, True
         self.A = PETSc.Mat().createDense(n, comm=MPI.COMM_SELF)
         self.A.setUp()
         self.elastic, self.reaction = self.A.createVecLeft(), self.A.createVecLeft()

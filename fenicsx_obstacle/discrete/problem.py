@@ -32,6 +32,7 @@ class Problem:
         data: The scene's data there.
         w: The unknown, as a Function.
         reference: r, the heights from which w counts.
+        affine: Whether the elastic residual is linear in u plus a constant.
         fixed: Whether u is given at a dof.
         weights: D_i = I(phi_i, 1), the area that belongs to a node.
         A: The Jacobian; the same matrix for life.
@@ -44,8 +45,8 @@ class Problem:
         self.scene, self.level = scene, level
         self.data = data = Data(scene, level) if data is None else data
         data.check()
-        affine = all(effect.affine for effect in scene.effects)
-        self.forms = forms = (Nodal if affine else Forms)(scene.effects, data)
+        self.affine = all(effect.affine for effect in scene.effects)
+        self.forms = forms = (Nodal if self.affine else Forms)(scene.effects, data)
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above
         self.constrained = self.below is not None or self.above is not None

@@ -39,7 +39,8 @@ def solve_penalty(
     """Solve (3.4) from the problem's present state (collective).
 
     Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
-    finite. Should they repeat, a line search on the convex energy breaks the cycle.
+    finite. Should they repeat, a line search on the convex energy breaks the cycle. A residual that is not linear has
+    the line search from the start.
 
     Args:
         problem: Holds the start, then the solution.
@@ -67,15 +68,26 @@ def solve_penalty(
 
 
 def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
-    own_search = user_has_set("penalty_snes_linesearch_type")
-    outcome = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "basic"},
-                  Stopping(problem, watch_cycles=not own_search, **how),
-                  objective=own_search and problem.has_energy, multigrid=multigrid)  # fmt: skip
-    if outcome.converged or own_search or not problem.has_energy:
-        return outcome
-    searched = run(problem, "penalty", {**NEWTON, "snes_linesearch_type": "bt"},
-                   Stopping(problem, **how), objective=True, multigrid=multigrid)  # fmt: skip
-    return joined(outcome, searched)
+    """Full steps and line searches in turn, each from where the last one gave up, until one converges.
+
+    A line search ends where the round-off of the energy hides any descent: full steps go on from there.
+    """
+    if user_has_set("penalty_snes_linesearch_type") or not problem.has_energy:
+        return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)
+    searches = ("basic", "bt", "basic") if problem.affine else ("bt", "basic")
+    outcome = _attempt(problem, searches[0], how, multigrid)
+    for search in searches[1:]:
+        if not outcome.converged:
+            outcome = joined(outcome, _attempt(problem, search, how, multigrid))
+    return outcome
+
+
+def _attempt(
+    problem: Problem, search: str, how: dict[str, Any], multigrid: Multigrid | None, *, objective: bool = False
+) -> Outcome:
+    stopping = Stopping(problem, watch_cycles=search == "basic" and not objective, **how)
+    options = {**NEWTON, "snes_linesearch_type": search}
+    return run(problem, "penalty", options, stopping, objective=objective or search == "bt", multigrid=multigrid)
 
 
 def joined(first: Outcome, second: Outcome) -> Outcome:
