@@ -15,7 +15,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import smallest, total
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
@@ -23,6 +23,7 @@ BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from ne
 FORCING = 3e-2  # relative accuracy of linear systems on the way: more of it finds no better active set
 TO_SPARE = 0.03  # the last system is solved further than to the tolerance, so that figures agree on all ranks to 1e-9
 EXACT = 1e-10
+NOTHING = 1e-30
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
@@ -150,7 +151,13 @@ class Stopping:
         w = self.problem.w.x.array[: self.problem.level.owned]
         free = ~self.problem.fixed
         # rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part
-        floor = 8 * float(np.finfo(float).eps) * total(self.problem.level.comm, (diagonal.array_r * np.abs(w))[free])
+        comm, stiff = self.problem.level.comm, diagonal.array_r[free]
+        floor = 8 * float(np.finfo(float).eps) * total(comm, stiff * np.abs(w[free]))
+        # where all data are zero no force is left to compare with: nothing against the stiffness over the nearest gap
+        gaps = np.abs(np.concatenate([gap[np.isfinite(gap) & (gap != 0)] for gap in self.problem.gaps()]))
+        nearest = smallest(comm, gaps)
+        if np.isfinite(nearest):
+            floor += NOTHING * nearest * total(comm, stiff)
         diagonal.destroy()
         return floor
 
