@@ -33,12 +33,12 @@ def _run(arguments: list[str]) -> int:
     except click.ClickException as error:
         usage = error.ctx.get_usage() + "\n" if isinstance(error, click.UsageError) and error.ctx else ""
         return _fail(f"{usage}Error: {error.format_message()}", 2)
+    except click.Abort:
+        return _fail("interrupted", 130)
     except RuntimeError as error:
         if type(error).__module__ != "petsc4py.PETSc":
             raise
         return _fail(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
-    except click.Abort:
-        return _fail("interrupted", 130)
     except BrokenPipeError:
         return 1
     return result if isinstance(result, int) else 0
