@@ -210,7 +210,7 @@ def values_of(text: str, key: str) -> list[Any]:
             raise InputError(f"--vary {key}={text}: at least one value")
         steps = [first * (last / first) ** (i / max(count - 1, 1)) for i in range(count)]
     else:
-        factor = 10.0 if key == "eps" else 2.0
+        factor = 10.0 if key in ("eps", "solve.eps") else 2.0
         ratio = factor if last >= first else 1 / factor
         steps = [float(first)]
         while (steps[-1] * ratio - last) * (ratio - 1) <= 1e-9 * last:

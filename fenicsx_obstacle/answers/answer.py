@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.levels import Level
 
 
+DEEP = 0.01  # of the range of u: penetration that shows in forces and contact sets
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """A converged solution with everything known about it.
@@ -98,6 +101,11 @@ class Answer:
             f"{r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), {r['memory_mb']:.0f} MB",
             "  " + "; ".join(figures),
         ]  # fmt: skip
+        if r["penetration"] > DEEP * r["u_range"]:
+            share = r["penetration"] / r["u_range"]
+            lines.append(
+                f"  penetration is {share:.1%} of the range of u: for figures take a smaller eps, or --method vi"
+            )
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
         if self.report:

@@ -22,7 +22,7 @@ from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import peak_memory_mb, total
+from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
@@ -188,6 +188,7 @@ class Workbench:
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
             "memory_mb": peak_memory_mb(level.comm), "energy": energy, **errors,
             "penetration": contact.penetration,
+            "u_range": largest(level.comm, u.x.array) - smallest(level.comm, u.x.array),
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
             "versions": versions(), "command": " ".join(sys.argv),
         }  # fmt: skip

@@ -72,7 +72,7 @@ class Problem:
         heights[dofs] = values.x.array[dofs]
         if self.constrained and total(comm, len(own)) == 0:
             # nothing else holds a floating membrane: begin with contact everywhere
-            heights = np.broadcast_to(lower - 1.0 if self.below is not None else upper + 1.0, heights.shape).copy()
+            heights[:] = lower - 1.0 if self.below is not None else upper + 1.0
         return heights
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
