@@ -39,7 +39,8 @@ class BoundaryDistance:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Distance of each point, shape (n, 3) (local)."""
-        found, todo = np.full(len(points), np.inf), np.arange(len(points))
+        found = np.full(len(points), np.inf)
+        todo: np.ndarray = np.arange(len(points))
         count = FIRST
         while len(todo):
             count = min(count, len(self.facets))

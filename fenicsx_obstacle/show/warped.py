@@ -12,6 +12,7 @@ import sys
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def rendered(view: View, extent: tuple[float, float, float, float], pixels: int)
 
 
 def _write(view: View, extent: tuple[float, ...], pixels: int, path: Path) -> None:
-    arrays = {"line": view.line, "extent": np.array(extent), "pixels": np.array(pixels)}
+    arrays: dict[str, Any] = {"line": view.line, "extent": np.array(extent), "pixels": np.array(pixels)}
     for number, surface in enumerate(view.surfaces):
         arrays |= {f"{name}{number}": np.asarray(value) for name, value in vars(surface).items()}
     np.savez(path, **arrays)
