@@ -256,12 +256,15 @@ def test_nodal_path_is_the_forms(name):
 
 @pytest.mark.parametrize(("method", "eps"), [("penalty", "h^2"), ("penalty", 1e-8), ("penalty", 1e-12), ("vi", 1.0)])
 def test_nested_finds_what_a_cold_start_finds_in_few_steps(ball, method, eps):
-    """Newton steps on the finest level <= 6, CG steps <= 15, whatever h and eps; the same answer."""
+    """Newton steps on the finest level <= 6, CG steps <= 15, whatever h and eps; the same answer.
+
+    On several ranks one CG step more: the smoother couples the dofs of its own rank only.
+    """
     for cells in (64, 128):
         ours = solve(ball, method=method, eps=eps, cells=cells).record
         cold = solve(ball, method=method, eps=eps, cells=cells, start="cold").record
         assert ours["newton_iterations"] <= 6
-        assert ours["krylov_iterations"] <= 15
+        assert ours["krylov_iterations"] <= 15 + (COMM.size > 1)
         assert ours["newton_total"] > ours["newton_iterations"]
         for key in ("l2", "max", "energy"):
             assert np.isclose(ours["errors"][key], cold["errors"][key], rtol=1e-6)
