@@ -30,14 +30,14 @@ def run(*arguments, ranks=1, cwd=None, env=None):
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env or CLEAN, timeout=250, check=False)
 
 
-FIGURES = ["energy", "penetration", "dofs", "cells_total", "newton_iterations"]
+FIGURES = ["energy", "penetration", "dofs", "cells_total"]
 
 
 @pytest.mark.parametrize(
     ("name", "method"), [("string", "vi"), ("disk", "penalty"), ("ball", "vi"), ("two_sided", "penalty")]
 )
 def test_same_figures_on_all_ranks(name, method, tmp_path):
-    """1, 2 and 3 ranks agree to 1e-9 in energy, errors, contact area and force."""
+    """1, 2 and 3 ranks agree to 1e-9 in energy, errors, contact area and force, and in Newton steps to one."""
     records = []
     for ranks in (1, 2, 3):
         file = tmp_path / f"{ranks}.json"
@@ -52,6 +52,8 @@ def test_same_figures_on_all_ranks(name, method, tmp_path):
         pairs += [(record["contact"]["area"], records[0]["contact"]["area"])]
         pairs += [(record["contact"][side]["force"], records[0]["contact"][side]["force"])
                   for side in ("lower", "upper") if side in record["contact"]]  # fmt: skip
+        # linear systems on the way are solved roughly, and a little differently on each number of ranks
+        assert abs(record["newton_iterations"] - records[0]["newton_iterations"]) <= 1
         for ours, first in pairs:
             assert np.isclose(ours, first, rtol=1e-9, atol=0 if first else 1e-15)
 
