@@ -88,6 +88,7 @@ MISTAKES = {
     "eps not finite": (BASE + "[solve]\neps = inf\n", "is inf"),
     "element": (BASE + '[solve]\nelement = "P3"\n', "'P3' is not known"),
     "interval turned": (BASE.replace("cells", "x = [1, 0]\ncells") + EDGE, "first end must be less than the second"),
+    "where without value": (BASE + EDGE + 'where = "sqrt(x - 10)"\n', "where = sqrt.*not a finite number"),
     "no value": (BASE + '[[boundary]]\non = "left"\n', "the key 'value' is missing"),
     "nested": (BASE + f'load = "{"-" * 1500}1"\n', "nested"),
     "long": (BASE + f'load = "{"-" * 100000}1"\n', "the limit is 2000"),

@@ -131,8 +131,10 @@ class Data:
         if where is not None:
             formula = self.scene.formula(where, f"{place} where")
             dim = level.mesh.topology.dim - 1
-            marks = lambda x: np.nan_to_num(self.scene.at_points(formula, x)) != 0  # noqa: E731
-            found = dmesh.locate_entities_boundary(level.mesh, dim, marks)
+            values, rim = fem.Function(level.V), fem.locate_dofs_topological(level.V, dim, level.boundary_facets)
+            values.x.array[rim] = self.scene.at_points(formula, level.points[:, rim])
+            self._refuse_infinite(formula, values)
+            found = dmesh.locate_entities_boundary(level.mesh, dim, lambda x: self.scene.at_points(formula, x) != 0)
             if total(level.comm, len(found)) == 0:
                 raise InputError(f"{formula.place} = {formula.text}: holds on no facet of the boundary")
             return found
