@@ -141,7 +141,7 @@ class Workbench:
             eps = penalty_parameter(problem, scene.tables.solve.eps)
             solver = partial(solve_penalty, eps=eps, successive=method == "successive")
         if grids:
-            outcomes = solve_nested(grids, solver)
+            outcomes = solve_nested(grids, solver, np.inf if eps is None else 1.0 / eps)
         else:
             problem.refer(problem.cold_start())
             outcomes = [solver(problem)]

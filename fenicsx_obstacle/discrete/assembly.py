@@ -118,9 +118,9 @@ class Nodal(Forms):
 
     def __init__(self, effects: Sequence[Effect], data: Data):
         super().__init__(effects, data)
-        self._stiff = super().create_matrix()
-        fem.petsc.assemble_matrix(self._stiff, self._stiffness)
-        self._stiff.assemble()
+        self.stiffness = super().create_matrix()
+        fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
+        self.stiffness.assemble()
         self._constant, self._minus_load = self.vector(), self.vector()
         self._assemble(self._minus_load, self._elastic)  # w = r = 0
         self._D = super().weights()
@@ -129,35 +129,38 @@ class Nodal(Forms):
         return self._D
 
     def refer(self) -> None:
-        self._stiff.mult(releases.vec(self.reference), self._constant)
+        self.stiffness.mult(releases.vec(self.reference), self._constant)
         self._constant.axpy(1.0, self._minus_load)
 
     def elastic(self, out: PETSc.Vec) -> None:
-        self._stiff.multAdd(releases.vec(self.w), self._constant, out)
+        self.stiffness.multAdd(releases.vec(self.w), self._constant, out)
 
     def reaction(self, out: PETSc.Vec) -> None:
         out.array[:] = self._D * self._excess() / float(self.eps.value)
 
     def create_matrix(self) -> PETSc.Mat:
-        A = self._stiff.duplicate(copy=True)
+        A = self.stiffness.duplicate(copy=True)
         own = self.data.level.V.dofmap.index_map.local_range[0]
         A.zeroRowsColumns((own + self.fixed).astype(PETSc.IntType), 1.0)
-        self._diagonal = A.getDiagonal()
-        self._changed = self._diagonal.duplicate()
+        self._changed = A.getDiagonal()
+        self.diagonal = self._changed.array.copy()
         return A
 
-    def hold(self, A: PETSc.Mat, held: np.ndarray) -> None:
-        """Fill A with the stiffness, its rows at the held owned dofs answering nothing but zero."""
-        self._diagonal.copy(self._changed)
-        self._changed.array[held] *= HELD
-        A.setDiagonal(self._changed)
-
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
-        self._diagonal.copy(self._changed)
-        if penalised:
-            stiff = self._D * (self._excess() != 0) / float(self.eps.value)
-            stiff[self.fixed] = 0.0
-            self._changed.array[:] += stiff
+        self.spring(A, self.springs() if penalised else None)
+
+    def springs(self) -> np.ndarray:
+        """Derivative of the penalty, D_i / eps at owned dofs in contact, else 0: what holds a node there."""
+        springs = self._D * (self._excess() != 0) / float(self.eps.value)
+        springs[self.fixed] = 0.0
+        return springs
+
+    def spring(self, A: PETSc.Mat, springs: np.ndarray | None) -> None:
+        """Fill A with the stiffness and a spring at each owned dof; at an infinite one A answers nothing but zero."""
+        if springs is None:
+            self._changed.array[:] = self.diagonal
+        else:
+            self._changed.array[:] = self.diagonal + np.where(np.isinf(springs), HELD * self.diagonal, springs)
         A.setDiagonal(self._changed)
 
     def _excess(self) -> np.ndarray:

@@ -191,10 +191,11 @@ class Problem:
         self.forms.jacobian(self.A, penalised=self.constrained and penalised)
         return self.A
 
-    def hold(self, held: np.ndarray) -> None:
-        """Let A be the stiffness matrix of a membrane held at these owned dofs (affine effects only)."""
+    @property
+    def nodal(self) -> Nodal:
+        """The assembled matrices (affine effects only)."""
         assert isinstance(self.forms, Nodal)
-        self.forms.hold(self.A, held)
+        return self.forms
 
     @property
     def symmetric(self) -> bool:

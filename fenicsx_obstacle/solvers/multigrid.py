@@ -1,12 +1,12 @@
 """Truncated multigrid: the preconditioner for a membrane that is held at its contact nodes.
 
-A coarse correction must not move a node in contact. So the rows of the prolongation at held nodes are zero, a coarse
-node is held where the fine node it coincides with is (and where contact would be lost), and the operator of a coarse
-level is its own stiffness matrix with the held rows and columns eliminated (after Kornhuber's truncated monotone
-multigrid, without its triple product).
-Held is a matter of the diagonal alone: a matrix row whose diagonal is 1e16 times what it was answers with zero. That
-makes the change from one active set to the next cheap, and serves the penalty, whose diagonal is D/eps there, and the
-variational inequality alike.
+Contact is a spring at a node: D/eps for the penalty, an infinite one for the variational inequality. A coarse
+correction must not move a node that its spring holds, so the rows of the prolongation there are zero (Kornhuber's
+truncation), and a coarse node is held where the fine node it coincides with is. That alone makes coarse operators too
+soft along the edge of contact, and blind to contact along a line. Truncated multigrid computes them as triple products
+anew for every active set; here a coarse operator stays the stiffness matrix of its level, and coarse springs make up
+for the force that a unit shift of all nodes that move meets on the finer level and not on the coarser. The active set
+thus changes nothing but diagonals.
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete import parents
 from fenicsx_obstacle.discrete.problem import Problem
 
+STIFFER = 10.0  # times the membrane around a node: such a spring holds it, nothing coarser moves it
 SMOOTHER = {
     # Chebyshev, PETSc's default, would estimate eigenvalues anew at every set-up
     "mg_levels_ksp_type": "richardson",
     "mg_levels_ksp_max_it": 1,
     "mg_levels_ksp_norm_type": "none",
     "mg_levels_pc_type": "sor",
+    "mg_levels_pc_sor_omega": 1.2,  # smooths better than 1 (Yavneh 1996)
     "mg_coarse_ksp_type": "preonly",
     "mg_coarse_pc_type": "cholesky",
     "mg_coarse_pc_factor_mat_solver_type": "mumps",
@@ -46,7 +48,7 @@ class Multigrid:
     def __init__(self, problem: Problem, coarser: Multigrid | None):
         self.problem, self.coarser = problem, coarser
         self.problems: tuple[Problem, ...] = (*(coarser.problems if coarser else ()), problem)
-        self._moves = problem.A.createVecRight()  # 1 where a correction may move a node
+        self._moves, self._force = problem.A.createVecs()  # 1 where a correction may move a node; what that meets
         if coarser is not None:
             level = problem.level
             ends = level.ends
@@ -54,43 +56,54 @@ class Multigrid:
             self.P = self._whole.duplicate()
             self._same = np.flatnonzero(ends[:, 0] == ends[:, 1])
             self._twin = ends[self._same, 0]
+            self._carried = coarser._force.duplicate()
+
+    def hold(self, springs: np.ndarray) -> None:
+        """Let springs hold the owned nodes, infinite ones in place, on this level and all below (collective)."""
+        nodal = self.problem.nodal
+        nodal.spring(self.problem.A, springs)
+        self._moves.array[:] = ~((springs > STIFFER * nodal.diagonal) | self.problem.fixed)
+        if self.coarser is None:
+            return
+        self._shift(springs)
+        self._whole.multTranspose(self._force, self._carried)
+        self.coarser.hold(self._coarse_springs())
+        self._whole.copy(self.P, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
+
+    def _coarse_springs(self) -> np.ndarray:
+        """At owned coarse nodes, from what is carried down: infinite at the twins of held ones."""
+        assert self.coarser is not None
+        coarse = self.coarser
+        held = self._twins_held()
+        coarse._moves.array[:] = ~(held | coarse.problem.fixed)
+        coarse._shift()
+        springs = np.maximum(self._carried.array_r - coarse._force.array_r, 0.0)
+        springs[held] = np.inf
+        springs[coarse.problem.fixed] = 0.0
+        return springs
+
+    def _shift(self, springs: np.ndarray | None = None) -> None:
+        """Take the force that a unit shift of the nodes that move meets there, of the membrane and of springs."""
+        self.problem.nodal.stiffness.mult(self._moves, self._force)
+        if springs is not None:
+            self._force.array[:] += np.where(np.isinf(springs), 0.0, springs)
+        self._force.pointwiseMult(self._force, self._moves)
+
+    def _twins_held(self) -> np.ndarray:
+        """Which owned coarse nodes coincide with a held or fixed one."""
+        flags = self._flags
+        with flags.localForm() as local:
+            local.set(0.0)
+            local.array[self._twin] = self._moves.array_r[self._same] == 0
+        flags.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        return flags.array_r > 0
 
     @cached_property
     def _flags(self) -> PETSc.Vec:
         """Ghosted vector of the coarser level."""
         assert self.coarser is not None
         return self.coarser.problem.elastic.duplicate()
-
-    def hold(self, held: np.ndarray) -> None:
-        """Let no correction move these owned nodes (collective)."""
-        self._moves.array[:] = ~(held | self.problem.fixed)
-        if self.coarser is None:
-            return
-        coarse = self._coarse(held)
-        self.coarser.hold(coarse)
-        self.coarser.problem.hold(coarse)
-        self._whole.copy(self.P, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
-
-    def _coarse(self, held: np.ndarray) -> np.ndarray:
-        """Which owned coarse nodes are held: twins of held nodes, and one end of each held edge that has none.
-
-        Without the second kind, contact along a line would vanish from coarse levels, whose corrections then press
-        through it.
-        """
-        flags, ends = self._flags, self.problem.level.ends[held]
-        with flags.localForm() as local:
-            local.set(0.0)
-            local.array[self._twin] = held[self._same]
-        flags.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        flags.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
-        with flags.localForm() as local:
-            values = local.array
-            lost = ends[values[ends].max(axis=1, initial=0.0) == 0, 0]
-            values[len(flags.array_r) :] = 0.0
-            values[lost] = 1.0
-        flags.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        return flags.array_r > 0
 
     def install(self, pc: PETSc.PC) -> None:
         """Make a PC the cycle over all levels; options of `SMOOTHER` under its prefix say how."""
@@ -131,8 +144,7 @@ class OnInactive:
         self.free = inactive.getIndices() - start
         held = np.ones(problem.level.owned, dtype=bool)
         held[self.free] = False
-        self.multigrid.hold(held)
-        problem.hold(held)
+        self.multigrid.hold(np.where(held & ~problem.fixed, np.inf, 0.0))
         self.inner.setUp()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:

@@ -1,4 +1,4 @@
-"""Nested iteration: the solution of each level, interpolated, is the start on the next finer one.
+"""Nested iteration: the solution of each level, interpolated and relaxed, is the start on the next finer one.
 
 Active-set methods move the boundary of contact by about one layer of nodes per step, so a cold start takes O(1/h)
 steps. From the next coarser level contact is right up to a layer or two, whatever h.
@@ -11,18 +11,20 @@ from collections.abc import Callable, Sequence
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.solvers.multigrid import Multigrid
+from fenicsx_obstacle.solvers.relaxation import relax
 from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import TOLERANCE
 
-ON_THE_WAY = 1e-2  # unbalanced force on coarse levels: their discretisation error is larger by far
+# on coarse levels, whose discretisation error is larger by far: a step, and this unbalanced force
+ON_THE_WAY = {"least": 1, "tolerance": 1e-2}
 
 
-def solve_nested(grids: Sequence[Multigrid], solve: Callable[..., Outcome]) -> list[Outcome]:
+def solve_nested(grids: Sequence[Multigrid], solve: Callable[..., Outcome], stiffness: float) -> list[Outcome]:
     """Solve on each level from the coarsest on (collective).
 
     Args:
         grids: The multigrid of each level; the problem of the last holds the solution afterwards.
-        solve: Solves a problem from its present state, given `multigrid` and `tolerance`.
+        solve: Solves a problem from its present state, given `multigrid`, and `ON_THE_WAY`.
+        stiffness: Of the obstacle, 1/eps or infinite.
 
     Returns:
         The outcome of each level, the finest last.
@@ -38,9 +40,11 @@ def solve_nested(grids: Sequence[Multigrid], solve: Callable[..., Outcome]) -> l
             problem.refer(problem.cold_start())
         else:
             problem.begin_from(before)
+            if problem.constrained:
+                relax(problem, stiffness * problem.weights)
         finest = grid is grids[-1]
         try:
-            outcomes.append(solve(problem, multigrid=grid, tolerance=TOLERANCE if finest else ON_THE_WAY))
+            outcomes.append(solve(problem, multigrid=grid, **({} if finest else ON_THE_WAY)))
         except NotConverged:
             if finest:
                 raise

@@ -34,6 +34,7 @@ def solve_penalty(
     *,
     successive: bool = False,
     multigrid: Multigrid | None = None,
+    least: int = 0,
     tolerance: float = TOLERANCE,
 ) -> Outcome:
     """Solve (3.4) from the problem's present state (collective).
@@ -47,6 +48,7 @@ def solve_penalty(
         eps: Penalty parameter, in units of u/p.
         successive: The paper's (3.4)*: start without contact, stop when the active set stays as it was.
         multigrid: Preconditioner; by default algebraic multigrid.
+        least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
 
     Returns:
@@ -58,12 +60,12 @@ def solve_penalty(
     problem.eps.value = eps
     if successive:
         problem.refer(problem.cold_start())
-    how = {"unchanged": successive, "tolerance": tolerance}
+    how = {"unchanged": successive, "least": least, "tolerance": tolerance}
     outcome = _attempts(problem, how, multigrid)
     for _ in range(COUNTED_ANEW):
         if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
             break
-        outcome = joined(outcome, _attempts(problem, how, multigrid))
+        outcome = joined(outcome, _attempts(problem, {**how, "least": 0}, multigrid))
     return require(outcome, problem, eps)
 
 

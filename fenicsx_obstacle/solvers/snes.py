@@ -98,7 +98,7 @@ def run(
         if multigrid is not None:
             snes.ksp.setTolerances(rtol=stopping.forcing)
             if penalised:
-                multigrid.hold(stopping.active)
+                multigrid.hold(problem.nodal.springs())
 
     snes.setJacobian(jacobian, problem.A)
     if objective:

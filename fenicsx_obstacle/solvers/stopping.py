@@ -20,8 +20,8 @@ from fenicsx_obstacle.parallel import smallest, total
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
-FORCING = 3e-2  # relative accuracy of linear systems on the way: more of it finds no better active set
-TO_SPARE = 0.03  # the last system is solved further than to the tolerance, so that figures agree on all ranks to 1e-9
+FORCING = 0.1  # relative accuracy of linear systems on the way: more of it finds no better active set
+TO_SPARE = 0.1  # the last system is solved further than to the tolerance, so that figures agree on all ranks to 1e-9
 EXACT = 1e-10
 NOTHING = 1e-30
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
@@ -57,6 +57,7 @@ class Stopping:
         exact_bounds: Whether contact is held by bounds (SNES VI) instead of the penalty.
         unchanged: Stop only where no node at all has changed, as (3.4)* does.
         watch_cycles: Give up where an active set comes back.
+        least: Steps to take at least.
         tolerance: Unbalanced force over acting forces.
         touching: How near to a bound a node touches it (bounds only).
         blunt: Balance was only reached up to the round-off of w.
@@ -67,6 +68,7 @@ class Stopping:
     exact_bounds: bool = False
     unchanged: bool = False
     watch_cycles: bool = False
+    least: int = 0
     tolerance: float = TOLERANCE
     touching: float = 0.0
     blunt: bool = False
@@ -102,7 +104,7 @@ class Stopping:
         floor = self._round_off(snes)
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.blunt = floor > BLUNT * forces
-        if balanced and not (self.unchanged and step.changed):
+        if balanced and iteration >= self.least and not (self.unchanged and step.changed):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
             if self._exact:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
@@ -14,12 +16,15 @@ from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
 
-def solve_vi(problem: Problem, *, multigrid: Multigrid | None = None, tolerance: float = TOLERANCE) -> Outcome:
+def solve_vi(
+    problem: Problem, *, multigrid: Multigrid | None = None, least: int = 0, tolerance: float = TOLERANCE
+) -> Outcome:
     """Solve a(u, v - u) >= f(v - u) for all v between the obstacles, from the present state (collective).
 
     Args:
         problem: Holds the start, then the solution.
         multigrid: Preconditioner; by default algebraic multigrid.
+        least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
 
     Returns:
@@ -28,15 +33,16 @@ def solve_vi(problem: Problem, *, multigrid: Multigrid | None = None, tolerance:
     Raises:
         NotConverged: With PETSc's reason.
     """
-    outcome = _attempt(problem, multigrid, tolerance)
+    how = {"least": least, "tolerance": tolerance}
+    outcome = _attempt(problem, multigrid, how)
     for _ in range(COUNTED_ANEW):
         if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
             break
-        outcome = joined(outcome, _attempt(problem, multigrid, tolerance))
+        outcome = joined(outcome, _attempt(problem, multigrid, {**how, "least": 0}))
     return require(outcome, problem, None)
 
 
-def _attempt(problem: Problem, multigrid: Multigrid | None, tolerance: float) -> Outcome:
+def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
     own = problem.level.owned
     x = problem.state()
     lower, upper = x.duplicate(), x.duplicate()
@@ -48,7 +54,7 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, tolerance: float) ->
     problem.take(x)
     touching = 1e-12 * _height(problem)
     options = {**VI, "snes_vi_zero_tolerance": touching}
-    stopping = Stopping(problem, exact_bounds=True, tolerance=tolerance, touching=touching)
+    stopping = Stopping(problem, exact_bounds=True, touching=touching, **how)
     outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
                   prepare=lambda snes: snes.setVariableBounds(lower, upper))  # fmt: skip
     for vector in (x, lower, upper):
