@@ -143,9 +143,12 @@ class Report:
         solved = np.linalg.solve(edges @ edges.transpose(0, 2, 1), rises[:, :, None])[:, :, 0]
         return np.sqrt(np.maximum(np.sum(rises * solved, axis=1), 0.0))
 
-    def _tension(self, cells: np.ndarray) -> np.ndarray:
+    def _tension(self, cells: np.ndarray) -> np.ndarray | float:
         tension = next(effect.value for effect in self.scene.effects if effect.key == "tension")
-        return self.data.cellwise(tension).x.array[releases.cell_dofs(self.level.W)[cells, 0]]
+        values = self.data.cellwise(tension)
+        if isinstance(values, fem.Constant):
+            return float(values.value)
+        return values.x.array[releases.cell_dofs(self.level.W)[cells, 0]]
 
     def _number(self, formula: Formula) -> float:
         """Value of a formula of constants."""

@@ -44,8 +44,7 @@ class Forms:
         self.above = fem.Function(V) if data.upper is not None else None
         self.eps = fem.Constant(data.level.mesh, PETSc.ScalarType(1.0))
         self.v, self.rule = ufl.TestFunction(V), nodal_rule(releases.cell_name(data.level.mesh))
-        self._a_minus_f = sum(effect.terms(self.w + self.reference, self.v, data) for effect in effects)
-        self._elastic = releases.form(self._a_minus_f)
+        self._a_minus_f = self._terms(self.w + self.reference)
         self._stiffness = releases.form(ufl.derivative(self._a_minus_f, self.w))
         dofs, values = data.fixed
         self.fixed = dofs[dofs < data.level.owned]
@@ -54,7 +53,11 @@ class Forms:
 
     def vector(self) -> PETSc.Vec:
         """A new vector, ghosted."""
-        return releases.create_vector(self._elastic, self.data.level.V)
+        return releases.vec(self.w).copy()
+
+    def _terms(self, u: Any) -> ufl.Form:
+        """a(u, v) - f(v)."""
+        return sum(effect.terms(u, self.v, self.data) for effect in self.effects)
 
     def weights(self) -> np.ndarray:
         """D_i = I(phi_i, 1) at owned dofs."""
@@ -69,7 +72,7 @@ class Forms:
 
     def elastic(self, out: PETSc.Vec) -> None:
         """out = a(w + r, .) - f."""
-        self._assemble(out, self._elastic)
+        self._assemble(out, self._form("elastic"))
 
     def reaction(self, out: PETSc.Vec) -> None:
         """out = (1/eps) I((u - g)^+, .)."""
@@ -97,6 +100,8 @@ class Forms:
             gaps: dict[str, Any] = {"eps": self.eps, "lower": self.below, "upper": self.above}
             if name == "energy":
                 form = sum(effect.energy(self.w + self.reference, self.data) for effect in self.effects)  # type: ignore[misc]
+            elif name == "elastic":
+                form = self._a_minus_f
             elif name == "contact energy":
                 form = penalty_energy(self.w, dI=self.rule.on(self.data.dx), **gaps)
             else:
@@ -122,7 +127,9 @@ class Nodal(Forms):
         fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
         self.stiffness.assemble()
         self._constant, self._minus_load = self.vector(), self.vector()
-        self._assemble(self._minus_load, self._elastic)  # w = r = 0
+        at_rest = self._terms(fem.Constant(data.level.mesh, PETSc.ScalarType(0.0)))
+        if any(integral.integrand() != 0 for integral in at_rest.integrals()):
+            self._assemble(self._minus_load, releases.form(at_rest))
         self._D = super().weights()
 
     def weights(self) -> np.ndarray:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
+from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
@@ -17,7 +19,13 @@ from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.scene import COORDINATES, Scene
 
+Cellwise: TypeAlias = fem.Function | fem.Constant
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
+
+
+def values_of(function: Cellwise) -> np.ndarray:
+    """Values at local dofs, or the one there is."""
+    return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
 
 
 class Data:
@@ -28,28 +36,24 @@ class Data:
 
     def __init__(self, scene: Scene, level: Level):
         self.scene, self.level = scene, level
-        self._cellwise: dict[str, fem.Function] = {}
+        self._cellwise: dict[str, Cellwise] = {}
 
     @cached_property
     def dx(self) -> ufl.Measure:
         """Integration over the domain."""
         return ufl.Measure("dx", domain=self.level.mesh)
 
-    def cellwise(self, value: Value, *, positive: bool = False) -> fem.Function:
-        """Function with one value per cell, taken at its midpoint (collective on first use).
+    def cellwise(self, value: Value, *, positive: bool = False) -> Cellwise:
+        """One value per cell, taken at its midpoint, or a Constant if all are the same (collective on first use).
 
         Raises:
             InputError: If it is not finite, or not positive, somewhere, or a material has no value.
         """
         if value.place not in self._cellwise:
-            function = fem.Function(self.level.W)
-            if isinstance(value, Materials):
-                self._sample_materials(function, value)
-            else:
-                self._sample(function, value)
+            made = self._sample_cells(value)
             if positive:
-                self._refuse(value, function, function.x.array <= 0, "must be positive; it is")
-            self._cellwise[value.place] = function
+                self._refuse(value, made, values_of(made) <= 0, "must be positive; it is")
+            self._cellwise[value.place] = made
         return self._cellwise[value.place]
 
     def nodal(self, value: Formula, values: Mapping[str, float] | None = None) -> fem.Function:
@@ -158,12 +162,29 @@ class Data:
         return np.ascontiguousarray(V.tabulate_dof_coordinates().T)
 
     def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
-        if not self.scene.needs(formula) & {*COORDINATES, "distance"}:
+        if self._uniform(formula):
             function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), values)
         else:
             function.x.array[:] = self._at_points(formula, self._points(function.function_space), values)
             function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
+
+    def _uniform(self, formula: Formula) -> bool:
+        """Whether a formula has the same value everywhere."""
+        return not self.scene.needs(formula) & {*COORDINATES, "distance"}
+
+    def _sample_cells(self, value: Value) -> Cellwise:
+        if isinstance(value, Formula) and self._uniform(value):
+            number = self.scene.at_points(value, np.zeros((3, 1)))[0]
+            constant = fem.Constant(self.level.mesh, PETSc.ScalarType(number))
+            self._refuse_infinite(value, constant)
+            return constant
+        function = fem.Function(self.level.W)
+        if isinstance(value, Materials):
+            self._sample_materials(function, value)
+        else:
+            self._sample(function, value)
+        return function
 
     def _sample_materials(self, function: fem.Function, value: Materials) -> None:
         """Each formula in the cells of its material: every cell must have one value (collective)."""
@@ -199,11 +220,15 @@ class Data:
         known = {**(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
         return self.scene.at_points(formula, x, known)
 
-    def _refuse_infinite(self, formula: Value, function: fem.Function) -> None:
-        self._refuse(formula, function, ~np.isfinite(function.x.array), "is not a finite number: it is")
+    def _refuse_infinite(self, formula: Value, function: Cellwise) -> None:
+        self._refuse(formula, function, ~np.isfinite(values_of(function)), "is not a finite number: it is")
 
-    def _refuse(self, formula: Value, function: fem.Function, bad: np.ndarray, what: str) -> None:
+    def _refuse(self, formula: Value, function: Cellwise, bad: np.ndarray, what: str) -> None:
         """All ranks raise if any value is bad, naming one place (collective)."""
+        if isinstance(function, fem.Constant):
+            if bad.any():
+                raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}")
+            return
         found = self._first(function, bad)
         if found is not None:
             raise InputError(f"{formula.place} = {formula.text}: {what} {found[0]:g} at {self._at(found[1])}")

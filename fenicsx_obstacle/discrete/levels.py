@@ -38,6 +38,7 @@ class Level:
         shape: The recipe asked for, for shapes; `mesh` has a coarser grid where it is to be refined.
         coarse: The level it was refined from.
         parents: For each owned cell the local cell of `coarse` it came from.
+        places: Where in it the corners of the cell are.
     """
 
     mesh: dmesh.Mesh
@@ -47,6 +48,7 @@ class Level:
     shape: shapes.Shape | None = None
     coarse: Level | None = None
     parents: np.ndarray | None = None
+    places: np.ndarray | None = None
 
     @cached_property
     def V(self) -> fem.FunctionSpace:
@@ -65,8 +67,8 @@ class Level:
 
         The ends of the edge it halves, or twice the vertex it coincides with; shape (owned dofs, 2).
         """
-        assert self.coarse is not None and self.parents is not None
-        return parents.ends_of(self.V, self.coarse.V, self.parents)
+        assert self.coarse is not None and self.parents is not None and self.places is not None
+        return parents.ends_of(self.V, self.coarse.V, self.parents, self.places)
 
     @cached_property
     def facets(self) -> dict[str, np.ndarray]:
@@ -109,9 +111,12 @@ class Level:
     @cached_property
     def h_max(self) -> float:
         """Longest edge (first use is collective)."""
-        x = corners(self.mesh)
-        edges = [x[:, i] - x[:, j] for i, j in combinations(range(x.shape[1]), 2)]
-        return largest(self.comm, [np.linalg.norm(edge, axis=1).max(initial=0.0) for edge in edges])
+        x, nodes = self.mesh.geometry.x, releases.geometry_dofs(self.mesh)
+        squares = []
+        for i, j in combinations(range(nodes.shape[1]), 2):
+            edge = x[nodes[:, i]] - x[nodes[:, j]]
+            squares.append(np.einsum("ij,ij->i", edge, edge).max(initial=0.0))
+        return float(np.sqrt(largest(self.comm, squares)))
 
     def indicator(self, name: str) -> np.ndarray:
         """Whether each local dof of W belongs to a cell of a named material, ghosts included (collective)."""
@@ -166,8 +171,8 @@ def of_space(V: fem.FunctionSpace) -> Level:
 
 def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
-    new, cells = parents.halved(level.mesh, level.V)
-    fine = Level(new, level.h / 2, shape=level.shape, coarse=level, parents=cells)
+    new, cells, places = parents.halved(level.mesh, level.V)
+    fine = Level(new, level.h / 2, shape=level.shape, coarse=level, parents=cells, places=places)
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
     return fine

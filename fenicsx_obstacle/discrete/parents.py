@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -17,30 +16,20 @@ from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, f
 from fenicsx_obstacle.parallel import before
 
 
-def ends_of(V: fem.FunctionSpace, coarse: fem.FunctionSpace, parents: np.ndarray) -> np.ndarray:
+def ends_of(V: fem.FunctionSpace, coarse: fem.FunctionSpace, parents: np.ndarray, places: np.ndarray) -> np.ndarray:
     """For each owned dof of V the two local dofs of `coarse` of which it is the mean, shape (owned dofs, 2).
 
-    A vertex of a refined cell is a vertex of its parent or the middle of one of its edges, so looking at the
-    parent's vertices two by two finds it. Vertices moved onto a curved boundary stay nearest to their edge's middle.
+    A vertex of a refined cell is a vertex of its parent or the middle of one of its edges; `places` says which.
     """
-    owned, gdim = V.dofmap.index_map.size_local, V.mesh.geometry.dim
+    owned = V.dofmap.index_map.size_local
     dofs = releases.cell_dofs(V)[: len(parents)]
-    cell = np.empty(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one cell of each dof
-    cell[dofs.ravel()] = np.repeat(np.arange(len(parents), dtype=np.int32), dofs.shape[1])
-    parent = parents[cell[:owned]]
-    points = V.mesh.geometry.x[releases.dof_nodes(V)[:owned]]
-    corners, nodes = coarse.mesh.geometry.x, releases.geometry_dofs(coarse.mesh)[parent]
-    nearest = np.full(owned, np.inf)
-    first, last = np.zeros(owned, dtype=np.int32), np.zeros(owned, dtype=np.int32)
-    for i, j in combinations_with_replacement(range(nodes.shape[1]), 2):
-        distance = np.zeros(owned)
-        for axis in range(gdim):
-            distance += (corners[nodes[:, i], axis] + corners[nodes[:, j], axis] - 2 * points[:, axis]) ** 2
-        nearer = distance < nearest
-        nearest[nearer], first[nearer], last[nearer] = distance[nearer], i, j
-    rows = releases.cell_dofs(coarse)[parent]
-    every = np.arange(owned)
-    return np.column_stack([rows[every, first], rows[every, last]])
+    one = np.empty(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one corner of a cell of each dof
+    one[dofs.ravel()] = np.arange(dofs.size, dtype=np.int32)
+    one = one[:owned]
+    rows = releases.cell_dofs(coarse)[parents[one // dofs.shape[1]]]
+    dim = V.mesh.topology.dim
+    of = np.array([(i, i) for i in range(dim + 1)] + _EDGES[dim])[places.ravel()[one]]
+    return np.take_along_axis(rows, of, axis=1)
 
 
 def prolongation(ends: np.ndarray, fine: fem.FunctionSpace, coarse: fem.FunctionSpace) -> PETSc.Mat:
@@ -57,11 +46,15 @@ def prolongation(ends: np.ndarray, fine: fem.FunctionSpace, coarse: fem.Function
     return PETSc.Mat().createAIJ(size, csr=csr, comm=fine.mesh.comm)
 
 
-def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarray]:
-    """The mesh with all edges halved, and the parent of each of its owned cells (collective).
+def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarray, np.ndarray]:
+    """The mesh with all edges halved (collective).
 
     Triangles are cut into four of their own shape, so that a grid stays a grid; DOLFINx's own refinement bisects
     longest edges, which turns every other diagonal.
+
+    Returns:
+        The mesh, the parent of each of its owned cells, and where in the parent the corners of the cell are: numbers of
+        vertices and, after these, of edges.
     """
     comm, dim, gdim = mesh.comm, mesh.topology.dim, mesh.geometry.dim
     mesh.topology.create_entities(1)
@@ -86,17 +79,14 @@ def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarr
     for side, (i, j) in enumerate(sides):
         middle[halves[:, side]] = (corner[:, i] + corner[:, j]) / 2
     points[vertices.size_local :] = middle[: edges.size_local]
-    if dim == 3:
-        diagonal = _inner_diagonal(corner[:own])
-        patterns = np.array([_CORNERS[3] + [(*d, *edge) for edge in ring] for d, ring in _RING.items()])
-        cells = np.take_along_axis(number, patterns[diagonal].reshape(own, -1), axis=1)
-    else:
-        cells = number[:, np.array(_CORNERS[dim] + _MIDDLE[dim]).ravel()]
-    cells = cells.reshape(-1, dim + 1)
+    children = np.array([_CORNERS[dim] + [(*d, *edge) for edge in ring] for d, ring in _RING[dim].items()])
+    pattern = _inner_diagonal(corner[:own]) if dim == 3 else np.zeros(own, dtype=int)
+    cells = np.take_along_axis(number, children.reshape(len(children), -1)[pattern], axis=1).reshape(-1, dim + 1)
     new = releases.create_mesh(comm, cells, points, releases.cell_name(mesh), stay=True)
     start = before(comm, len(cells))
-    kept = np.asarray(new.topology.original_cell_index)[: new.topology.index_map(dim).size_local]
-    return new, ((kept - start) // 2**dim).astype(np.int32)
+    kept = np.asarray(new.topology.original_cell_index)[: new.topology.index_map(dim).size_local] - start
+    parents = (kept // 2**dim).astype(np.int32)
+    return new, parents, children.astype(np.int8)[pattern[parents], kept % 2**dim]
 
 
 # a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
@@ -110,22 +100,25 @@ _CORNERS: dict[int, list[tuple[int, ...]]] = {
     2: [(0, 5, 4), (5, 1, 3), (4, 3, 2)],
     3: [(0, 9, 8, 7), (9, 1, 6, 5), (8, 6, 2, 4), (7, 5, 4, 3)],
 }
-_MIDDLE: dict[int, list[tuple[int, ...]]] = {1: [], 2: [(3, 4, 5)]}
-# the octahedron in a tetrahedron: a diagonal, and the ring of edges around it
-_RING = {
-    (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
-    (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
-    (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
+# children inside: the diagonal they share, and the ring of edges around it; of a tetrahedron there are three choices
+_RING: dict[int, dict[tuple[int, ...], list[tuple[int, ...]]]] = {
+    1: {(): []},
+    2: {(): [(3, 4, 5)]},
+    3: {
+        (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
+        (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
+        (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
+    },
 }
 
 
 def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
-    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `_RING`.
+    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `_RING[3]`.
 
     The shortest; of two alike the one along the longest edge: then the six tetrahedra of a cube become those of its
     eight parts.
     """
-    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (_EDGES[3][m - 4] for m in pair)] for pair in _RING]
+    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (_EDGES[3][m - 4] for m in pair)] for pair in _RING[3]]
     edges = np.stack([corner[:, j] - corner[:, i] for i, j in _EDGES[3]], axis=1)
     longest = edges[np.arange(len(edges)), (edges**2).sum(axis=2).argmax(axis=1)]
     score = []

@@ -24,16 +24,19 @@ def relax(problem: Problem, springs: np.ndarray) -> None:
         problem: With affine effects; holds the state.
         springs: D/eps at owned dofs, or infinite: what an obstacle answers to penetration.
     """
-    x = problem.state()
-    residual = x.duplicate()
-    step = DAMPING / problem.nodal.diagonal
-    remains = 1.0 / (1.0 + springs * step)  # of a penetration
+    own, free, forms = problem.level.owned, ~problem.fixed, problem.nodal
+    step = DAMPING / forms.diagonal * free
+    back = (1.0 - 1.0 / (1.0 + springs * DAMPING / forms.diagonal)) * free  # share of a penetration that is undone
+    w, change = problem.w.x.array[:own], np.empty(own)
+    obstacles = [
+        (gap.x.array[:own], excess)
+        for gap, excess in ((problem.below, np.minimum), (problem.above, np.maximum))
+        if gap is not None
+    ]
     for _ in range(SWEEPS):
-        problem.residual(x, residual, penalised=False)
-        x.array[:] -= step * residual.array_r
-        problem.take(x)
-        lower, upper = problem.gaps()
-        x.array[:] += (1.0 - remains) * (np.maximum(-lower, 0.0) - np.maximum(-upper, 0.0)) * ~problem.fixed
-    problem.take(x)
-    for owner in (x, residual):
-        owner.destroy()
+        forms.elastic(problem.elastic)
+        w -= np.multiply(step, problem.elastic.array_r, out=change)
+        for gap, excess in obstacles:
+            np.subtract(w, gap, out=change)
+            w -= np.multiply(excess(change, 0.0, out=change), back, out=change)
+        problem.w.x.scatter_forward()
