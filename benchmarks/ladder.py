@@ -11,15 +11,12 @@ process and on the same mesh.
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 from pathlib import Path
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from fenicsx_obstacle import NotConverged, Scene
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle import NotConverged, Scene, solve
 from fenicsx_obstacle.cli import values_of
 
 COLUMNS = (
@@ -45,21 +42,19 @@ def main() -> None:
     if root:
         print(COLUMNS)
     for cells in values_of(options.cells, "cells"):
-        for solve in solves:
-            scene = Scene.read(options.scene).change({"mesh.cells": cells, **solve})
+        for way in solves:
+            scene = Scene.read(options.scene).change({"mesh.cells": cells, **way})
             try:
                 # the first run of the process compiles; every run makes its own mesh, which is not counted
                 records = []
                 for _ in range(options.times):
-                    records.append(Workbench(scene).answer(yardstick=True).record)
-                    gc.collect()  # on all ranks alike: the next run must not find this one's matrices in memory
-                    PETSc.garbage_cleanup()
+                    records.append(solve(scene, yardstick=True).record)
             except NotConverged as error:
                 if root:
-                    print(f"{cells:6} {solve}: {error}")
+                    print(f"{cells:6} {way}: {error}")
                 continue
             best = dict(min(records, key=lambda record: record["poisson_units"]))
-            name = best["method"] + ("-cold" if "solve.start" in solve else "")
+            name = best["method"] + ("-cold" if "solve.start" in way else "")
             eps = "" if best["eps"] is None else f"{best['eps']:.1e}"
             total = f"{best['newton_total']}/{best['krylov_total']}"
             if root:

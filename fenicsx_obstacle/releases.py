@@ -5,9 +5,11 @@ Covered and tried: 0.5.2 (Debian 12), 0.9.0 (Debian 13), 0.11.0 (Debian sid).
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import time
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -116,6 +118,16 @@ def _remove_stale_sources(seconds: float) -> None:
     for source in folder.glob("libffcx_*.c"):
         if not source.with_suffix(".c.cached").exists() and time.time() - source.stat().st_mtime > seconds:
             source.unlink(missing_ok=True)
+
+
+def free(comms: Iterable[MPI.Comm]) -> None:
+    """Free the PETSc objects that Python has let go of (collective).
+
+    petsc4py keeps them, one list for each communicator, until all ranks ask: ranks collect garbage at different times.
+    """
+    gc.collect()
+    for comm in comms:
+        PETSc.garbage_cleanup(PETSc.Comm(comm))
 
 
 def create_matrix(bilinear: Any) -> PETSc.Mat:

@@ -6,6 +6,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable
+from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import contact_of
 from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.answers.answer import Answer
@@ -73,7 +75,8 @@ def solve(
         NotConverged: With PETSc's reason.
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
-    return Workbench(changed(scene, given), comm).answer(yardstick=yardstick)
+    with closing(Workbench(changed(scene, given), comm)) as bench:
+        return bench.answer(yardstick=yardstick)
 
 
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:
@@ -108,6 +111,17 @@ class Workbench:
             self._report.check()
         self._exact: Exact | None = None
         self._poisson: float | None = None
+
+    def close(self) -> None:
+        """Free matrices and solvers; answers stay (collective)."""
+        level: levels.Level | None = self.problem.level
+        comms = []
+        while level is not None:
+            comms.append(level.comm)
+            level = level.coarse
+        del self.problem
+        self._grids = self._report = self._exact = None
+        releases.free(comms)
 
     @property
     def exact(self) -> Exact | None:

@@ -126,6 +126,8 @@ class Study:
 
     def _answer(self, scene: Scene) -> Answer:
         if self._bench is None or not self._bench.serves(scene):
+            if self._bench is not None:
+                self._bench.close()
             self._bench = None  # the old mesh goes before the new one comes
             self._bench = _Bench(scene, self.comm)
         return self._bench.work.answer(scene, yardstick=True)
@@ -149,6 +151,11 @@ class _Bench:
         self.scene, self.work = scene, Workbench(scene, comm)
         self._reference: Answer | None = None
         self._distance: Distance | None = None
+
+    def close(self) -> None:
+        """Free what it holds (collective)."""
+        self._reference = self._distance = None
+        self.work.close()
 
     def serves(self, scene: Scene) -> bool:
         """Whether the scene differs in its [solve] table only."""
