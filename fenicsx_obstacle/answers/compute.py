@@ -114,14 +114,12 @@ class Workbench:
 
     def close(self) -> None:
         """Free matrices and solvers; answers stay (collective)."""
-        level: levels.Level | None = self.problem.level
-        comms = []
-        while level is not None:
-            comms.append(level.comm)
-            level = level.coarse
+        meshes = [self.problem.level]  # with their communicators alive until the end
+        while meshes[-1].coarse is not None:
+            meshes.append(meshes[-1].coarse)
         del self.problem
         self._grids = self._report = self._exact = None
-        releases.free(comms)
+        releases.free(level.comm for level in meshes)
 
     @property
     def exact(self) -> Exact | None:
