@@ -94,10 +94,11 @@ class Workbench:
         problem: The discrete problem.
     """
 
-    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD):
+    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, level: levels.Level | None = None):
+        """Assemble (collective); `level` is the scene's mesh where it is made already."""
         self.started = time.perf_counter()
-        comm = scene.mesh.comm if scene.mesh is not None else comm
-        level = levels.build(scene, comm)
+        if level is None:
+            level = levels.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(scene, level)
