@@ -94,11 +94,13 @@ def run(
     snes.setFunction(lambda _, x, out: problem.residual(x, out, penalised=penalised), residual)
 
     def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        problem.jacobian(x, penalised=penalised)
         if multigrid is not None:
             snes.ksp.setTolerances(rtol=stopping.forcing)
-            if penalised:
-                multigrid.hold(problem.nodal.springs())
+        if multigrid is not None and penalised:
+            problem.take(x)
+            multigrid.hold(problem.nodal.springs())
+        else:
+            problem.jacobian(x, penalised=penalised)
 
     snes.setJacobian(jacobian, problem.A)
     if objective:

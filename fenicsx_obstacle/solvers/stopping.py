@@ -149,15 +149,15 @@ class Stopping:
         """What remains of exact balance in floating point: a few machine epsilons of |A| |w|, row by row."""
         if len(self.history) < 2:
             return 0.0
-        diagonal = self.problem.A.getDiagonal()
-        w = self.problem.w.x.array[: self.problem.level.owned]
-        free = ~self.problem.fixed
+        problem = self.problem
+        comm, diagonal = problem.level.comm, problem.A.getDiagonal()
+        stiff = diagonal.array_r * ~problem.fixed
         # rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part
-        comm, stiff = self.problem.level.comm, diagonal.array_r[free]
-        floor = 8 * float(np.finfo(float).eps) * total(comm, stiff * np.abs(w[free]))
+        floor = 8 * float(np.finfo(float).eps) * total(comm, np.dot(stiff, np.abs(problem.w.x.array[: len(stiff)])))
         # where all data are zero no force is left to compare with: nothing against the stiffness over the nearest gap
-        gaps = np.abs(np.concatenate([gap[np.isfinite(gap) & (gap != 0)] for gap in self.problem.gaps()]))
-        nearest = smallest(comm, gaps)
+        nearest = smallest(
+            comm, [np.where(gap != 0, np.abs(gap), np.inf).min(initial=np.inf) for gap in problem.gaps()]
+        )
         if np.isfinite(nearest):
             floor += NOTHING * nearest * total(comm, stiff)
         diagonal.destroy()
