@@ -151,6 +151,7 @@ class Nodal(Forms):
         A.zeroRowsColumns((own + self.fixed).astype(PETSc.IntType), 1.0)
         self._changed = A.getDiagonal()
         self.diagonal = self._changed.array.copy()
+        self._held = HELD * self.diagonal
         return A
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
@@ -164,10 +165,9 @@ class Nodal(Forms):
 
     def spring(self, A: PETSc.Mat, springs: np.ndarray | None) -> None:
         """Fill A with the stiffness and a spring at each owned dof; at an infinite one A answers nothing but zero."""
-        if springs is None:
-            self._changed.array[:] = self.diagonal
-        else:
-            self._changed.array[:] = self.diagonal + np.where(np.isinf(springs), HELD * self.diagonal, springs)
+        self._changed.array[:] = self.diagonal
+        if springs is not None:
+            self._changed.array[:] += np.minimum(springs, self._held)
         A.setDiagonal(self._changed)
 
     def _excess(self) -> np.ndarray:

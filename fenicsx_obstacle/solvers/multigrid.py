@@ -87,7 +87,7 @@ class Multigrid:
         """Take the force that a unit shift of the nodes that move meets there, of the membrane and of springs."""
         self.problem.nodal.stiffness.mult(self._moves, self._force)
         if springs is not None:
-            self._force.array[:] += np.where(np.isinf(springs), 0.0, springs)
+            np.add(self._force.array, springs, out=self._force.array, where=self._moves.array_r > 0)
         self._force.pointwiseMult(self._force, self._moves)
 
     def _twins_held(self) -> np.ndarray:

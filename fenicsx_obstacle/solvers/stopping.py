@@ -20,6 +20,7 @@ from fenicsx_obstacle.parallel import smallest, total
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
+FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
 FORCING = 0.1  # relative accuracy of linear systems on the way: more of it finds no better active set
 TO_SPARE = 0.1  # the last system is solved further than to the tolerance, so that figures agree on all ranks to 1e-9
 EXACT = 1e-10
@@ -101,7 +102,8 @@ class Stopping:
         self._last, self._krylov = active, krylov
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
-        floor = self._round_off(snes)
+        far = step.changed > 0 and unbalanced > FAR * forces
+        floor = 0.0 if far else self._round_off(snes)
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.blunt = floor > BLUNT * forces
         if balanced and iteration >= self.least and not (self.unchanged and step.changed):
