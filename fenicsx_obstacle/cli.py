@@ -71,14 +71,21 @@ def _options(*names: str) -> Callable[[Any], Any]:
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
+@click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
 @_options("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet", "log")
 def solve(
-    scene_file: str, yardstick: bool, output: Path | None, json_file: str | None, quiet: bool, **given: Any
+    scene_file: str,
+    picture: bool,
+    yardstick: bool,
+    output: Path | None,
+    json_file: str | None,
+    quiet: bool,
+    **given: Any,
 ) -> None:
     """Solve a scene: u, contact pressure p, contact set.
 
-    Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv,
-    answer.png and report.html into out/SCENE.
+    Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv and
+    report.html into out/SCENE.
     """
     from fenicsx_obstacle.answers.compute import Workbench, changed
     from fenicsx_obstacle.show.page import NAME
@@ -91,7 +98,7 @@ def solve(
     with progress(scene.name, quiet=quiet):
         answer = Workbench(scene).answer(yardstick=yardstick)
         answer.save(folder)
-        drawn = report_answer(answer, folder)
+        drawn = report_answer(answer, folder, picture=picture)
     if json_file is not None:
         _write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
@@ -170,13 +177,17 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 
 @commands.command()
 @click.argument("result", type=click.Path(path_type=Path))
-@click.option("--output", type=click.Path(path_type=Path), metavar="FILE", help="Picture.  [RESULT/answer.png]")
+@click.option("--output", type=click.Path(path_type=Path), metavar="FILE", help="Another file.  [RESULT/answer.png]")
 def plot(result: Path, output: Path | None) -> None:
-    """Draw a saved result: u, contact set and pressure."""
-    from fenicsx_obstacle.answers.answer import Answer
+    """Draw a saved result: u, contact set and pressure; its page shows the picture too.
 
-    path = output or result / "answer.png"
-    _say(Answer.read(result).plot(path))
+    A file of --output may be .png, .pdf or .svg; the page is then left as it is.
+    """
+    from fenicsx_obstacle.answers.answer import Answer
+    from fenicsx_obstacle.show.report import report_answer
+
+    answer = Answer.read(result)
+    _say(report_answer(answer, result, picture=True) if output is None else answer.plot(output))
 
 
 @commands.command()
@@ -184,8 +195,8 @@ def plot(result: Path, output: Path | None) -> None:
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
     """The main job on the scenes of demos/: eps- and h-study, tables, pictures."""
+    from fenicsx_obstacle.show.demo import run_demo
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.show.report import run_demo
 
     with progress("demo", quiet=False):
         run_demo(output, _say)

@@ -62,8 +62,18 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
     done = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", ranks=3)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("saved in") == 1
+    assert not (tmp_path / "disk" / "answer.png").exists()  # a picture takes longer than the solve: on demand
     assert run("plot", tmp_path / "disk").returncode == 0
     assert (tmp_path / "disk" / "answer.png").exists()
+    assert "<img" in (tmp_path / "disk" / "report.html").read_text()
+    assert run("plot", tmp_path / "disk", "--output", tmp_path / "p.pdf").returncode == 0
+    assert (tmp_path / "p.pdf").read_bytes().startswith(b"%PDF")
+    refused = run("plot", tmp_path / "disk", "--output", tmp_path / "p.doc")
+    assert refused.returncode == 2
+    assert "pictures are written as .png, .pdf, .svg" in refused.stderr
+    again = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", "--plot", ranks=2)
+    assert "drawn by" in again.stdout
+    assert "--plot" in json.loads((tmp_path / "disk" / "answer.json").read_text())["command"]
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -80,11 +90,13 @@ def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
         ["study", disk, "--vary", "cells"],
         ["slove"],
     ]
+    before = sorted(tmp_path.iterdir())
     for arguments in mistakes:
         done = run(*arguments, ranks=ranks, cwd=tmp_path)
         assert done.returncode == 2, (arguments, done.stderr)
         assert done.stderr.count("Error: ") == 1, done.stderr
         assert "Traceback" not in done.stderr
+        assert sorted(tmp_path.iterdir()) == before, arguments  # no empty out/
 
 
 @pytest.mark.parametrize("ranks", [1, 2])

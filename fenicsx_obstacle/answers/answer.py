@@ -135,13 +135,13 @@ class Answer:
         return read(Path(folder))
 
     def plot(self, path: str | Path) -> str:
-        """Draw u with its obstacles, free boundary and pressure into a PNG file (collective).
+        """Draw u with its obstacles, free boundary and pressure into a file: .png, .pdf or .svg (collective).
 
         Returns:
             One line: the file, who drew it, and why.
 
         Raises:
-            InputError: If the file cannot be written.
+            InputError: If the name has another ending, or the file cannot be written.
         """
         from fenicsx_obstacle.show.pictures import draw_answer
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -203,7 +204,7 @@ class Workbench:
             "penetration": contact.penetration,
             "u_range": largest(level.comm, u.x.array) - smallest(level.comm, u.x.array),
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
-            "versions": versions(), "command": " ".join(sys.argv),
+            "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
         pressure, touching = _function(level, p), _function(level, (contact.lower | contact.upper).astype(float))
         if self._report is not None:
@@ -216,6 +217,16 @@ class Workbench:
         return Answer(
             scene, level, u, pressure, touching, problem.data.lower, problem.data.upper, error, history, record,
         )  # fmt: skip
+
+
+def command(ranks: int) -> str:
+    """The command that this process runs, as one types it."""
+    program, *arguments = sys.argv
+    if program.endswith(("__main__.py", "fenicsx-obstacle")):
+        words = ["./obstacle", *(["--ranks", str(ranks)] if ranks > 1 else []), *arguments]
+    else:
+        words = [*(["mpirun", "-n", str(ranks)] if ranks > 1 else []), "python3", program, *arguments]
+    return shlex.join(words)
 
 
 def versions() -> dict[str, str]:

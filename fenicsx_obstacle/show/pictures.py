@@ -13,7 +13,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show import relief
 from fenicsx_obstacle.show.boundary import SIDES, free_boundary
-from fenicsx_obstacle.show.figures import BLUE, VERMILION, figure, plain, save
+from fenicsx_obstacle.show.figures import BLUE, VERMILION, check_name, figure, plain, save
 from fenicsx_obstacle.show.simplices import Patch, patch_of, zero
 from fenicsx_obstacle.show.space import draw_view
 
@@ -21,14 +21,15 @@ PRESSURE = "contact pressure p"
 
 
 def draw_answer(answer: Answer, path: Path) -> str:
-    """Draw an answer into a PNG file (collective).
+    """Draw an answer into a file, PNG, PDF or SVG by its name (collective).
 
     Returns:
         One line: the file, who drew it, and why.
 
     Raises:
-        InputError: If the file cannot be written, or the mesh is a network of intervals.
+        InputError: If the name has another ending, the file cannot be written, or the mesh is a network of intervals.
     """
+    check_name(path)
     arrays = gather(answer)
     return on_root(answer.level.comm, _draw, answer, arrays, path)
 
@@ -53,7 +54,7 @@ def _line(patch: Patch, u: str) -> tuple[Any, str]:
     """u over an interval, and the pressure below."""
     order = np.argsort(patch.points[:, 0])
     x, fields = patch.points[order, 0], {name: values[order] for name, values in patch.fields.items()}
-    page, (top, bottom) = figure(6.4, 5.2, rows=2)
+    page, (top, bottom) = figure(6.4, 5.2, rows=2, sharex=True)
     low, high = fields["u"].min(), fields["u"].max()
     margin = 0.15 * (high - low or 1.0)
     low, high = low - margin, high + margin
