@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,6 +51,17 @@ def style(number: int, dashed: int = 1) -> dict[str, Any]:
 def plain(text: str) -> str:
     """A user's words for matplotlib: a dollar is no formula, which could be wrong."""
     return text.replace("$", r"\$")
+
+
+def power(low: float, high: float) -> int:
+    """The power of ten that leaves figures of a few digits; 0 where they are short as they are."""
+    size = max(abs(low), abs(high))
+    return 0 if size == 0 or 1e-2 <= size < 1e4 else 3 * math.floor(math.log10(size) / 3)
+
+
+def over(label: str, exponent: int) -> str:
+    """A label whose figures are divided by a power of ten."""
+    return f"{label} / $10^{{{exponent}}}$" if exponent else label
 
 
 def check_name(path: Path) -> None:
