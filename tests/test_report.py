@@ -86,7 +86,12 @@ MISTAKES = {
     "later entry": ("integral(u)*later", "unknown name 'later'"),
     "varying point": ("at(u, x, 0)", "'x' differs from place to place"),
     "coordinates": ("1 + at(u, 1)", r"at\(\) needs 2 coordinates here, not 1\n    1 \+ at\(u, 1\)\n        \^"),
-    "arguments": ("sup(u, 1)", "sup takes 1 arguments, not 2"),
+    "arguments": ("sup(u, 1)", "sup takes 1 argument, not 2"),
+    "largest": (
+        "1 + max(u)",
+        r"max takes 2 to 9 arguments, not 1; over the whole domain it is sup\(\.\.\.\), in \[report\]",
+    ),
+    "smallest": ("min(u)", r"over the whole domain it is inf\(\.\.\.\)"),
     "no text": ("integral(u, left)", "expected the name of a part of the mesh, in quotes"),
     "text elsewhere": ("integral('left')", "not allowed in a formula"),
     "no such part": ("integral(u, 'lft')", "no part of the mesh named 'lft'; did you mean 'left'"),
@@ -125,8 +130,20 @@ def test_answer_at(folder):
         assert np.allclose(values, [0.5, 3, 1.5, np.nan, 0], equal_nan=True, atol=1e-9)
         assert len({text.tobytes() for text in COMM.allgather(values)}) == 1
     assert answer.at(np.empty((0, 2))).shape == (0,)
-    with pytest.raises(InputError, match=r"shape \(n, 2\)"):
-        answer.at([0.1, 0.2])
+    # three coordinates, as in DOLFINx, and one point instead of a list
+    assert np.allclose(answer.at(np.pad(points, ((0, 0), (0, 1)))), answer.at(points), equal_nan=True)
+    for point in ([0.1, 0.2], (0.1, 0.2, 0.0)):
+        assert answer.at(point).shape == ()
+        assert np.isclose(float(answer.at(point)), 0.5)
+    assert answer.at(points.reshape(1, 5, 2)).shape == (1, 5)
+    for wrong in (0.1, [0.1], np.zeros((2, 4))):
+        with pytest.raises(InputError, match=r"shape \(n, 2\), or one point, shape \(2,\), not"):
+            answer.at(wrong)
+    string = solve(membrane(mesh={"shape": "interval", "cells": 4}, boundary=[{"value": "x"}]))
+    assert np.isclose(string.at([0.3]), 0.3)
+    assert string.at([[0.3], [0.4]]).shape == (2,)
+    with pytest.raises(InputError, match="coordinates beyond these must be 0"):  # three points on a line, it seems
+        string.at([0.1, 0.2, 0.3])
 
 
 def nodal_distance(mesh):

@@ -21,6 +21,7 @@ from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest
+from fenicsx_obstacle.words import counted
 
 DEGREE = 6  # of the quadrature, as for errors
 AT_ONCE = 50_000  # cells in memory
@@ -55,7 +56,7 @@ class Report:
                         self._check_part(formula, part, name)
                     case ast.Call(func=ast.Name(id="at"), args=[_, *coordinates]):
                         if len(coordinates) != dim:
-                            message = f"at() needs {dim} coordinate{'s' * (dim > 1)} here, not {len(coordinates)}"
+                            message = f"at() needs {counted(dim, 'coordinate')} here, not {len(coordinates)}"
                             raise InputError(formula.pointing(node, message))
                         if all(self._is_known(formula.part(coordinate)) for coordinate in coordinates):
                             self._locate(formula, node, coordinates)

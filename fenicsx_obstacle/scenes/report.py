@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest, parse
+from fenicsx_obstacle.words import counted
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene
@@ -57,7 +58,7 @@ class _Checker:
                 self.check(first, inside=True)
                 if name == "at":
                     if self.dimension is not None and len(rest) != self.dimension:
-                        wanted = f"{self.dimension} coordinate{'s' * (self.dimension > 1)}"
+                        wanted = counted(self.dimension, "coordinate")
                         raise InputError(self.formula.pointing(node, f"at() needs {wanted} here, not {len(rest)}"))
                     for coordinate in rest:
                         self.check(coordinate, inside=False)

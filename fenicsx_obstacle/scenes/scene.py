@@ -19,6 +19,7 @@ from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
+from fenicsx_obstacle.words import plain
 
 COORDINATES = ("x", "y", "z", "r", "theta")
 CONSTANTS = {"pi": math.pi}
@@ -102,6 +103,9 @@ class Scene:
             raw["exact"] = {"u": exact}
         self._fill(raw, "scene", Path(), None if isinstance(mesh, dict) else mesh)
 
+    def __repr__(self) -> str:
+        return f"Scene({self.tables.title or self.name!r}, source={self.source!r})"
+
     @classmethod
     def read(cls, path: str | Path) -> Scene:
         """Scene from a TOML file (every rank reads it).
@@ -161,7 +165,7 @@ class Scene:
         set_("report", parse_report(self, typed.report, RESERVED))
         eps = self.number(typed.solve.eps, "[solve] eps", {"h": 1.0})
         if eps <= 0:
-            raise InputError(f"{source}: [solve] eps = {typed.solve.eps}: must be positive and finite")
+            raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
         for number, part in enumerate(typed.boundary):
             if part.value is None:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): the key 'value' is missing")

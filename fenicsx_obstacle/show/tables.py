@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
 from fenicsx_obstacle.studies.theory import lookup, order, parameter, quantities
-from fenicsx_obstacle.words import short
+from fenicsx_obstacle.words import counted, short
 
 _COST = (
     ("newton_iterations", "Newton", "d"),
@@ -125,7 +125,7 @@ def difference(found: Mapping[str, Any], first: str, second: str) -> str:
             lines.append(f"  force on {side} obstacle: " + " and ".join(f"{force:.6g}" for force in forces))
     lines.append("  energy: " + " and ".join(f"{energy:.8g}" for energy in found["energy"]))
     if found["outside"]:
-        lines.append(f"  {found['outside']} nodes of the finer mesh lie outside of the other and do not count")
+        lines.append(f"  {counted(found['outside'], 'node')} of the finer mesh outside of the other: not counted")
     return "\n".join(lines)
 
 
