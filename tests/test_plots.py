@@ -150,3 +150,17 @@ def test_a_refused_study_leaves_nothing(disk, folder):
     with pytest.raises(InputError, match="must be positive"):
         report_study(bad, {"cells": [4, 8]}, {}, folder / "out", lambda line: None)
     assert (folder / "out" / "rows.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("vary", "options", "message"),
+    [
+        ({"cells": []}, {}, r"cells = \[\] cannot vary: expected a list of values"),
+        ({"cells": 4}, {}, "cells = 4 cannot vary"),
+        ({"cels": [4]}, {}, "unknown key 'cels'; did you mean 'cells'"),
+        ({"cells": [4]}, {"epz": 1}, "unknown key 'epz'; did you mean 'eps'"),
+    ],
+)
+def test_mistakes_in_calls(vary, options, message, disk):
+    with pytest.raises(InputError, match=message):
+        study(disk, vary, **options)

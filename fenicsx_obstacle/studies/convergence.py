@@ -78,6 +78,9 @@ class Study:
         Raises:
             InputError: If a value does not fit its key.
         """
+        for key, values in vary.items():
+            if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
+                raise InputError(f"{scene.source}: {key} = {values!r} cannot vary: expected a list of values")
         self.vary, self.by = vary, parameter(list(vary))
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self._bench: _Bench | None = None
