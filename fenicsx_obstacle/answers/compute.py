@@ -218,7 +218,7 @@ class Workbench:
         }  # fmt: skip
         pressure, touching = _function(level, p), _function(level, (contact.lower | contact.upper).astype(float))
         if self._report is not None:
-            record["report"] = self._report.evaluate(u, pressure, touching)
+            record["report"] = self._report.evaluate(u, pressure, touching, problem.elastic.array_r)
         error = None
         if self.exact is not None:
             error = _function(level, u.x.array - self.exact.nodal(eps))
