@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
+from fenicsx_obstacle.arguments import typed, varied
 from fenicsx_obstacle.errors import InputError
 
 
@@ -92,7 +91,7 @@ def solve(
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_answer
 
-    scene = changed(_read(scene_file), _typed(given))
+    scene = changed(_read(scene_file), typed(given))
     folder = output or Path("out") / scene.name
     _check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
@@ -113,7 +112,7 @@ def explain(scene_file: str, **given: Any) -> None:
     from fenicsx_obstacle.answers.compute import changed
     from fenicsx_obstacle.show.explain import explain
 
-    _say(explain(changed(_read(scene_file), _typed(given))))
+    _say(explain(changed(_read(scene_file), typed(given))))
 
 
 @commands.command()
@@ -143,14 +142,14 @@ def study(
     from fenicsx_obstacle.show.report import report_study
 
     scene = _read(scene_file)
-    varied = dict(_varied(item) for item in vary)
-    if len(varied) < len(vary):
+    values = dict(varied(item) for item in vary)
+    if len(values) < len(vary):
         raise InputError("--vary: the same key twice; give all its values in one list")
-    folder = output or Path("out") / scene.name / "-".join(varied)
-    _check_places(folder, json_file)
+    folder = output or Path("out") / scene.name / "-".join(values)
+    _check_places(folder, json_file, latex)
     say = (lambda text: None) if quiet or json_file == "-" else _say
     with progress(scene.name, quiet=quiet):
-        rows = report_study(scene, varied, _typed(given), folder, say, fresh=fresh, latex=latex)
+        rows = report_study(scene, values, typed(given), folder, say, fresh=fresh, latex=latex)
     if json_file is not None:
         _write_json(json_file, rows)
 
@@ -202,66 +201,6 @@ def demo(output: Path) -> None:
         run_demo(output, _say)
 
 
-def values_of(text: str, key: str) -> list[Any]:
-    """The values of a list A,B,C or a range A..B or A..B:N.
-
-    Raises:
-        InputError: If it is neither.
-    """
-    match = re.fullmatch(r"(.+?)\.\.(.+?)(?::(\d+))?", text)
-    if match is None:
-        return [_value(part) for part in text.split(",")]
-    first, last = _value(match[1]), _value(match[2])
-    if isinstance(first, str) or isinstance(last, str) or first <= 0 or last <= 0:
-        raise InputError(f"--vary {key}={text}: the ends of a range are positive numbers; give a list A,B,C otherwise")
-    whole = isinstance(first, int) and isinstance(last, int)
-    if match[3] is not None:
-        count = int(match[3])
-        if count < 1:
-            raise InputError(f"--vary {key}={text}: at least one value")
-        steps = [first * (last / first) ** (i / max(count - 1, 1)) for i in range(count)]
-    else:
-        factor = 10.0 if key in ("eps", "solve.eps") else 2.0
-        ratio = factor if last >= first else 1 / factor
-        steps = [float(first)]
-        while (steps[-1] * ratio - last) * (ratio - 1) <= 1e-9 * last:
-            steps.append(steps[-1] * ratio)
-    # eps by tens: 1e-3 and not 1.0000000000000002e-3
-    return [round(step) if whole else float(f"{step:.12g}") for step in steps]
-
-
-def _varied(item: str) -> tuple[str, list[Any]]:
-    key, equals, text = item.partition("=")
-    if not equals or not text:
-        raise InputError(f"--vary {item}: expected KEY=LIST, such as cells=16..128")
-    return key.strip(), values_of(text.strip(), key.strip())
-
-
-def _value(text: str) -> Any:
-    """A number or list as TOML reads it, otherwise the text itself, such as a formula."""
-    for read in (int, float, lambda text: tomllib.loads(f"v = {text}")["v"]):
-        try:
-            return read(text)
-        except ValueError:
-            continue
-    return text.strip()
-
-
-def _typed(given: dict[str, Any]) -> dict[str, Any]:
-    """Options by name, with those of --set by their dotted keys."""
-    changes = dict(_setting(item) for item in given.pop("set_", ()))
-    if isinstance(given.get("eps"), str):
-        given["eps"] = _value(given["eps"])
-    return {**changes, **given}
-
-
-def _setting(item: str) -> tuple[str, Any]:
-    key, equals, text = item.partition("=")
-    if not equals or not text:
-        raise InputError(f"--set {item}: expected KEY=VALUE, such as define.ecc=0.9")
-    return key.strip(), _value(text.strip())
-
-
 def _read(path: str) -> Any:
     from fenicsx_obstacle.scenes.scene import Scene
 
@@ -279,15 +218,16 @@ def _say(text: str) -> None:
             click.echo(text)
 
 
-def _check_places(folder: Path, json_file: str | None) -> None:
+def _check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
     """Refuse places that cannot be written to before anything is computed (collective)."""
     from mpi4py import MPI
 
     from fenicsx_obstacle.parallel import check_folder
 
     check_folder(MPI.COMM_WORLD, folder)
-    if json_file is not None and Path(json_file).is_dir():
-        raise InputError(f"--json {json_file}: is a folder; name a file")
+    for option, file in (("--json", json_file), ("--latex", latex)):
+        if file is not None and Path(file).is_dir():
+            raise InputError(f"{option} {file}: is a folder; name a file")
 
 
 def _write_json(file: str, records: Sequence[Any]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from conftest import DEMOS
 
 from fenicsx_obstacle import InputError
-from fenicsx_obstacle.cli import values_of
+from fenicsx_obstacle.arguments import values_of
 
 pytestmark = pytest.mark.serial
 

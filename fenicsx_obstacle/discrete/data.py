@@ -17,7 +17,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.scene import COORDINATES, Scene
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.vocabulary import COORDINATES
 
 Cellwise: TypeAlias = fem.Function | fem.Constant
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
