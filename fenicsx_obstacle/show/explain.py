@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 from fenicsx_obstacle.answers.choose import LINEAR_SOLVER, METHODS, NESTED, nested
 from fenicsx_obstacle.effects.effect import registered
 from fenicsx_obstacle.scenes.scene import Scene
@@ -9,9 +11,19 @@ from fenicsx_obstacle.words import counted, plain
 
 
 def explain(scene: Scene) -> str:
-    """The text; needs no mesh."""
+    """The text, in lines of at most 110 characters; needs no mesh."""
+    lines = [scene.tables.title or scene.name]
+    for name, texts in explained(scene):
+        for number, text in enumerate(texts):
+            first = f"  {name if number == 0 else '':10}"
+            lines.append(fill(text, 110, initial_indent=first, subsequent_indent=" " * 14, break_on_hyphens=False))
+    return "\n".join(lines)
+
+
+def explained(scene: Scene) -> list[tuple[str, list[str]]]:
+    """Its parts: name and lines of each."""
     tables = scene.tables
-    parts = [
+    return [
         ("equation", _equation(scene)),
         ("data", [f"{effect.key} = {effect.value.text}  [{effect.unit}]" for effect in scene.effects]),
         ("with", [f"{name} = {formula.text}" for name, formula in scene.define.items()]),
@@ -24,11 +36,6 @@ def explain(scene: Scene) -> str:
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
         ("left out", [_left_out(scene)]),
     ]
-    lines = [tables.title or scene.name]
-    for name, texts in parts:
-        for number, text in enumerate(texts):
-            lines.append(f"  {name if number == 0 else '':10}{text}")
-    return "\n".join(lines)
 
 
 def _equation(scene: Scene) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 
 from fenicsx_obstacle.parallel import write_text
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.explain import explain
+from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.words import counted
 
@@ -26,6 +26,8 @@ h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #ccc; }
 pre { font: .8rem/1.45 ui-monospace, monospace; background: #f6f6f4; padding: .75rem; margin: 0;
       white-space: pre-wrap; overflow-wrap: anywhere; }
 .wide { overflow-x: auto; }
+.wide table { font-size: .75rem; }
+.wide th, .wide td { padding: .2rem .25rem; }
 table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .2rem .55rem; text-align: right; white-space: nowrap; }
 th { border-bottom: 1px solid #111; vertical-align: bottom; }
@@ -33,6 +35,7 @@ th small { display: block; font-weight: normal; }
 tbody tr + tr td { border-top: 1px solid #e4e4e0; }
 .facts th { text-align: left; vertical-align: top; border: 0; font-weight: normal; color: #444; }
 .facts td { text-align: left; border: 0; white-space: normal; overflow-wrap: anywhere; }
+.facts td div { padding-left: 1.2em; text-indent: -1.2em; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figure img, figure svg { display: block; max-width: 100%; height: auto; }
 .note { font-size: .85rem; color: #444; margin: .5rem 0; }
@@ -145,7 +148,7 @@ def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[
     return [
         *([_section("Report" + which, _facts(report))] if report else []),
         _section("Figures" + which, _facts(_figures(record))),
-        _section("What is assembled, and what is left out", _pre(explain(scene))),
+        _section("What is assembled, and what is left out", _facts(explained(scene))),
         _section("Scene" + which, _pre(scene.toml())),
     ]
 
@@ -169,6 +172,11 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     return facts
 
 
-def _facts(facts: Iterable[tuple[str, str]]) -> str:
-    lines = "".join(f"<tr><th>{escape(key)}</th><td>{escape(str(value))}</td></tr>\n" for key, value in facts)
+def _facts(facts: Iterable[tuple[str, str | list[str]]]) -> str:
+    """A table of names and what belongs to them, a text or several lines; without those that have none."""
+    lines = ""
+    for key, value in facts:
+        texts = value if isinstance(value, list) else [value]
+        below = "".join(f"<div>{escape(text)}</div>" for text in texts)
+        lines += f"<tr><th>{escape(key)}</th><td>{below}</td></tr>\n" if texts else ""
     return f'<table class="facts">\n{lines}</table>'
