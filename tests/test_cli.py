@@ -196,6 +196,20 @@ def test_help_is_quick_and_imports_nothing_heavy():
     assert "solve" in done.stdout
 
 
+def test_a_solve_loads_nothing_to_draw_with(tmp_path):
+    """A scene is solved, saved and summarised in about a second: drawing libraries alone take longer to load."""
+    code = (
+        f"import sys; sys.argv = ['x', 'solve', {str(DEMOS / 'disk.toml')!r}, '--output', {str(tmp_path / 'out')!r}]\n"
+        "from fenicsx_obstacle.__main__ import main\n"
+        "try: main()\nexcept SystemExit as end: assert end.code == 0\n"
+        "slow = {'matplotlib', 'pyvista', 'scipy', 'tqdm', 'gmsh'} & set(sys.modules)\n"
+        "assert not slow, slow"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "./obstacle plot" in done.stdout
+
+
 def test_one_added_line(tmp_path):
     """The demo for somebody else's code runs as it stands, under plain mpirun."""
     command = [*mpirun(2), sys.executable, str(DEMOS / "one_added_line.py")]

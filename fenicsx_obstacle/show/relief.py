@@ -10,9 +10,9 @@ import numpy as np
 from fenicsx_obstacle.show.boundary import LEVELS, SIDES, free_boundary
 from fenicsx_obstacle.show.simplices import Patch, above, boundary
 
-FREE, OBSTACLE, INK, EDGE = "#A9C9E6", "#8A8178", "#111111", "#66788A"
+FREE, OBSTACLE, INK, EDGE = "#97C0E4", "#8A8178", "#111111", "#66788A"
 AZIMUTH, ELEVATION = np.radians(-58.0), np.radians(32.0)
-CLEAR = 0.36  # opacity of u out of contact: a wall in front must not hide the contact behind it
+CLEAR = 0.42  # opacity of u out of contact: a wall in front must not hide the contact behind it
 HEIGHT = 0.42  # of the relief, in units of its widest side
 
 
@@ -156,15 +156,17 @@ def joined(parts: list[Patch]) -> Patch:
 
 
 def _spread(patch: Patch) -> Patch:
-    """The pressure continued to the neighbours of the contact set, so that its edge is no ramp to zero."""
+    """The pressure continued to two rings of nodes about the contact set, so that its edge is no ramp to zero."""
     cells, p = patch.cells, patch.fields["pressure"]
-    contact = patch.fields["contact"] > 0
-    inside = contact[cells]
-    count = inside.sum(axis=1)
-    mean = (p[cells] * inside).sum(axis=1) / np.maximum(count, 1)
-    weight = np.bincount(cells.ravel(), np.repeat(count > 0, cells.shape[1]), len(p))
-    near = np.bincount(cells.ravel(), np.repeat(mean, cells.shape[1]), len(p)) / np.maximum(weight, 1)
-    return Patch(patch.points, cells, {**patch.fields, "pressure": np.where(contact, p, near)})
+    known, corners = patch.fields["contact"] > 0, patch.cells.shape[1]
+    for _ in range(2):
+        inside = known[cells]
+        count = inside.sum(axis=1)
+        mean = (p[cells] * inside).sum(axis=1) / np.maximum(count, 1)
+        weight = np.bincount(cells.ravel(), np.repeat(count > 0, corners), len(p))
+        near = np.bincount(cells.ravel(), np.repeat(mean, corners), len(p)) / np.maximum(weight, 1)
+        p, known = np.where(known, p, near), known | (weight > 0)
+    return Patch(patch.points, cells, {**patch.fields, "pressure": p})
 
 
 def _visible(patch: Patch, side: str, low: float, high: float) -> Patch:
