@@ -40,6 +40,7 @@ figure { margin: 1rem 0; break-inside: avoid; }
 figure img, figure svg { display: block; max-width: 100%; height: auto; }
 .note { font-size: .85rem; color: #444; margin: .5rem 0; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); gap: 1rem; }
+.plots figure:only-child { max-width: 46rem; }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; }
                h2 { break-after: avoid; } table { font-size: 7pt; } th, td { padding: .1rem .25rem; } }
 """
@@ -126,10 +127,11 @@ def _pre(text: str) -> str:
 
 def _table(table: StudyTable) -> str:
     heads, first = "", table.rows[0]
+    blank = "&nbsp;" if table.by else ""
     for before, cell in zip([None, *first], first, strict=False):
         # the source of an order stands in the column before it: 'paper:' and '1'
         below = f"{before.expected} {cell.expected}" if before is not None and cell.head == "order" else ""
-        heads += f"<th>{escape(cell.head)}<small>{escape(below) or '&nbsp;'}</small></th>"
+        heads += f"<th>{escape(cell.head)}<small>{escape(below) or blank}</small></th>"
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(cell.value)}</td>" for cell in cells) + "</tr>\n" for cells in table.rows
     )

@@ -49,7 +49,7 @@ def _place(values: Sequence[Any], value: Any) -> float:
 def _scale(axes: Any, values: Sequence[Any]) -> None:
     # a number of ticks that depended on the size of the axes would move the labels that the layout has made room for
     axes.yaxis.get_major_locator().set_params(nbins=5)
-    axes.xaxis.get_major_locator().set_params(nbins=6)
+    axes.xaxis.get_major_locator().set_params(nbins=6, integer=all(isinstance(value, int) for value in values))
     if not _are_numbers(values):
         axes.set_xticks(range(len(values)), [plain(short(value)) for value in values])
     elif min(values) > 0 and np.log10(max(values) / min(values)) > DECADES:
