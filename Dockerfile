@@ -24,7 +24,7 @@ RUN python3 -m venv --system-site-packages /opt/venv \
 
 # any user may compile forms and draw; containers forbid the system call that Open MPI copies with
 ENV OMP_NUM_THREADS=1 XDG_CACHE_HOME=/var/cache/obstacle MPLCONFIGDIR=/var/cache/obstacle/matplotlib \
-    OMPI_MCA_smsc=^cma OMPI_MCA_btl=^tcp
+    OMPI_MCA_smsc=^cma OMPI_MCA_pml=ob1 OMPI_MCA_btl=^tcp,uct,openib,ofi OMPI_MCA_mpi_yield_when_idle=1
 USER obstacle
 WORKDIR /results
 ENTRYPOINT ["fenicsx-obstacle"]

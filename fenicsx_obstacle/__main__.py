@@ -18,23 +18,27 @@ def main() -> None:
     arguments = sys.argv[1:]
     petsc = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     arguments = arguments[: len(arguments) - len(petsc) - 1] if "--" in arguments else arguments
-    if set(arguments) - {"-h", "--help", "--version"} and not {"-h", "--help"} & set(arguments):
-        _begin(petsc)
     if _RANK != 0:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  (help and messages come from rank 0 alone)
-    sys.exit(_run(arguments))
+    sys.exit(_run(arguments, petsc))
 
 
-def _run(arguments: list[str]) -> int:
+def _run(arguments: list[str], petsc: list[str]) -> int:
     try:
+        if set(arguments) - {"-h", "--help", "--version"} and not {"-h", "--help"} & set(arguments):
+            _begin(petsc)
         result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
     except ObstacleError as error:
         return _fail(f"Error: {error}", error.exit_status)
     except click.ClickException as error:
         usage = error.ctx.get_usage() + "\n" if isinstance(error, click.UsageError) and error.ctx else ""
         return _fail(f"{usage}Error: {error.format_message()}", 2)
-    except click.Abort:
-        return _fail("interrupted", 130)
+    except (click.Abort, KeyboardInterrupt, ImportError) as error:
+        # a compiled module that is interrupted while it loads says that it failed
+        if isinstance(error, ImportError) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        kept = "; finished rows are kept, the same command goes on from them" if arguments[:1] == ["study"] else ""
+        return _fail(f"interrupted{kept}", 130)
     except RuntimeError as error:
         if type(error).__module__ != "petsc4py.PETSc":
             raise

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
+from fenicsx_obstacle.arguments import typed, varied
 from fenicsx_obstacle.errors import InputError
 
 
@@ -71,27 +70,34 @@ def _options(*names: str) -> Callable[[Any], Any]:
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
+@click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
 @_options("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet", "log")
 def solve(
-    scene_file: str, yardstick: bool, output: Path | None, json_file: str | None, quiet: bool, **given: Any
+    scene_file: str,
+    picture: bool,
+    yardstick: bool,
+    output: Path | None,
+    json_file: str | None,
+    quiet: bool,
+    **given: Any,
 ) -> None:
     """Solve a scene: u, contact pressure p, contact set.
 
-    Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv,
-    answer.png and report.html into out/SCENE.
+    Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv and
+    report.html into out/SCENE.
     """
     from fenicsx_obstacle.answers.compute import Workbench, changed
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_answer
 
-    scene = changed(_read(scene_file), _typed(given))
+    scene = changed(_read(scene_file), typed(given))
     folder = output or Path("out") / scene.name
     _check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
         answer = Workbench(scene).answer(yardstick=yardstick)
         answer.save(folder)
-        drawn = report_answer(answer, folder)
+        drawn = report_answer(answer, folder, picture=picture)
     if json_file is not None:
         _write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
@@ -106,7 +112,7 @@ def explain(scene_file: str, **given: Any) -> None:
     from fenicsx_obstacle.answers.compute import changed
     from fenicsx_obstacle.show.explain import explain
 
-    _say(explain(changed(_read(scene_file), _typed(given))))
+    _say(explain(changed(_read(scene_file), typed(given))))
 
 
 @commands.command()
@@ -136,14 +142,14 @@ def study(
     from fenicsx_obstacle.show.report import report_study
 
     scene = _read(scene_file)
-    varied = dict(_varied(item) for item in vary)
-    if len(varied) < len(vary):
+    values = dict(varied(item) for item in vary)
+    if len(values) < len(vary):
         raise InputError("--vary: the same key twice; give all its values in one list")
-    folder = output or Path("out") / scene.name / "-".join(varied)
-    _check_places(folder, json_file)
+    folder = output or Path("out") / scene.name / "-".join(values)
+    _check_places(folder, json_file, latex)
     say = (lambda text: None) if quiet or json_file == "-" else _say
     with progress(scene.name, quiet=quiet):
-        rows = report_study(scene, varied, _typed(given), folder, say, fresh=fresh, latex=latex)
+        rows = report_study(scene, values, typed(given), folder, say, fresh=fresh, latex=latex)
     if json_file is not None:
         _write_json(json_file, rows)
 
@@ -170,13 +176,17 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 
 @commands.command()
 @click.argument("result", type=click.Path(path_type=Path))
-@click.option("--output", type=click.Path(path_type=Path), metavar="FILE", help="Picture.  [RESULT/answer.png]")
+@click.option("--output", type=click.Path(path_type=Path), metavar="FILE", help="Another file.  [RESULT/answer.png]")
 def plot(result: Path, output: Path | None) -> None:
-    """Draw a saved result: u, contact set and pressure."""
-    from fenicsx_obstacle.answers.answer import Answer
+    """Draw a saved result: u, contact set and pressure; its page shows the picture too.
 
-    path = output or result / "answer.png"
-    _say(Answer.read(result).plot(path))
+    A file of --output may be .png, .pdf or .svg; the page is then left as it is.
+    """
+    from fenicsx_obstacle.answers.answer import Answer
+    from fenicsx_obstacle.show.report import report_answer
+
+    answer = Answer.read(result)
+    _say(report_answer(answer, result, picture=True) if output is None else answer.plot(output))
 
 
 @commands.command()
@@ -184,71 +194,11 @@ def plot(result: Path, output: Path | None) -> None:
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
     """The main job on the scenes of demos/: eps- and h-study, tables, pictures."""
+    from fenicsx_obstacle.show.demo import run_demo
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.show.report import run_demo
 
     with progress("demo", quiet=False):
         run_demo(output, _say)
-
-
-def values_of(text: str, key: str) -> list[Any]:
-    """The values of a list A,B,C or a range A..B or A..B:N.
-
-    Raises:
-        InputError: If it is neither.
-    """
-    match = re.fullmatch(r"(.+?)\.\.(.+?)(?::(\d+))?", text)
-    if match is None:
-        return [_value(part) for part in text.split(",")]
-    first, last = _value(match[1]), _value(match[2])
-    if isinstance(first, str) or isinstance(last, str) or first <= 0 or last <= 0:
-        raise InputError(f"--vary {key}={text}: the ends of a range are positive numbers; give a list A,B,C otherwise")
-    whole = isinstance(first, int) and isinstance(last, int)
-    if match[3] is not None:
-        count = int(match[3])
-        if count < 1:
-            raise InputError(f"--vary {key}={text}: at least one value")
-        steps = [first * (last / first) ** (i / max(count - 1, 1)) for i in range(count)]
-    else:
-        factor = 10.0 if key in ("eps", "solve.eps") else 2.0
-        ratio = factor if last >= first else 1 / factor
-        steps = [float(first)]
-        while (steps[-1] * ratio - last) * (ratio - 1) <= 1e-9 * last:
-            steps.append(steps[-1] * ratio)
-    # eps by tens: 1e-3 and not 1.0000000000000002e-3
-    return [round(step) if whole else float(f"{step:.12g}") for step in steps]
-
-
-def _varied(item: str) -> tuple[str, list[Any]]:
-    key, equals, text = item.partition("=")
-    if not equals or not text:
-        raise InputError(f"--vary {item}: expected KEY=LIST, such as cells=16..128")
-    return key.strip(), values_of(text.strip(), key.strip())
-
-
-def _value(text: str) -> Any:
-    """A number or list as TOML reads it, otherwise the text itself, such as a formula."""
-    for read in (int, float, lambda text: tomllib.loads(f"v = {text}")["v"]):
-        try:
-            return read(text)
-        except ValueError:
-            continue
-    return text.strip()
-
-
-def _typed(given: dict[str, Any]) -> dict[str, Any]:
-    """Options by name, with those of --set by their dotted keys."""
-    changes = dict(_setting(item) for item in given.pop("set_", ()))
-    if isinstance(given.get("eps"), str):
-        given["eps"] = _value(given["eps"])
-    return {**changes, **given}
-
-
-def _setting(item: str) -> tuple[str, Any]:
-    key, equals, text = item.partition("=")
-    if not equals or not text:
-        raise InputError(f"--set {item}: expected KEY=VALUE, such as define.ecc=0.9")
-    return key.strip(), _value(text.strip())
 
 
 def _read(path: str) -> Any:
@@ -268,15 +218,16 @@ def _say(text: str) -> None:
             click.echo(text)
 
 
-def _check_places(folder: Path, json_file: str | None) -> None:
+def _check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
     """Refuse places that cannot be written to before anything is computed (collective)."""
     from mpi4py import MPI
 
     from fenicsx_obstacle.parallel import check_folder
 
     check_folder(MPI.COMM_WORLD, folder)
-    if json_file is not None and Path(json_file).is_dir():
-        raise InputError(f"--json {json_file}: is a folder; name a file")
+    for option, file in (("--json", json_file), ("--latex", latex)):
+        if file is not None and Path(file).is_dir():
+            raise InputError(f"{option} {file}: is a folder; name a file")
 
 
 def _write_json(file: str, records: Sequence[Any]) -> None:

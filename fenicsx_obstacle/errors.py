@@ -1,5 +1,7 @@
 """The errors a user can meet; each knows the exit status of the command line."""
 
+from fenicsx_obstacle.words import counted
+
 
 class ObstacleError(Exception):
     """Base of all errors of this package."""
@@ -31,7 +33,9 @@ class NotConverged(ObstacleError):
     def __str__(self) -> str:
         where = f"h = {self.h:.3g}" if self.eps is None else f"eps = {self.eps:.3g}, h = {self.h:.3g}"
         remedy = "; a larger eps, or --method vi, may do" if self.solver == "penalty" and self.eps is not None else ""
-        return f"{self.solver} did not converge: {self.reason} after {self.iterations} steps ({where}){remedy}"
+        return (
+            f"{self.solver} did not converge: {self.reason} after {counted(self.iterations, 'step')} ({where}){remedy}"
+        )
 
     def __reduce__(self):
         # exceptions travel between ranks by pickle, which knows nothing of keyword arguments

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -73,31 +74,63 @@ def new_files(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
             file.replace(folder / file.name)
         scratch.rmdir()
 
-    scratch: Path = on_root(comm, _scratch, folder)
+    scratch, made = on_root(comm, _scratch, folder)
     try:
         yield scratch
         on_root(comm, finish)
     except BaseException:
         if comm.rank == 0:
             shutil.rmtree(scratch, ignore_errors=True)
+            remove_empty(made)
         raise
 
 
 def check_folder(comm: MPI.Comm, folder: Path) -> None:
-    """Make a folder for results, before anything is computed for it (collective).
+    """Refuse a place that cannot be written to, before anything is computed for it; it is left as it was (collective).
 
     Raises:
-        InputError: If it cannot be made or written to.
+        InputError: If the folder cannot be made or written to.
     """
-    on_root(comm, lambda: _scratch(folder).rmdir())
+
+    def probe() -> None:
+        scratch, made = _scratch(folder)
+        remove_empty([scratch, *made])
+
+    on_root(comm, probe)
 
 
-def _scratch(folder: Path) -> Path:
+def make_folder(folder: Path) -> list[Path]:
+    """Make a folder with all above it (one rank).
+
+    Returns:
+        Those that were not there before, the innermost first.
+
+    Raises:
+        InputError: If it cannot be made.
+    """
+    missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=".new-", dir=folder))
-    except (FileExistsError, NotADirectoryError):
-        raise InputError(f"{folder}: is a file, or lies in one; --output names a folder") from None
+    except OSError as error:
+        remove_empty(missing)
+        if isinstance(error, FileExistsError | NotADirectoryError):
+            raise InputError(f"{folder}: is a file, or lies in one; --output names a folder") from None
+        raise InputError(f"{folder}: {error.strerror}; choose another folder with --output") from None
+    return missing
+
+
+def remove_empty(folders: Sequence[Path]) -> None:
+    """Remove folders, the innermost first, as far as they hold nothing (one rank)."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _scratch(folder: Path) -> tuple[Path, list[Path]]:
+    """A new folder within `folder`, and what was made for it."""
+    made = make_folder(folder)
+    try:
+        return Path(tempfile.mkdtemp(prefix=".new-", dir=folder)), made
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}; choose another folder with --output") from None
 

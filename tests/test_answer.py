@@ -6,9 +6,9 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS
+from conftest import COMM, DEMOS, membrane
 
-from fenicsx_obstacle import Answer, InputError, Scene, solve, study
+from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve, study
 from fenicsx_obstacle.parallel import largest, on_root, total
 
 KEYS = """scene method element ranks cells cells_total dofs h h_max eps converged reason newton_iterations
@@ -110,3 +110,17 @@ def test_penetration_and_sign(ball):
     assert answer.record["penetration"] > 0
     assert largest(COMM, -answer.pressure.x.array) <= 0  # p >= 0 against the lower obstacle
     assert "penalty, eps = 0.001" in answer.summary()
+
+
+def test_one_line_says_what_it_is(ball):
+    """repr() of results: figures and no arrays; 1 step and 2 steps."""
+    answer = solve(ball, cells=8)
+    assert "\n" not in repr(answer)
+    assert repr(answer).startswith(
+        "Answer('Membrane over a ball (Bueler 2021, ch. 12)': penalty, eps = 0.25, 81 unknowns;"
+    )
+    assert "force on lower obstacle 2.73057" in repr(answer)
+    linear = solve(membrane(load=1))
+    assert "  1 Newton step, " in linear.summary()
+    assert "512 cells, 289 unknowns" in linear.summary()
+    assert str(NotConverged("penalty", "no", 1, eps=None, h=1.0)) == "penalty did not converge: no after 1 step (h = 1)"

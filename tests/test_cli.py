@@ -11,7 +11,7 @@ import pytest
 from conftest import DEMOS
 
 from fenicsx_obstacle import InputError
-from fenicsx_obstacle.cli import values_of
+from fenicsx_obstacle.arguments import values_of
 
 pytestmark = pytest.mark.serial
 
@@ -62,8 +62,18 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
     done = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", ranks=3)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("saved in") == 1
+    assert not (tmp_path / "disk" / "answer.png").exists()  # a picture takes longer than the solve: on demand
     assert run("plot", tmp_path / "disk").returncode == 0
     assert (tmp_path / "disk" / "answer.png").exists()
+    assert "<img" in (tmp_path / "disk" / "report.html").read_text()
+    assert run("plot", tmp_path / "disk", "--output", tmp_path / "p.pdf").returncode == 0
+    assert (tmp_path / "p.pdf").read_bytes().startswith(b"%PDF")
+    refused = run("plot", tmp_path / "disk", "--output", tmp_path / "p.doc")
+    assert refused.returncode == 2
+    assert "pictures are written as .png, .pdf, .svg" in refused.stderr
+    again = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", "--plot", ranks=2)
+    assert "drawn by" in again.stdout
+    assert "--plot" in json.loads((tmp_path / "disk" / "answer.json").read_text())["command"]
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -80,11 +90,13 @@ def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
         ["study", disk, "--vary", "cells"],
         ["slove"],
     ]
+    before = sorted(tmp_path.iterdir())
     for arguments in mistakes:
         done = run(*arguments, ranks=ranks, cwd=tmp_path)
         assert done.returncode == 2, (arguments, done.stderr)
         assert done.stderr.count("Error: ") == 1, done.stderr
         assert "Traceback" not in done.stderr
+        assert sorted(tmp_path.iterdir()) == before, arguments  # no empty out/
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -182,6 +194,20 @@ def test_help_is_quick_and_imports_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
     assert done.returncode == 0, done.stderr
     assert "solve" in done.stdout
+
+
+def test_a_solve_loads_nothing_to_draw_with(tmp_path):
+    """A scene is solved, saved and summarised in about a second: drawing libraries alone take longer to load."""
+    code = (
+        f"import sys; sys.argv = ['x', 'solve', {str(DEMOS / 'disk.toml')!r}, '--output', {str(tmp_path / 'out')!r}]\n"
+        "from fenicsx_obstacle.__main__ import main\n"
+        "try: main()\nexcept SystemExit as end: assert end.code == 0\n"
+        "slow = {'matplotlib', 'pyvista', 'scipy', 'tqdm', 'gmsh'} & set(sys.modules)\n"
+        "assert not slow, slow"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "./obstacle plot" in done.stdout
 
 
 def test_one_added_line(tmp_path):

@@ -87,7 +87,7 @@ def test_study_page_holds_everything(study_page, disk):
 def test_text_of_the_scene_is_escaped(folder):
     answer = solve(membrane(load=1, upper="where(x < 0.5, 0.01, 0.02)", title=NASTY, u=NASTY))
     answer.save(folder / "out")
-    report_answer(answer, folder / "out")
+    report_answer(answer, folder / "out", picture=True)
     page = Page((folder / "out" / "report.html").read_text())
     self_contained(page)
     assert NASTY in page.texts  # the title
@@ -117,6 +117,30 @@ def test_page_of_a_linear_problem(folder):
     """No obstacle: no contact to draw, and still a page."""
     answer = solve(membrane(load=1))
     answer.save(folder / "out")
-    assert "drawn by" in report_answer(answer, folder / "out")
+    assert "drawn by" in report_answer(answer, folder / "out", picture=True)
     if COMM.rank == 0:
         self_contained(Page((folder / "out" / "report.html").read_text()))
+
+
+def test_no_picture_is_better_than_an_earlier_one(folder):
+    """A new answer in the folder of an old one: the old picture goes, and the page shows none."""
+    answer = solve(membrane(load=1, report={"mean": "integral(u)", "none": "ln(-1)"}))
+    answer.save(folder / "out")
+    for picture in (True, False):
+        said = report_answer(answer, folder / "out", picture=picture)
+        page = Page((folder / "out" / "report.html").read_text())
+        assert (folder / "out" / "answer.png").exists() == picture
+        assert any(tag == "img" for tag, _ in page.tags) == picture
+        COMM.barrier()
+    assert said == f"./obstacle plot {folder / 'out'} draws it"
+    # the scene's own figures have a table of their own
+    text = " ".join("".join(page.texts).split())
+    assert re.search(r"Report mean ?0\.03\d+ none ?not finite Figures cells, unknowns", text), text
+
+
+def test_long_lines_wrap(study_page):
+    """Texts do not scroll sideways; columns are explained."""
+    text = study_page.read_text()
+    assert "white-space: pre-wrap" in text
+    for word in ("Newton, CG: steps", "Poisson: the same in solves of one linear Poisson problem"):
+        assert word in text

@@ -9,10 +9,13 @@ from conftest import COMM, membrane
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.show import warped
-from fenicsx_obstacle.show.boundary import free_boundary
-from fenicsx_obstacle.show.relief import free, touching
+from fenicsx_obstacle.show.boundary import free_boundary, with_levels
+from fenicsx_obstacle.show.figures import figure
+from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, draw_plan
+from fenicsx_obstacle.show.relief import free, rgb, touching
+from fenicsx_obstacle.show.relief import membrane as relief_of
 from fenicsx_obstacle.show.report import report_study
-from fenicsx_obstacle.show.simplices import Patch, above, gradients, patch_of, zero
+from fenicsx_obstacle.show.simplices import Patch, above, gradients, patch_of, rims, zero
 
 CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
 
@@ -27,7 +30,7 @@ def measure(patch):
 
 def on_rank_0(answer):
     arrays = gather(answer)
-    return patch_of(arrays) if COMM.rank == 0 else None
+    return with_levels(patch_of(arrays)) if COMM.rank == 0 else None
 
 
 def pixels(path):
@@ -68,6 +71,96 @@ def test_free_boundary_is_a_smooth_closed_line(name, radius, request):
     assert np.all(np.bincount(line.cells.ravel()) == 2)
     # both parts together are the domain
     assert np.isclose(measure(touching(patch)) + measure(free(patch)), measure(patch))
+
+
+def test_a_cut_through_nodes_is_whole():
+    """A level through a whole layer of nodes: no cell twice, none without area, one line around it."""
+    cube = on_rank_0(solve(membrane(mesh={"shape": "box", "cells": 4}, upper=1)))
+    if COMM.rank != 0:
+        return
+    cut = zero(cube, cube.points[:, 1] - 0.5)
+    sizes = [measure(Patch(cut.points, cell[None], {})) for cell in cut.cells]
+    assert min(sizes) > 1e-12
+    assert np.isclose(sum(sizes), 1)
+    assert len(rims(cut, (0, 2))) == 1
+
+
+def with_a_hole(n=12):
+    """The unit square without its middle third."""
+    x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(n), np.arange(n)))
+    hole = (i >= n // 3) & (i < 2 * n // 3) & (j >= n // 3) & (j < 2 * n // 3)
+    corner = (j * (n + 1) + i)[~hole]
+    cells = np.vstack([corner + np.array(c)[:, None] for c in ((0,), (1,), (n + 2,))]).T
+    cells = np.vstack([cells, np.vstack([corner, corner + n + 1, corner + n + 2]).T])
+    used, cells = np.unique(cells, return_inverse=True)
+    points, mine = np.column_stack([x.ravel(), y.ravel()])[used], slice(None) if COMM.rank == 0 else slice(0, 0)
+    return releases.create_mesh(COMM, cells.reshape(-1, 3)[mine].astype(np.int64), points[mine], "triangle")
+
+
+def test_a_hole_is_outlined_and_stays_white():
+    """Both boundaries of the domain are lines; within it zero pressure has a colour, outside nothing has."""
+    patch = on_rank_0(solve(Scene(mesh=with_a_hole(), tension=1, load=-1, lower=-5)))
+    if COMM.rank != 0:
+        return
+    areas = sorted(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) / 2 for x, y in (line.T for line in rims(patch)))
+    assert np.allclose(areas, [-1 / 9, 1])  # around the hole the other way
+    _, pixel = drawn_plan(patch)
+    assert np.allclose(pixel(0.5, 0.5), 1)
+    assert np.allclose(pixel(0.31, 0.02), rgb(OUT_OF_CONTACT), atol=0.01)
+    near = np.linspace(1 / 3 - 0.02, 1 / 3 + 0.02, 81)
+    assert min(pixel(x, 0.5).max() for x in near) < 0.5  # a dark line
+
+
+def drawn_plan(patch):
+    """Axes of the view from above, and the colour of its pixel at a point."""
+    from fenicsx_obstacle.show.pictures import _pressures
+
+    page, axis = figure(6, 5)
+    draw_plan(page, axis, patch, _pressures(patch.fields["pressure"]), "u", "p")
+    page.canvas.draw()
+    picture = np.asarray(page.canvas.buffer_rgba())[..., :3] / 255.0
+
+    def pixel(x, y):
+        across, up = axis.transData.transform((x, y))
+        return picture[picture.shape[0] - 1 - int(up), int(across)]
+
+    return axis, pixel
+
+
+@pytest.mark.parametrize("name", ["ball", "disk"])
+def test_labels_keep_away_from_all_lines(name, request):
+    """Labels of contour lines: not across the free boundary, nor across each other, nor cut by the frame."""
+    patch = on_rank_0(solve(request.getfixturevalue(name)))
+    if COMM.rank != 0:
+        return
+    axis, _ = drawn_plan(patch)
+    boxes = [label.get_window_extent() for label in axis.texts]
+    assert len(boxes) >= 3
+    (line,) = free_boundary(patch)
+    free_line = axis.transData.transform(line.points[:, :2])
+    frame = axis.get_window_extent()
+    for number, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:number])
+        assert box.count_contains(free_line) == 0
+        assert frame.count_contains(box.corners()) == 4
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_contact_is_drawn_on_the_obstacle(side):
+    """However deep a large eps lets u sink in, the contact is not hidden under the surface of the obstacle."""
+    sign = 1 if side == "lower" else -1
+    answer = solve(membrane(load=-8 * sign, **{side: f"{-sign}*(0.1 + 0.2*(x - 1/2)^2)"}), eps=0.1)
+    assert answer.record["penetration"] > 0.02
+    patch = on_rank_0(answer)
+    if COMM.rank != 0:
+        return
+    view = relief_of(patch, lambda p: np.tile([1.0, 0, 0], (len(p), 1)), "u")
+    (contact,) = [s for s in view.surfaces if np.all(s.colours == [1.0, 0, 0])]
+    points = contact.points / view.scale + (view.lower + view.upper) / 2
+    obstacle = -sign * (0.1 + 0.2 * (points[:, 0] - 0.5) ** 2)
+    assert len(points) > 50
+    assert np.min(sign * (points[:, 2] - obstacle)) > -0.02 * (view.upper - view.lower)[2]
 
 
 def test_one_node_in_contact_keeps_its_line():
@@ -152,6 +245,17 @@ def test_pyvista_draws_where_it_is(ball, folder):
     assert said.endswith("drawn by pyvista")
 
 
+@pytest.mark.parametrize(("ending", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_the_name_says_the_kind(ending, begins, disk, folder, monkeypatch):
+    monkeypatch.setattr(warped, "find_spec", lambda name: None)
+    solve(disk, cells=4).plot(folder / f"disk.{ending}")
+    assert (folder / f"disk.{ending}").read_bytes().startswith(begins)
+    assert [path.name for path in folder.iterdir()] == [f"disk.{ending}"]
+
+
 def test_a_picture_that_cannot_be_written(disk, folder):
+    answer = solve(disk, cells=4)
     with pytest.raises(InputError):
-        solve(disk, cells=4).plot("/proc/nowhere/answer.png")
+        answer.plot("/proc/nowhere/answer.png")
+    with pytest.raises(InputError, match=r"disk.doc: pictures are written as .png, .pdf, .svg"):
+        answer.plot(folder / "disk.doc")

@@ -27,6 +27,8 @@ FIGURES = {
     "side": ("integral(u + x, 'right')", 4),
     "slopes": ("integral(slope)", 3),
     "through": ("integral(flux, 'left')", 6),
+    "leftwards": ("integral(normal_flux, 'left')", -6),
+    "rightwards": ("integral(normal_flux*x^2, 'right')", 6),
     "top": ("sup(u*where(x < 0.9, 1, 2))", 6),
     "bottom": ("inf(u - 7)", -7),
     "free": ("integral(p)^2 + integral(contact)", 0),
@@ -76,7 +78,70 @@ def test_slope_on_an_edge_is_the_mean_of_both_sides():
     assert np.isclose(solve(scene).report["v"], 0.25)
 
 
+BALANCES = {
+    "square": ({"shape": "rectangle", "cells": 9}, ("left", "right", "bottom", "top"), {"load": "1 + x"}),
+    "disk": ({"shape": "disk", "cells": 12}, ("circle",), {"load": 1}),
+    "box": ({"shape": "box", "cells": 5}, ("left", "right", "bottom", "top", "back", "front"), {"load": 1}),
+    "interval": ({"shape": "interval", "cells": 7}, ("left", "right"), {"load": 1, "tension": "1 + x"}),
+    "contact": ({"shape": "l-shape", "cells": 12}, ("outer", "notch"), {"load": -9, "lower": -0.03}),
+}
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("name", BALANCES)
+def test_normal_flux_balances_load_and_contact(name, method):
+    """int tension du/dn over the boundary is -int (load + p), to the solver's accuracy, on any mesh."""
+    mesh, parts, data = BALANCES[name]
+    entries = {f"out_{part}": f'integral(normal_flux, "{part}")' for part in parts}
+    report = {**entries, "force": "integral(p)", "load": f"integral({data['load']})"}
+    scene = membrane(mesh=mesh, report=report, **{"tension": 2, **data, "upper": 9})
+    found = solve(scene, method=method).report
+    assert np.isclose(sum(found[name] for name in entries), -found["load"] - found["force"], rtol=1e-8)
+    if name == "contact":
+        assert found["force"] > 1
+
+
+def test_normal_flux_has_a_sign_and_an_order():
+    """u = x^2 (1 + y), given all around: du/dn is 0 on the left, 2 (1 + y) on the right, -x^2 below and x^2 above.
+
+    Errors go nearly like h^2; where u is free there is no flux.
+    """
+    values = {"left": 0.0, "right": 3.0, "bottom": -1 / 3, "top": 1 / 3}
+    errors = []
+    for cells in (8, 16):
+        report = {name: f'integral(normal_flux, "{name}")' for name in values}
+        scene = membrane(
+            mesh={"shape": "rectangle", "cells": cells}, load="-2*(1 + y)", boundary=[{"value": "x^2*(1 + y)"}],
+            report=report,
+        )  # fmt: skip
+        found = solve(scene).report
+        errors.append([abs(found[name] - value) for name, value in values.items()])
+    assert np.max(errors[1]) < 0.01
+    assert np.all(np.array(errors[1]) < 0.4 * np.array(errors[0]))
+    report = {name: f'integral(normal_flux, "{name}")' for name in ("left", "right", "top")}
+    free = solve(membrane(load=1, boundary=[{"on": "left", "value": 0}], report=report)).report
+    assert np.allclose([free["left"], free["right"], free["top"]], [-1, 0, 0], atol=1e-9)
+
+
+def test_normal_flux_into_a_curve_inside():
+    """The groove and the ends of the bearing take what load and cavitation leave: both sides of the groove count."""
+    report = {
+        "groove": 'integral(normal_flux, "groove")',
+        "out": 'groove + integral(normal_flux, "ends")',
+        "source": "integral(6*ecc*sin(theta)) + integral(p)",
+    }
+    found = solve(Scene.read(DEMOS / "bearing.toml").change({"report": report})).report
+    assert np.isclose(found["out"], -found["source"], rtol=1e-7)
+    assert abs(found["groove"]) > 0.1 * abs(found["out"])
+
+
 MISTAKES = {
+    "normal flux in the domain": (
+        "integral(normal_flux)",
+        r"normal_flux is known on a part of the boundary: integral\(n",
+    ),
+    "normal flux at a point": ("at(normal_flux, 0, 0)", "normal_flux is known on a part of the boundary"),
+    "normal flux alone": ("1 + normal_flux", "normal_flux is known on a part of the boundary"),
     "unknown name": ("integral(v)", r"\[report\] q: unknown name 'v'[\s\S]*\n    integral\(v\)\n             \^"),
     "field outside": (
         "2*u",
@@ -86,7 +151,12 @@ MISTAKES = {
     "later entry": ("integral(u)*later", "unknown name 'later'"),
     "varying point": ("at(u, x, 0)", "'x' differs from place to place"),
     "coordinates": ("1 + at(u, 1)", r"at\(\) needs 2 coordinates here, not 1\n    1 \+ at\(u, 1\)\n        \^"),
-    "arguments": ("sup(u, 1)", "sup takes 1 arguments, not 2"),
+    "arguments": ("sup(u, 1)", "sup takes 1 argument, not 2"),
+    "largest": (
+        "1 + max(u)",
+        r"max takes 2 to 9 arguments, not 1; over the whole domain it is sup\(\.\.\.\), in \[report\]",
+    ),
+    "smallest": ("min(u)", r"over the whole domain it is inf\(\.\.\.\)"),
     "no text": ("integral(u, left)", "expected the name of a part of the mesh, in quotes"),
     "text elsewhere": ("integral('left')", "not allowed in a formula"),
     "no such part": ("integral(u, 'lft')", "no part of the mesh named 'lft'; did you mean 'left'"),
@@ -125,8 +195,20 @@ def test_answer_at(folder):
         assert np.allclose(values, [0.5, 3, 1.5, np.nan, 0], equal_nan=True, atol=1e-9)
         assert len({text.tobytes() for text in COMM.allgather(values)}) == 1
     assert answer.at(np.empty((0, 2))).shape == (0,)
-    with pytest.raises(InputError, match=r"shape \(n, 2\)"):
-        answer.at([0.1, 0.2])
+    # three coordinates, as in DOLFINx, and one point instead of a list
+    assert np.allclose(answer.at(np.pad(points, ((0, 0), (0, 1)))), answer.at(points), equal_nan=True)
+    for point in ([0.1, 0.2], (0.1, 0.2, 0.0)):
+        assert answer.at(point).shape == ()
+        assert np.isclose(float(answer.at(point)), 0.5)
+    assert answer.at(points.reshape(1, 5, 2)).shape == (1, 5)
+    for wrong in (0.1, [0.1], np.zeros((2, 4))):
+        with pytest.raises(InputError, match=r"shape \(n, 2\), or one point, shape \(2,\), not"):
+            answer.at(wrong)
+    string = solve(membrane(mesh={"shape": "interval", "cells": 4}, boundary=[{"value": "x"}]))
+    assert np.isclose(string.at([0.3]), 0.3)
+    assert string.at([[0.3], [0.4]]).shape == (2,)
+    with pytest.raises(InputError, match="coordinates beyond these must be 0"):  # three points on a line, it seems
+        string.at([0.1, 0.2, 0.3])
 
 
 def nodal_distance(mesh):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.scenes import formulas
+from fenicsx_obstacle.show.explain import explain
 
 BASE = '[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = 1\n'
 EDGE = "[[boundary]]\nvalue = 0\n"
@@ -82,9 +83,16 @@ MISTAKES = {
     ),
     "negative tension": (BASE.replace("= 1", '= "x - 0.5"') + EDGE, r"must be positive; it is -\d"),
     "crossing": (BASE + "[obstacle]\nlower = 0.1\nupper = 'x'\n" + EDGE, r"lower is above upper: by 0.1 at \(0, "),
-    "beyond": (BASE + "[obstacle]\nlower = 0.1\n" + EDGE, "boundary value is beyond the lower obstacle: by 0.1 at"),
+    "beyond": (
+        BASE + "[obstacle]\nlower = 0.1\n" + EDGE,
+        r"\[\[boundary\]\] \(no. 1\) value = 0 lies below the lower obstacle: 0 against 0.1 at \(0, 0\), so that no",
+    ),
+    "beyond, by the last of several": (
+        BASE + '[obstacle]\nupper = "3/2 - y"\n' + EDGE + '[[boundary]]\non = "top"\nvalue = "x"\n',
+        r"\(no. 2\) value = x lies above the upper obstacle: 1 against 0.5 at \(1, 1\), so that no u satisfies both",
+    ),
     "no such side": (BASE + EDGE + 'on = "lft"\n', "no part named 'lft'; did you mean 'left'"),
-    "eps": (BASE + "[solve]\neps = -1\n", "eps = -1.0: must be positive"),
+    "eps": (BASE + "[solve]\neps = -1\n", "eps = -1: must be positive"),
     "eps not finite": (BASE + "[solve]\neps = inf\n", "is inf"),
     "element": (BASE + '[solve]\nelement = "P3"\n', "'P3' is not known"),
     "interval turned": (BASE.replace("cells", "x = [1, 0]\ncells") + EDGE, "first end must be less than the second"),
@@ -106,6 +114,17 @@ def test_mistakes(name, folder):
     with pytest.raises(InputError, match=message) as caught:
         solve(Scene.read(path))
     assert len(set(COMM.allgather(str(caught.value)))) == 1
+
+
+def test_what_stands_at_its_default_is_left_out():
+    """No empty tables in scene.toml; no '0.0' and no '1 times' in words."""
+    scene = membrane(lower=-1, boundary=[{"where": "x < 1/2", "value": 0}, {"on": "right", "value": 0.5}])
+    assert [line for line in scene.toml().splitlines() if line.startswith("[")] == ["[mesh]", "[effects]", "[obstacle]"]
+    for times, words in ((0, "16 cells along x\n"), (1, "refined once"), (3, "refined 3 times")):
+        text = explain(scene.change({"mesh.refine": times}))
+        for part in (words, "u = 0 where x < 1/2\n", "u = 0.5 on right\n", "u >= lower = -1\n", "x = [0, 1]"):
+            assert part in text
+    assert repr(scene) == "Scene('scene', source='scene')"
 
 
 def test_change_and_round_trip(disk, folder):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,9 +27,9 @@ class Contact:
         penetration: Largest distance beyond an obstacle.
     """
 
-    pressure: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
+    pressure: np.ndarray = field(repr=False)
+    lower: np.ndarray = field(repr=False)
+    upper: np.ndarray = field(repr=False)
     area: float
     lower_force: float
     upper_force: float

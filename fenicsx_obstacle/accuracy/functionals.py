@@ -9,18 +9,22 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable
 from copy import deepcopy
+from functools import partial
 
 import basix
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.supports import NormalFlux
 from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest
+from fenicsx_obstacle.scenes.report import NORMAL_FLUX
+from fenicsx_obstacle.words import counted
 
 DEGREE = 6  # of the quadrature, as for errors
 AT_ONCE = 50_000  # cells in memory
@@ -40,6 +44,7 @@ class Report:
         self._corners, self._dofs = corners(self.level.mesh), releases.cell_dofs(self.level.V)
         self._every = np.arange(own_cells(self.level.mesh))
         self._nodal: dict[str, fem.Function] = {}
+        self._normal: NormalFlux | None = None
 
     def check(self) -> None:
         """Refuse what the mesh shows to be wrong, before anything is solved (collective).
@@ -51,27 +56,32 @@ class Report:
         for formula in self.scene.report.values():
             for node in ast.walk(formula.tree):
                 match node:
-                    case ast.Call(func=ast.Name(id="integral"), args=[_, ast.Constant(value=str(name)) as part]):
-                        self._check_part(formula, part, name)
+                    case ast.Call(func=ast.Name(id="integral"), args=[first, ast.Constant(value=str(name)) as part]):
+                        self._check_part(formula, formula.part(first), part, name)
                     case ast.Call(func=ast.Name(id="at"), args=[_, *coordinates]):
                         if len(coordinates) != dim:
-                            message = f"at() needs {dim} coordinate{'s' * (dim > 1)} here, not {len(coordinates)}"
+                            message = f"at() needs {counted(dim, 'coordinate')} here, not {len(coordinates)}"
                             raise InputError(formula.pointing(node, message))
                         if all(self._is_known(formula.part(coordinate)) for coordinate in coordinates):
                             self._locate(formula, node, coordinates)
 
-    def evaluate(self, u: fem.Function, p: fem.Function, contact: fem.Function) -> dict[str, float | None]:
+    def evaluate(
+        self, u: fem.Function, p: fem.Function, contact: fem.Function, support: np.ndarray
+    ) -> dict[str, float | None]:
         """All figures, in order; None where one is not finite (collective).
 
         Args:
             u: Solution.
             p: Contact pressure.
             contact: 1 at nodes in contact, else 0.
+            support: a(u, phi_i) - f(phi_i) at owned dofs.
 
         Raises:
             InputError: If a point that depends on other figures is outside.
         """
         self._nodal, self.values = {"u": u, "p": p, "contact": contact}, {}
+        if any(NORMAL_FLUX in formula.names for formula in self.scene.report.values()):
+            self._normal = NormalFlux(self.data, self._tension, u, support)
         for name, formula in self.scene.report.items():
             tree = _Inner(self, formula).visit(deepcopy(formula.tree))
             self.values[name] = self._number(formula.part(tree))
@@ -104,7 +114,7 @@ class Report:
         return total(self.level.comm, parts)
 
     def _over_facets(self, expression: Formula, facets: np.ndarray) -> float:
-        """Integral over facets; slope and flux on a curve inside are means of both sides."""
+        """Integral over facets; slope and flux on a curve inside are means of both sides, the normal flux their sum."""
         dim = self.level.mesh.topology.dim
         cells, numbers, shares = sides(self.level.mesh, facets)
         members = np.array(facet_vertices(dim))[numbers]
@@ -112,12 +122,15 @@ class Report:
         inside = np.zeros((len(cells), len(points), dim + 1))
         np.put_along_axis(inside, np.repeat(members[:, None], len(points), axis=1), points[None], axis=2)
         sizes = volumes(self._corners[cells[:, None], members])
-        return total(self.level.comm, shares * sizes * (self._inside(expression, cells, inside) @ weights))
+        normal = None if self._normal is None else partial(self._normal.values, cells, numbers, shares, inside)
+        return total(self.level.comm, shares * sizes * (self._inside(expression, cells, inside, normal) @ weights))
 
-    def _inside(self, expression: Formula, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
+    def _inside(
+        self, expression: Formula, cells: np.ndarray, where: np.ndarray, normal: Callable[[], np.ndarray] | None = None
+    ) -> np.ndarray:
         """Values in cells, shape (cells, points), at barycentric coordinates of shape (cells or 1, points, vertices).
 
-        Collective where it is the first to need the distance.
+        Collective where it is the first to need the distance. `normal` gives the normal flux, on facets.
         """
         shape = (len(cells), where.shape[1])
         fields: dict[str, Callable[[], np.ndarray]] = {
@@ -128,6 +141,8 @@ class Report:
             "slope": lambda: self._slope(cells)[:, None],
             "flux": lambda: (self._tension(cells) * self._slope(cells))[:, None],
         }
+        if normal is not None:
+            fields[NORMAL_FLUX] = normal
         named = sorted(self.scene.needs(expression) & set(fields))  # in the same order on every rank
         values = {name: np.broadcast_to(fields[name](), shape).ravel() for name in named}
         x = (where @ self._corners[cells]).reshape(-1, 3).T
@@ -168,13 +183,15 @@ class Report:
         calls = any(isinstance(node, ast.Call) and _name(node) in FUNCTIONALS for node in ast.walk(formula.tree))
         return not calls and not formula.names & set(self.scene.report)
 
-    def _check_part(self, formula: Formula, node: ast.expr, name: str) -> None:
+    def _check_part(self, formula: Formula, expression: Formula, node: ast.expr, name: str) -> None:
         facets, groups = self.level.facets, self.level.groups
         if name in facets and name in groups:
             raise InputError(formula.pointing(node, f"'{name}' is the name of cells and of their sides"))
         if name not in facets and name not in groups:
             message = f"no part of the mesh named '{name}'" + nearest(name, {*facets, *groups})
             raise InputError(formula.pointing(node, message))
+        if name in groups and NORMAL_FLUX in expression.names:
+            raise InputError(formula.pointing(node, f"'{name}' is a part of the domain: it has no {NORMAL_FLUX}"))
 
 
 class _Inner(ast.NodeTransformer):

@@ -21,7 +21,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
 from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.scene import CONSTANTS, COORDINATES, Scene
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES
 
 DEGREE = 6  # of the quadrature for formulas: exact solutions have kinks in their second derivatives
 

@@ -13,6 +13,7 @@ from dolfinx import fem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
+from fenicsx_obstacle.words import counted
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -51,6 +52,11 @@ class Answer:
     history: tuple[Step, ...]
     record: Mapping[str, Any] = field(repr=False)
 
+    def __repr__(self) -> str:
+        r = self.record
+        how = r["method"] if r["eps"] is None else f"{r['method']}, eps = {r['eps']:.3g}"
+        return f"Answer({r['title'] or r['scene']!r}: {how}, {r['dofs']} unknowns; {', '.join(self._figures())})"
+
     @property
     def report(self) -> dict[str, float | None]:
         """The figures of the scene's [report], in its units; None where one is not finite."""
@@ -60,20 +66,26 @@ class Answer:
         """Values of u at points, not-a-number outside the mesh (collective).
 
         Args:
-            points: The same on every rank, shape (n, gdim).
+            points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
+                as many as the mesh has, or three, as in DOLFINx, the others being 0.
 
         Returns:
-            Shape (n,), the same on every rank.
+            One value for each point, the same on every rank: shape (n,) for points of shape (n, gdim) or (n, 3), and
+            shape (), a number, for one point.
 
         Raises:
-            InputError: If the points have another number of coordinates than the mesh.
+            InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh.
         """
         from fenicsx_obstacle.discrete.points import values_at
 
         given, gdim = np.asarray(points, dtype=np.float64), self.level.mesh.geometry.dim
-        if given.ndim != 2 or given.shape[1] != gdim:
-            raise InputError(f"at() takes an array of shape (n, {gdim}), not {given.shape}")
-        return values_at(self.level, self.u, np.pad(given, ((0, 0), (0, 3 - gdim))))
+        if given.ndim == 0 or given.shape[-1] not in (gdim, 3):
+            raise InputError(f"at() takes points, shape (n, {gdim}), or one point, shape ({gdim},), not {given.shape}")
+        flat = np.zeros((given[..., 0].size, 3))
+        flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
+        if np.any(flat[:, gdim:] != 0):
+            raise InputError(f"at() takes points of the mesh, shape (n, {gdim}); coordinates beyond these must be 0")
+        return values_at(self.level, self.u, flat).reshape(given.shape[:-1])
 
     def functions(self) -> dict[str, fem.Function]:
         """The fields by name, those that exist."""
@@ -83,24 +95,19 @@ class Answer:
     def summary(self) -> str:
         """The figures in a few lines of text."""
         r = self.record
-        size = f"{r['cells_total']} cells, {r['dofs']} unknowns, h = {r['h']:.4g}"
+        size = f"{counted(r['cells_total'], 'cell')}, {counted(r['dofs'], 'unknown')}, h = {r['h']:.4g}"
         eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
-        contact = r["contact"]
-        forces = [
-            f"force on {side} obstacle {contact[side]['force']:.6g}" for side in ("lower", "upper") if side in contact
-        ]
-        figures = [f"energy {r['energy']:.10g}"]
-        if forces:
-            figures += [f"contact area {contact['area']:.6g}", *forces, f"penetration {r['penetration']:.3g}"]
+        figures = self._figures()
         if r["free"] == 0:
             figures.append("u is given at every node: take more cells")
+        steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], 'CG step')}"
         lines = [
             f"{r['title'] or r['scene']}",
-            f"  {r['method']}{eps}; {size}; {r['ranks']} rank{'s' * (r['ranks'] > 1)}",
-            f"  {r['newton_iterations']} Newton steps, {r['krylov_iterations']} CG steps, "
-            f"{r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), {r['memory_mb']:.0f} MB",
+            f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
+            f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
+            f"{r['memory_mb']:.0f} MB",
             "  " + "; ".join(figures),
-        ]  # fmt: skip
+        ]
         if r["penetration"] > DEEP * r["u_range"]:
             share = r["penetration"] / r["u_range"]
             lines.append(
@@ -112,6 +119,17 @@ class Answer:
             values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
             lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))
         return "\n".join(lines)
+
+    def _figures(self) -> list[str]:
+        """Energy and contact, in words."""
+        r, contact = self.record, self.record["contact"]
+        sides = [side for side in ("lower", "upper") if side in contact]
+        figures = [f"energy {r['energy']:.10g}"]
+        if sides:
+            figures.append(f"contact area {contact['area']:.6g}")
+            figures += [f"force on {side} obstacle {contact[side]['force']:.6g}" for side in sides]
+            figures.append(f"penetration {r['penetration']:.3g}")
+        return figures
 
     def save(self, folder: str | Path) -> None:
         """Write answer.json, scene.toml, history.csv and fields.xdmf into a folder (collective).
@@ -135,13 +153,13 @@ class Answer:
         return read(Path(folder))
 
     def plot(self, path: str | Path) -> str:
-        """Draw u with its obstacles, free boundary and pressure into a PNG file (collective).
+        """Draw u with its obstacles, free boundary and pressure into a file: .png, .pdf or .svg (collective).
 
         Returns:
             One line: the file, who drew it, and why.
 
         Raises:
-            InputError: If the file cannot be written.
+            InputError: If the name has another ending, or the file cannot be written.
         """
         from fenicsx_obstacle.show.pictures import draw_answer
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,11 +34,11 @@ class FormAnswer:
         history: The steps of the iteration.
     """
 
-    u: fem.Function
-    pressure: fem.Function
+    u: fem.Function = field(repr=False)
+    pressure: fem.Function = field(repr=False)
     contact: Contact
     iterations: int
-    history: tuple[Step, ...]
+    history: tuple[Step, ...] = field(repr=False)
 
 
 def solve_form(
@@ -128,6 +128,7 @@ class _Data(Data):
         values.x.scatter_forward()
         dofs = [np.asarray(bc.dof_indices()[0]) for bc in bcs]
         self.fixed = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)])).astype(np.int32), values
+        self._givers.append(("solve_form: a value of bcs", self.fixed[0]))
 
     def _taken(self, g: Any) -> fem.Function:
         taken = fem.Function(self.level.V)

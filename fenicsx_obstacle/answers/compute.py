@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -25,7 +26,9 @@ from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
+from fenicsx_obstacle.scenes.formulas import nearest
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
@@ -80,7 +83,15 @@ def solve(
 
 
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:
-    """The scene with options that are not None; cells, refine, eps, method, start and element by their short names."""
+    """The scene with options that are not None; cells, refine, eps, method, start and element by their short names.
+
+    Raises:
+        InputError: If a key is unknown or a value does not fit it.
+    """
+    known = {*_SHORT, *Tables.__struct_fields__}
+    for key in options:
+        if "." not in key and key not in known:
+            raise InputError(f"{scene.source}: unknown key '{key}'" + nearest(key, known))
     changes = {_SHORT.get(key, key): value for key, value in options.items() if value is not None}
     if "mesh.cells" in changes and (scene.mesh is not None or scene.tables.mesh.file is not None):
         raise InputError(f"{scene.source}: cells are for shapes; a mesh of your own is refined with 'refine'")
@@ -203,11 +214,11 @@ class Workbench:
             "penetration": contact.penetration,
             "u_range": largest(level.comm, u.x.array) - smallest(level.comm, u.x.array),
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
-            "versions": versions(), "command": " ".join(sys.argv),
+            "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
         pressure, touching = _function(level, p), _function(level, (contact.lower | contact.upper).astype(float))
         if self._report is not None:
-            record["report"] = self._report.evaluate(u, pressure, touching)
+            record["report"] = self._report.evaluate(u, pressure, touching, problem.elastic.array_r)
         error = None
         if self.exact is not None:
             error = _function(level, u.x.array - self.exact.nodal(eps))
@@ -216,6 +227,16 @@ class Workbench:
         return Answer(
             scene, level, u, pressure, touching, problem.data.lower, problem.data.upper, error, history, record,
         )  # fmt: skip
+
+
+def command(ranks: int) -> str:
+    """The command that this process runs, as one types it."""
+    program, *arguments = sys.argv
+    if program.endswith(("__main__.py", "fenicsx-obstacle")):
+        words = ["./obstacle", *(["--ranks", str(ranks)] if ranks > 1 else []), *arguments]
+    else:
+        words = [*(["mpirun", "-n", str(ranks)] if ranks > 1 else []), "python3", program, *arguments]
+    return shlex.join(words)
 
 
 def versions() -> dict[str, str]:

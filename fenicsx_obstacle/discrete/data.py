@@ -17,7 +17,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.scene import COORDINATES, Scene
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.vocabulary import COORDINATES
 
 Cellwise: TypeAlias = fem.Function | fem.Constant
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
@@ -37,6 +38,7 @@ class Data:
     def __init__(self, scene: Scene, level: Level):
         self.scene, self.level = scene, level
         self._cellwise: dict[str, Cellwise] = {}
+        self._givers: list[tuple[str, np.ndarray]] = []  # where a boundary value stands, and the dofs that have it
 
     @cached_property
     def dx(self) -> ufl.Measure:
@@ -96,6 +98,7 @@ class Data:
             self._refuse_infinite(formula, function)
             values.x.array[dofs] = function.x.array[dofs]
             fixed[dofs] = True
+            self._givers.append((f"{formula.place} = {formula.text}", dofs))
         values.x.scatter_forward()
         return np.flatnonzero(fixed).astype(np.int32), values
 
@@ -122,8 +125,8 @@ class Data:
                 continue
             beyond = np.full(len(values.x.array), -np.inf)
             beyond[dofs] = sign * (obstacle.x.array - values.x.array)[dofs]
-            message = f"{source}: no admissible state: the boundary value is beyond the {word} obstacle"
-            self._refuse_gap(beyond, tolerance, message)
+            side = "below" if word == "lower" else "above"
+            self._refuse_beyond(beyond, tolerance, values, obstacle, f"lies {side} the {word} obstacle")
             obstacle.x.array[beyond > 0] = values.x.array[beyond > 0]
 
     def _obstacle(self, key: str) -> fem.Function | None:
@@ -239,14 +242,38 @@ class Data:
         mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
         return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
 
+    def _refuse_beyond(
+        self, beyond: np.ndarray, tolerance: float, values: fem.Function, obstacle: fem.Function, where: str
+    ) -> None:
+        """Likewise for boundary values beyond an obstacle, naming who gave the value (collective)."""
+        found = self._worst(beyond, tolerance)
+        if found is not None:
+            _, point, dof = found
+            mine = None
+            if dof is not None:
+                giver = next(place for place, dofs in reversed(self._givers) if dof in dofs)
+                mine = f"{giver} {where}: {values.x.array[dof]:.6g} against {obstacle.x.array[dof]:.6g}"
+            message = next(text for text in self.level.comm.allgather(mine) if text is not None)
+            raise InputError(f"{message} at {self._at(point)}, so that no u satisfies both")
+
     def _refuse_gap(self, excess: np.ndarray, tolerance: float, message: str) -> None:
         """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
+        found = self._worst(excess, tolerance)
+        if found is not None:
+            raise InputError(f"{message}: by {found[0]:.3g} at {self._at(found[1])}")
+
+    def _worst(self, excess: np.ndarray, tolerance: float) -> tuple[float, np.ndarray, int | None] | None:
+        """The largest excess above the tolerance, its place, and the dof there on ranks that have it (collective).
+
+        Of places alike it is the first by coordinates, whatever the partition.
+        """
         gap = largest(self.level.comm, excess)
-        if gap > tolerance:
-            # of places alike the first by coordinates, whatever the partition
-            places = self.level.points[:, excess >= gap * (1 - 1e-9)].T.tolist()
-            point = np.array(min(place for part in self.level.comm.allgather(places) for place in part))
-            raise InputError(f"{message}: by {gap:.3g} at {self._at(point)}")
+        if gap <= tolerance:
+            return None
+        dofs = np.flatnonzero(excess >= gap * (1 - 1e-9))
+        mine = min(((self.level.points[:, dof].tolist(), int(dof)) for dof in dofs), default=None)
+        point = min(one[0] for one in self.level.comm.allgather(mine) if one is not None)
+        return gap, np.array(point), None if mine is None or mine[0] != point else mine[1]
 
     def _at(self, point: np.ndarray) -> str:
         return "(" + ", ".join(f"{x:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"

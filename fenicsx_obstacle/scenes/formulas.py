@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.words import counted, plain
 
 MAX_LENGTH = 2000  # characters; the parser of Python itself runs out of memory at 1e5 signs
 MAX_DEPTH = 150  # nested operations
@@ -108,7 +109,7 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
         raise InputError(f"{place}: expected a number or a formula, found {str(text).lower()}")
     if not isinstance(text, str):
         try:
-            return Formula(repr(text), place, ast.Constant(float(text)))
+            return Formula(plain(text), place, ast.Constant(float(text)))
         except OverflowError:
             raise InputError(f"{place}: a number with too many digits") from None
     if len(text) > MAX_LENGTH:
@@ -160,8 +161,10 @@ def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str,
                 raise InputError(formula.pointing(node, f"unknown function '{name}'" + hint))
             least, most = functions[name]
             if not least <= len(args) <= most:
-                wanted = f"{least}" if least == most else f"{least} to {most}"
-                raise InputError(formula.pointing(node, f"{name} takes {wanted} arguments, not {len(args)}"))
+                wanted = counted(least, "argument") if least == most else f"{least} to {most} arguments"
+                over = {"max": "sup", "min": "inf"}.get(name) if len(args) == 1 else None
+                hint = f"; over the whole domain it is {over}(...), in [report]" if over else ""
+                raise InputError(formula.pointing(node, f"{name} takes {wanted}, not {len(args)}{hint}"))
             children = args
             if name == "integral" and len(args) == 2:
                 if not (isinstance(args[1], ast.Constant) and isinstance(args[1].value, str)):

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest, parse
+from fenicsx_obstacle.words import counted
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene
 
-FIELDS = ("u", "p", "contact", "slope", "flux")
+NORMAL_FLUX = "normal_flux"  # tension du/dn: on a part of the boundary only
+FIELDS = ("u", "p", "contact", "slope", "flux", NORMAL_FLUX)
 _DIMENSIONS = {"interval": 1, "rectangle": 2, "disk": 2, "l-shape": 2, "box": 3}
 
 
@@ -48,28 +50,31 @@ class _Checker:
         self.varying = {*scene.known_names, *FIELDS, *earlier}
         self.constant = {name for name in scene.known_names if scene.is_constant(name)} | earlier
 
-    def check(self, node: ast.expr, *, inside: bool) -> None:
-        """Check a subtree; `inside` a functional, where fields have values."""
+    def check(self, node: ast.expr, *, inside: bool, on_part: bool = False) -> None:
+        """Check a subtree; `inside` a functional, where fields have values; `on_part` of the mesh, by its name."""
         match node:
             case ast.Name(id=name):
-                self._name(node, name, inside)
+                self._name(node, name, inside, on_part)
             case ast.Call(func=ast.Name(id=name), args=[first, *rest]) if name in FUNCTIONALS:
-                self.check(first, inside=True)
+                self.check(first, inside=True, on_part=name == "integral" and len(rest) == 1)
                 if name == "at":
                     if self.dimension is not None and len(rest) != self.dimension:
-                        wanted = f"{self.dimension} coordinate{'s' * (self.dimension > 1)}"
+                        wanted = counted(self.dimension, "coordinate")
                         raise InputError(self.formula.pointing(node, f"at() needs {wanted} here, not {len(rest)}"))
                     for coordinate in rest:
                         self.check(coordinate, inside=False)
             case ast.Call(args=args):
                 for child in args:
-                    self.check(child, inside=inside)
+                    self.check(child, inside=inside, on_part=on_part)
             case _:
                 for operand in ast.iter_child_nodes(node):
                     if isinstance(operand, ast.expr):
-                        self.check(operand, inside=inside)
+                        self.check(operand, inside=inside, on_part=on_part)
 
-    def _name(self, node: ast.expr, name: str, inside: bool) -> None:
+    def _name(self, node: ast.expr, name: str, inside: bool, on_part: bool) -> None:
+        if name == NORMAL_FLUX and not on_part:
+            message = f'{name} is known on a part of the boundary: integral({name}, "name")'
+            raise InputError(self.formula.pointing(node, message))
         if name in (self.varying if inside else self.constant):
             return
         if name in self.varying:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import keyword
-import math
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,9 @@ from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
+from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, Vocabulary
+from fenicsx_obstacle.words import plain
 
-COORDINATES = ("x", "y", "z", "r", "theta")
-CONSTANTS = {"pi": math.pi}
 RESERVED = {
     *COORDINATES,
     *CONSTANTS,
@@ -36,7 +35,7 @@ RESERVED = {
 
 
 @dataclass(frozen=True, init=False)
-class Scene:
+class Scene(Vocabulary):
     """An obstacle problem, checked as far as it can be without a mesh.
 
     `Scene(mesh=..., tension=1, lower="0.3 - x^2")` or `Scene.read("ball.toml")`.
@@ -54,8 +53,8 @@ class Scene:
     source: str
     tables: tables.Tables
     effects: tuple[Effect, ...]
-    define: Mapping[str, Formula] = field(repr=False)
-    report: Mapping[str, Formula] = field(repr=False)
+    define: Mapping[str, Formula]
+    report: Mapping[str, Formula]
     mesh: Any = None
     folder: Path = Path()
 
@@ -101,6 +100,9 @@ class Scene:
         if exact is not None:
             raw["exact"] = {"u": exact}
         self._fill(raw, "scene", Path(), None if isinstance(mesh, dict) else mesh)
+
+    def __repr__(self) -> str:
+        return f"Scene({self.tables.title or self.name!r}, source={self.source!r})"
 
     @classmethod
     def read(cls, path: str | Path) -> Scene:
@@ -161,7 +163,7 @@ class Scene:
         set_("report", parse_report(self, typed.report, RESERVED))
         eps = self.number(typed.solve.eps, "[solve] eps", {"h": 1.0})
         if eps <= 0:
-            raise InputError(f"{source}: [solve] eps = {typed.solve.eps}: must be positive and finite")
+            raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
         for number, part in enumerate(typed.boundary):
             if part.value is None:
                 raise InputError(f"{source}: [[boundary]] (no. {number + 1}): the key 'value' is missing")
@@ -173,66 +175,6 @@ class Scene:
                 raise InputError(
                     f"{source}: [[boundary]] (no. {number + 1}) where: 'distance' is 0 all over the boundary"
                 )
-
-    @property
-    def known_names(self) -> set[str]:
-        """Names that formulas at points may use."""
-        return {*self.define, *CONSTANTS, *COORDINATES, "distance"}
-
-    def needs(self, formula: Formula) -> set[str]:
-        """Names that a formula uses, itself and through definitions."""
-        found, new = set[str](), formula.names
-        while new:
-            found |= new
-            new = {name for key in new & set(self.define) for name in self.define[key].names} - found
-        return found
-
-    def is_constant(self, name: str) -> bool:
-        """Whether a known name has one value everywhere."""
-        used = {name, *(self.needs(self.define[name]) if name in self.define else ())}
-        return not used & {*COORDINATES, "distance"}
-
-    def formula(self, value: float | str, place: str) -> Formula:
-        """Parse a value of this scene; `place` is its table and key."""
-        return formulas.parse(value, f"{self.source}: {place}")
-
-    def at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, Any] | None = None) -> np.ndarray:
-        """Values of a formula.
-
-        Args:
-            formula: From `formula()`.
-            x: Points, shape (3, n).
-            values: Further names, such as eps; `distance`, where the formula needs it.
-
-        Returns:
-            Array of n values.
-        """
-        names: dict[str, Any] = {**CONSTANTS, **(values or {}), **dict(zip("xyz", x, strict=True))}
-        needed = self.needs(formula)  # of a million points, only what the formula needs
-        if "r" in needed:
-            names["r"] = np.linalg.norm(x, axis=0)
-        if "theta" in needed:
-            names["theta"] = np.arctan2(x[1], x[0])
-        for key in (key for key in self.define if key in needed):
-            names[key] = self.define[key].on_arrays(names)
-        return np.broadcast_to(formula.on_arrays(names), x.shape[1:])
-
-    def number(self, value: float | str, place: str, values: Mapping[str, float] | None = None) -> float:
-        """A value that must be one finite number, such as a corner of the mesh.
-
-        Raises:
-            InputError: If it depends on the place or is not finite.
-        """
-        formula = self.formula(value, place)
-        names: dict[str, Any] = {**CONSTANTS, **(values or {})}
-        for key, defined in self.define.items():
-            if defined.names <= set(names):
-                names[key] = float(defined.on_arrays(names))
-        formula.check_names(names)
-        result = float(formula.on_arrays(names))
-        if not math.isfinite(result):
-            raise InputError(f"{formula.place} = {formula.text}: is {result}")
-        return result
 
     def _definitions(self) -> dict[str, Formula]:
         definitions: dict[str, Formula] = {}

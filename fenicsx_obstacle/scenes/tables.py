@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-from msgspec import Meta, Struct, field
+from msgspec import Meta, Struct
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import nearest
@@ -73,7 +73,7 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     boundary: tuple[BoundaryTable, ...] = ()
     exact: ExactTable | None = None
     report: dict[str, Value] = {}
-    solve: SolveTable = field(default_factory=SolveTable)
+    solve: SolveTable = SolveTable()
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -12,20 +12,31 @@ import numpy as np
 from fenicsx_obstacle.show.simplices import Patch, gradients, zero
 
 SIDES = {"lower": 1.0, "upper": -1.0}  # sign of the pressure that each obstacle gives
+LEVELS = {"lower": "level lower", "upper": "level upper"}  # names of the level functions among the fields
 RINGS = 4  # of nodes in contact that the level function is continued to
+
+
+def with_levels(patch: Patch) -> Patch:
+    """The same with the level function of each obstacle among the fields; cuts interpolate it like the others.
+
+    Args:
+        patch: An answer with `u`, `pressure`, `contact` and its obstacles as fields.
+    """
+    levels = {LEVELS[side]: _level_function(patch, side) for side in SIDES if side in patch.fields}
+    return Patch(patch.points, patch.cells, {**patch.fields, **levels})
 
 
 def free_boundary(patch: Patch) -> list[Patch]:
     """The free boundary of each obstacle that is touched, with all fields on it.
 
     Args:
-        patch: An answer with `u`, `pressure`, `contact` and its obstacles as fields.
+        patch: From `with_levels`.
     """
-    found = [zero(patch, level_function(patch, side)) for side in SIDES if side in patch.fields]
+    found = [zero(patch, patch.fields[level]) for level in LEVELS.values() if level in patch.fields]
     return [line for line in found if len(line.cells)]
 
 
-def level_function(patch: Patch, side: str) -> np.ndarray:
+def _level_function(patch: Patch, side: str) -> np.ndarray:
     """Nodal function, negative in contact with this obstacle; its zero line lies within a cell of the contact set."""
     sign, fields = SIDES[side], patch.fields
     gap = np.maximum(sign * (fields["u"] - fields[side]), 0.0)
@@ -88,6 +99,6 @@ def _slopes(patch: Patch, level: np.ndarray, known: np.ndarray) -> tuple[np.ndar
 
 def _edges(cells: np.ndarray) -> np.ndarray:
     """Both directions of all edges, shape (n, 2)."""
-    size = cells.shape[1]
-    pairs = np.concatenate([cells[:, [i, j]] for i in range(size) for j in range(size) if i != j])
-    return np.unique(pairs, axis=0)
+    size, count = cells.shape[1], int(cells.max(initial=-1)) + 1
+    names = np.concatenate([cells[:, i] * count + cells[:, j] for i in range(size) for j in range(size) if i != j])
+    return np.column_stack(np.divmod(np.unique(names), max(count, 1)))

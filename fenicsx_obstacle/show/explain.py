@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 from fenicsx_obstacle.answers.choose import LINEAR_SOLVER, METHODS, NESTED, nested
 from fenicsx_obstacle.effects.effect import registered
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.words import counted, plain
 
 
 def explain(scene: Scene) -> str:
-    """The text; needs no mesh."""
+    """The text, in lines of at most 110 characters; needs no mesh."""
+    lines = [scene.tables.title or scene.name]
+    for name, texts in explained(scene):
+        for number, text in enumerate(texts):
+            first = f"  {name if number == 0 else '':10}"
+            lines.append(fill(text, 110, initial_indent=first, subsequent_indent=" " * 14, break_on_hyphens=False))
+    return "\n".join(lines)
+
+
+def explained(scene: Scene) -> list[tuple[str, list[str]]]:
+    """Its parts: name and lines of each."""
     tables = scene.tables
-    parts = [
+    return [
         ("equation", _equation(scene)),
         ("data", [f"{effect.key} = {effect.value.text}  [{effect.unit}]" for effect in scene.effects]),
         ("with", [f"{name} = {formula.text}" for name, formula in scene.define.items()]),
@@ -23,11 +36,6 @@ def explain(scene: Scene) -> str:
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
         ("left out", [_left_out(scene)]),
     ]
-    lines = [tables.title or scene.name]
-    for name, texts in parts:
-        for number, text in enumerate(texts):
-            lines.append(f"  {name if number == 0 else '':10}{text}")
-    return "\n".join(lines)
 
 
 def _equation(scene: Scene) -> list[str]:
@@ -47,7 +55,7 @@ def _obstacles(scene: Scene) -> list[str]:
     lines = []
     for side in _sides(scene):
         relation, sign = signs[side]
-        lines.append(f"{relation} = {getattr(scene.tables.obstacle, side)}")
+        lines.append(f"{relation} = {plain(getattr(scene.tables.obstacle, side))}")
         lines.append(f"p {sign} 0 where u touches {side}, p = 0 elsewhere; the force on it is reported >= 0")
     return lines or ["none: p = 0, one linear solve"]
 
@@ -60,8 +68,8 @@ def _boundary(scene: Scene) -> list[str]:
         names = (part.on,) if isinstance(part.on, str) else part.on or ()
         listed |= set(names)
         everywhere |= part.on is None and part.where is None
-        place = ", ".join(names) or (f"where {part.where}" if part.where else "the whole boundary")
-        lines.append(f"u = {part.value} on {place}")
+        place = f"where {part.where}" if part.where else f"on {', '.join(names) or 'the whole boundary'}"
+        lines.append(f"u = {plain(part.value)} {place}")
     if not everywhere:
         sides = _named_sides(scene)
         free = [side for side in sides if side not in listed] if not any(p.where for p in tables.boundary) else []
@@ -105,7 +113,7 @@ def _discrete(scene: Scene) -> list[str]:
         pressure = " + ".join(signs[side] for side in sides) if penalised else "(a(u, phi_i) - f(phi_i)) / I(phi_i, 1)"
         lines.append(f"p = {pressure} at the vertices" + "   (3.7), (3.8)" * penalised)
     if penalised and sides:
-        lines.append(f"eps = {scene.tables.solve.eps}" + _eps_rule(scene))
+        lines.append(f"eps = {plain(scene.tables.solve.eps)}" + _eps_rule(scene))
     return lines
 
 
@@ -118,13 +126,13 @@ def _mesh(scene: Scene) -> str:
     table = scene.tables.mesh
     if scene.mesh is not None:
         return "given as a DOLFINx mesh; its geometry is the polygon of its cells"
-    refined = f", refined {table.refine} times" if table.refine else ""
+    refined = f", refined {'once' if table.refine == 1 else f'{table.refine} times'}" if table.refine else ""
     if table.file is not None:
         return f"{table.file}{refined}; the geometry is the file's polygon"
     axes = {"interval": "x", "rectangle": "xy", "box": "xyz", "l-shape": "xy"}.get(table.shape or "", "")
-    corners = ", ".join(f"{axis} = [{getattr(table, axis)[0]}, {getattr(table, axis)[1]}]" for axis in axes)
-    where = corners or f"radius {table.radius}, boundary vertices stay on the circle when refined"
-    return f"{table.shape}, {where}, {table.cells} cells along x{refined}"
+    corners = ", ".join(f"{axis} = [{', '.join(map(plain, getattr(table, axis)))}]" for axis in axes)
+    where = corners or f"radius {plain(table.radius)}, boundary vertices stay on the circle when refined"
+    return f"{table.shape}, {where}, {counted(table.cells, 'cell')} along x{refined}"
 
 
 def _solver(scene: Scene) -> list[str]:

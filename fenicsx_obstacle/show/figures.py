@@ -1,26 +1,51 @@
-"""Figures of matplotlib without a display, and how they are written: PNG for a folder, SVG for a page."""
+"""Figures of matplotlib without a display, and how they are written: into files, or as SVG into a page."""
 
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from fenicsx_obstacle.errors import InputError
+
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
 BLUE, VERMILION, GREEN, PINK = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 MARKERS = ("o", "s", "^", "D")
+KINDS = (".png", ".pdf", ".svg")
+DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))  # dots are for what is expected
 
 
-def figure(width: float, height: float, rows: int = 1, columns: int = 1, widths: Sequence[float] | None = None) -> Any:
-    """A figure and its axes, sizes in inches."""
+def figure(
+    width: float,
+    height: float,
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    widths: Sequence[float] | None = None,
+    sharex: bool = False,
+) -> Any:
+    """A figure and its axes, sizes in inches; `widths` of the columns are in proportion."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     page = Figure(figsize=(width, height), dpi=150, constrained_layout=True)
     FigureCanvasAgg(page)
-    return page, page.subplots(rows, columns, sharex=rows > 1, gridspec_kw={"width_ratios": widths})
+    return page, page.subplots(rows, columns, sharex=sharex, gridspec_kw={"width_ratios": widths})
+
+
+def style(number: int, dashed: int = 1) -> dict[str, Any]:
+    """Colour, marker and dash of line `number`; dashes change after `dashed` lines, and later lines are thinner.
+
+    Where lines coincide, all are seen.
+    """
+    place = number % len(COLOURS)
+    return {
+        "color": COLOURS[place], "marker": MARKERS[place], "markersize": 7 - 1.2 * place,
+        "linewidth": 2.4 - 0.5 * place, "linestyle": DASHES[number // dashed % len(DASHES)],
+    }  # fmt: skip
 
 
 def plain(text: str) -> str:
@@ -28,12 +53,36 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def power(low: float, high: float) -> int:
+    """The power of ten that leaves figures of a few digits; 0 where they are short as they are."""
+    size = max(abs(low), abs(high))
+    return 0 if size == 0 or 1e-2 <= size < 1e4 else 3 * math.floor(math.log10(size) / 3)
+
+
+def over(label: str, exponent: int) -> str:
+    """A label whose figures are divided by a power of ten."""
+    return f"{label} / $10^{{{exponent}}}$" if exponent else label
+
+
+def check_name(path: Path) -> None:
+    """Refuse a picture of a kind that is not written.
+
+    Raises:
+        InputError: Naming those that are.
+    """
+    if path.suffix.lower() not in KINDS:
+        raise InputError(f"{path}: pictures are written as {', '.join(KINDS)}; the name says which")
+
+
 def save(page: Any, path: Path) -> None:
-    """Write a figure as PNG, in one step (one rank)."""
-    scratch = path.with_name(f".{path.stem}.part.png")
+    """Write a figure in one step, as its name says (one rank)."""
+    scratch = path.with_name(f".{path.stem}.part{path.suffix}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    page.savefig(scratch)
-    scratch.replace(path)
+    try:
+        page.savefig(scratch)
+        scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
 
 
 def svg(page: Any, name: str) -> str:

@@ -5,8 +5,6 @@ The page is one file: it fetches nothing, needs no JavaScript, and prints.
 
 from __future__ import annotations
 
-import shlex
-import sys
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -15,23 +13,21 @@ from typing import Any
 
 from fenicsx_obstacle.parallel import write_text
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show import plots
-from fenicsx_obstacle.show.explain import explain
-from fenicsx_obstacle.show.figures import svg
-from fenicsx_obstacle.show.tables import EARLIER, Cell
+from fenicsx_obstacle.show.explain import explained
+from fenicsx_obstacle.show.tables import StudyTable
+from fenicsx_obstacle.words import counted
 
 NAME = "report.html"
-ORDERS = (
-    "Orders are those of the quantity to the left; below them what to expect: what the paper proves, or the best that "
-    "P1 can give."
-)
 _STYLE = """
 body { color: #111; background: #fff; font: 16px/1.5 system-ui, sans-serif; max-width: 74rem; margin: 0 auto;
        padding: 1rem; }
 h1 { font-size: 1.6rem; line-height: 1.25; margin: .5rem 0 0; }
 h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #ccc; }
-pre, .wide { overflow-x: auto; }
-pre { font: .8rem/1.45 ui-monospace, monospace; background: #f6f6f4; padding: .75rem; margin: 0; }
+pre { font: .8rem/1.45 ui-monospace, monospace; background: #f6f6f4; padding: .75rem; margin: 0;
+      white-space: pre-wrap; overflow-wrap: anywhere; }
+.wide { overflow-x: auto; }
+.wide table { font-size: .75rem; }
+.wide th, .wide td { padding: .2rem .25rem; }
 table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .2rem .55rem; text-align: right; white-space: nowrap; }
 th { border-bottom: 1px solid #111; vertical-align: bottom; }
@@ -39,69 +35,76 @@ th small { display: block; font-weight: normal; }
 tbody tr + tr td { border-top: 1px solid #e4e4e0; }
 .facts th { text-align: left; vertical-align: top; border: 0; font-weight: normal; color: #444; }
 .facts td { text-align: left; border: 0; white-space: normal; overflow-wrap: anywhere; }
+.facts td div { padding-left: 1.2em; text-indent: -1.2em; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figure img, figure svg { display: block; max-width: 100%; height: auto; }
-figcaption, .note { font-size: .85rem; color: #444; }
+.note { font-size: .85rem; color: #444; margin: .5rem 0; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); gap: 1rem; }
-@media print { pre { white-space: pre-wrap; } body { max-width: none; padding: 0; font-size: 10pt; }
+.plots figure:only-child { max-width: 46rem; }
+@media print { body { max-width: none; padding: 0; font-size: 10pt; }
                h2 { break-after: avoid; } table { font-size: 7pt; } th, td { padding: .1rem .25rem; } }
 """
 
 
-def write_page(
-    path: Path,
-    scene: Scene,
-    record: Mapping[str, Any],
-    picture: Path | None,
-    *,
-    rows: Sequence[Mapping[str, Any]] = (),
-    table: Sequence[Sequence[Cell]] = (),
-    varied: Sequence[str] = (),
-    plotted: bool = False,
-) -> None:
-    """Write the page of an answer or of a study (one rank).
+def write_answer_page(path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None) -> None:
+    """Write the page of an answer (one rank).
 
     Args:
         path: The file.
-        scene: What was solved; of a study the last row's.
-        record: Figures of the answer, or the last row.
+        scene: What was solved.
+        record: Figures of the answer.
         picture: PNG file of the answer, or None.
-        rows: Rows of a study.
-        table: Their cells, as printed.
-        varied: Keys that vary.
-        plotted: Whether orders are measured, so that there are plots.
     """
-    title = scene.tables.title or scene.name
-    parts = [
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="note">{escape(_headline(record, rows, varied))}</p>',
-    ]
-    if table:
-        parts.append(_section("Table", _table(table)))
-    if plotted:
-        drawn = (("convergence", plots.convergence(rows, varied)), ("cost", plots.cost(rows, varied)))
-        both = "".join(f'<figure role="img" aria-label="{name}">{svg(page, name)}</figure>' for name, page in drawn)
-        parts.append(_section("Orders and cost", f'<div class="plots">{both}</div>'))
+    size = f"{counted(record['cells_total'], 'cell')}, {counted(record['dofs'], 'unknown')}"
+    parts = [] if picture is None else [_section("The solution", _picture(picture, _title(scene)))]
+    _write(path, scene, f"{_how(record)}; {size}.", [*parts, *_facts_of(scene, record)], record, record["command"])
+
+
+def write_study_page(
+    path: Path,
+    scene: Scene,
+    rows: Sequence[Mapping[str, Any]],
+    table: StudyTable,
+    plots: Mapping[str, str],
+    picture: Path | None,
+    command: str,
+) -> None:
+    """Write the page of a study (one rank).
+
+    Args:
+        path: The file.
+        scene: What was solved in the last row.
+        rows: All rows.
+        table: As printed.
+        plots: SVG elements by name.
+        picture: PNG file of the last row's answer, or None.
+        command: What made it.
+    """
+    headline = f"Study over {', '.join(table.varied)}: {counted(len(rows), 'row')}; {_how(rows[-1])}."
+    parts = [_section("Table", _table(table))]
+    if plots:
+        drawn = "".join(f'<figure role="img" aria-label="{name}">{svg}</figure>' for name, svg in plots.items())
+        parts.append(_section(" and ".join(plots).capitalize(), f'<div class="plots">{drawn}</div>'))
     if picture is not None:
-        which = "The last row's solution" if rows else "The solution"
-        parts.append(_section(which, _picture(picture, title)))
-    parts += [
-        _section("Figures" + (" of the last row" if rows else ""), _facts(_figures(record))),
-        _section("What is assembled, and what is left out", _pre(explain(scene))),
-        _section("Scene" + (" of the last row" if rows else ""), _pre(scene.toml())),
-        _section("Reproduce", _pre(command(record["ranks"])) + _facts(record["versions"].items())),
-    ]
-    write_text(path, _page(title, parts))
+        parts.append(_section("The last row's solution", _picture(picture, _title(scene))))
+    _write(path, scene, headline, [*parts, *_facts_of(scene, rows[-1], " of the last row")], rows[-1], command)
 
 
-def command(ranks: int) -> str:
-    """The command that this process runs, as one types it."""
-    program, *arguments = sys.argv
-    if program.endswith(("__main__.py", "fenicsx-obstacle")):
-        words = ["./obstacle", *(["--ranks", str(ranks)] if ranks > 1 else []), *arguments]
-    else:
-        words = [*(["mpirun", "-n", str(ranks)] if ranks > 1 else []), "python3", program, *arguments]
-    return shlex.join(words)
+def _write(
+    path: Path, scene: Scene, headline: str, parts: Sequence[str], record: Mapping[str, Any], command: str
+) -> None:
+    title = _title(scene)
+    head = [f"<h1>{escape(title)}</h1>", f'<p class="note">{escape(headline)}</p>']
+    how = _section("Reproduce", _pre(command) + _facts(record["versions"].items()))
+    write_text(path, _page(title, [*head, *parts, how]))
+
+
+def _title(scene: Scene) -> str:
+    return scene.tables.title or scene.name
+
+
+def _how(record: Mapping[str, Any]) -> str:
+    return f"{record['method']}, {record['element']}, {counted(record['ranks'], 'rank')}"
 
 
 def _page(title: str, parts: Iterable[str]) -> str:
@@ -122,24 +125,17 @@ def _pre(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
-def _headline(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> str:
-    how = f"{record['method']}, {record['element']}, {record['ranks']} rank{'s' * (record['ranks'] > 1)}"
-    if rows:
-        return f"Study over {', '.join(varied)}: {len(rows)} row{'s' * (len(rows) > 1)}; {how}."
-    return f"{how}; {record['cells_total']} cells, {record['dofs']} unknowns."
-
-
-def _table(table: Sequence[Sequence[Cell]]) -> str:
-    heads = ""
-    for before, cell in zip([None, *table[0]], table[0], strict=False):
+def _table(table: StudyTable) -> str:
+    heads, first = "", table.rows[0]
+    blank = "&nbsp;" if table.by else ""
+    for before, cell in zip([None, *first], first, strict=False):
         # the source of an order stands in the column before it: 'paper:' and '1'
         below = f"{before.expected} {cell.expected}" if before is not None and cell.head == "order" else ""
-        heads += f"<th>{escape(cell.head)}<small>{escape(below) or '&nbsp;'}</small></th>"
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell.value)}</td>" for cell in cells) + "</tr>\n" for cells in table)
-    orders = any(cell.head == "order" for cell in table[0])
-    notes = [ORDERS] if orders else []
-    notes += [EARLIER] if any("*" in cell.value for cells in table for cell in cells) else []
-    text = "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
+        heads += f"<th>{escape(cell.head)}<small>{escape(below) or blank}</small></th>"
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell.value)}</td>" for cell in cells) + "</tr>\n" for cells in table.rows
+    )
+    text = "".join(f'<p class="note">{escape(note)}</p>' for note in table.notes())
     return f'<div class="wide"><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table></div>{text}'
 
 
@@ -148,13 +144,25 @@ def _picture(path: Path, title: str) -> str:
     return f'<figure><img alt="{escape(title)}" src="data:image/png;base64,{data}"></figure>'
 
 
+def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[str]:
+    """The scene's own figures, those of every scene, the equation, and the scene itself."""
+    report = [(name, "not finite" if v is None else f"{v:.6g}") for name, v in (record.get("report") or {}).items()]
+    return [
+        *([_section("Report" + which, _facts(report))] if report else []),
+        _section("Figures" + which, _facts(_figures(record))),
+        _section("What is assembled, and what is left out", _facts(explained(scene))),
+        _section("Scene" + which, _pre(scene.toml())),
+    ]
+
+
 def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     contact, seconds = record["contact"], record["seconds"]
+    newton, krylov = counted(record["newton_iterations"], "Newton step"), record["krylov_iterations"]
     facts = [
         ("cells, unknowns", f"{record['cells_total']}, {record['dofs']}"),
         ("h, longest edge", f"{record['h']:.4g}, {record['h_max']:.4g}"),
         ("eps", "none" if record["eps"] is None else f"{record['eps']:.4g}"),
-        ("iterations", f"{record['newton_iterations']} Newton, {record['krylov_iterations']} CG"),
+        ("iterations", f"{newton}, {krylov} of conjugate gradients (CG), on the finest mesh"),
         ("energy", "none" if record["energy"] is None else f"{record['energy']:.10g}"),
         ("contact area", f"{contact['area']:.6g}"),
     ]
@@ -162,11 +170,15 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
               for side in ("lower", "upper") if side in contact]  # fmt: skip
     facts.append(("penetration", f"{record['penetration']:.4g}"))
     facts += [(f"error, {norm}", f"{value:.4g}") for norm, value in (record.get("errors") or {}).items()]
-    facts += [(name, f"{value:.6g}") for name, value in (record.get("report") or {}).items()]
     facts.append(("seconds", f"{seconds['solve']:.3g} for the solve, {seconds['mesh']:.3g} for the mesh"))
     return facts
 
 
-def _facts(facts: Iterable[tuple[str, str]]) -> str:
-    lines = "".join(f"<tr><th>{escape(key)}</th><td>{escape(str(value))}</td></tr>\n" for key, value in facts)
+def _facts(facts: Iterable[tuple[str, str | list[str]]]) -> str:
+    """A table of names and what belongs to them, a text or several lines; without those that have none."""
+    lines = ""
+    for key, value in facts:
+        texts = value if isinstance(value, list) else [value]
+        below = "".join(f"<div>{escape(text)}</div>" for text in texts)
+        lines += f"<tr><th>{escape(key)}</th><td>{below}</td></tr>\n" if texts else ""
     return f'<table class="facts">\n{lines}</table>'

@@ -12,29 +12,31 @@ from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show import relief
-from fenicsx_obstacle.show.boundary import SIDES, free_boundary
-from fenicsx_obstacle.show.figures import BLUE, VERMILION, figure, plain, save
-from fenicsx_obstacle.show.simplices import Patch, patch_of, zero
+from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
+from fenicsx_obstacle.show.figures import BLUE, VERMILION, check_name, figure, plain, save
+from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, draw_plan, strokes, triangles
+from fenicsx_obstacle.show.simplices import Patch, patch_of, rims, zero
 from fenicsx_obstacle.show.space import draw_view
 
 PRESSURE = "contact pressure p"
 
 
 def draw_answer(answer: Answer, path: Path) -> str:
-    """Draw an answer into a PNG file (collective).
+    """Draw an answer into a file, PNG, PDF or SVG by its name (collective).
 
     Returns:
         One line: the file, who drew it, and why.
 
     Raises:
-        InputError: If the file cannot be written, or the mesh is a network of intervals.
+        InputError: If the name has another ending, the file cannot be written, or the mesh is a network of intervals.
     """
+    check_name(path)
     arrays = gather(answer)
     return on_root(answer.level.comm, _draw, answer, arrays, path)
 
 
 def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path) -> str:
-    patch, u = patch_of(arrays), plain(answer.scene.tables.u)
+    patch, u = with_levels(patch_of(arrays)), plain(answer.scene.tables.u)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if kind == 2 and gdim > 1:
         raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
@@ -53,7 +55,7 @@ def _line(patch: Patch, u: str) -> tuple[Any, str]:
     """u over an interval, and the pressure below."""
     order = np.argsort(patch.points[:, 0])
     x, fields = patch.points[order, 0], {name: values[order] for name, values in patch.fields.items()}
-    page, (top, bottom) = figure(6.4, 5.2, rows=2)
+    page, (top, bottom) = figure(6.4, 5.2, rows=2, sharex=True)
     low, high = fields["u"].min(), fields["u"].max()
     margin = 0.15 * (high - low or 1.0)
     low, high = low - margin, high + margin
@@ -86,7 +88,7 @@ def _flat(patch: Patch, u: str) -> tuple[Any, str]:
     page, (left, right) = figure(12.0, 4.8, columns=2, widths=(1.25, 1))
     scale = _pressures(patch.fields["pressure"])
     who = draw_view(left, relief.membrane(patch, scale.to_rgba, u))
-    _map(page, right, patch, relief.touching(patch), scale, u)
+    draw_plan(page, right, patch, scale, u, PRESSURE)
     _legend(left, patch)
     return page, who
 
@@ -110,63 +112,25 @@ def _solid(patch: Patch, u: str) -> tuple[Any, str]:
     page, axes = figure(12.0, 5.0, columns=2)
     scales = (_heights(cut.fields["u"]), _pressures(cut.fields["pressure"]))
     for axis, name, scale, label in zip(axes, ("u", "pressure"), scales, (u, PRESSURE), strict=True):
-        axis.tripcolor(_triangles(cut, 0, 2), cut.fields[name], shading="gouraud", cmap=scale.cmap, norm=scale.norm)
+        axis.tripcolor(triangles(cut, (0, 2)), cut.fields[name], shading="gouraud", cmap=scale.cmap, norm=scale.norm)
         page.colorbar(scale, ax=axis, label=label, shrink=0.8)
-        _strokes(axis, lines, (0, 2))
+        for rim in rims(cut, (0, 2)):
+            axis.plot(*rim.T, color="0.2", linewidth=0.9)
+        strokes(axis, lines, (0, 2))
         axis.set(aspect="equal", xlabel="x", ylabel="z", title=f"slice at y = {at:.3g}")
     return page, "matplotlib, as a slice through the solid; fields.xdmf shows all of it in ParaView"
-
-
-def _map(page: Any, axis: Any, patch: Patch, contact: Patch, scale: Any, u: str) -> None:
-    """From above: contact in the colours of the pressure, u as contour lines, the free boundary."""
-    whole = _triangles(patch, 0, 1)
-    low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
-    if len(contact.cells):
-        axis.tripcolor(_triangles(contact, 0, 1), contact.fields["pressure"], shading="gouraud",
-                       cmap=scale.cmap, norm=scale.norm)  # fmt: skip
-    if np.ptp(patch.fields["u"]) > 0:
-        lines = axis.tricontour(whole, patch.fields["u"], levels=8, colors="0.45", linewidths=0.6, linestyles="solid")
-        _inside(axis.clabel(lines, fontsize=6.5, inline=False), low, high)
-    _strokes(axis, free_boundary(patch), (0, 1))
-    axis.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axis.set_title(f"grey lines: {u}", fontsize=9)
-    page.colorbar(scale, ax=axis, label=PRESSURE, shrink=0.85)
-
-
-def _inside(labels: Any, low: np.ndarray, high: np.ndarray) -> None:
-    """Labels of contour lines on white; those that the frame would cut are left away."""
-    from matplotlib.patheffects import withStroke
-
-    margin = 0.06 * (high - low)
-    for label in labels:
-        at = np.array(label.get_position())
-        label.set_path_effects([withStroke(linewidth=3, foreground="white", alpha=0.75)])
-        label.set_visible(bool(np.all((at > low + margin) & (at < high - margin))))
-
-
-def _strokes(axis: Any, lines: list[Patch], plane: tuple[int, int]) -> None:
-    from matplotlib.collections import LineCollection
-
-    for line in lines:
-        axis.add_collection(LineCollection(line.points[:, plane][line.cells], colors=relief.INK, linewidths=1.6))
 
 
 def _legend(axis: Any, patch: Patch) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch as Swatch
 
-    handles: list[Any] = [Swatch(facecolor=relief.FREE, label="out of contact")]
+    handles: list[Any] = [Swatch(facecolor=OUT_OF_CONTACT, edgecolor="0.2", linewidth=0.5, label="out of contact")]
     if patch.fields["contact"].any():
         handles.append(Line2D([], [], color=relief.INK, label="free boundary"))
     handles += [Swatch(facecolor=relief.OBSTACLE, alpha=1.0 if side == "lower" else 0.4, label=f"{side} obstacle")
                 for side in SIDES if side in patch.fields]  # fmt: skip
     axis.legend(handles=handles, fontsize=8, loc="upper left", frameon=False, ncols=1)
-
-
-def _triangles(patch: Patch, i: int, j: int) -> Any:
-    from matplotlib.tri import Triangulation
-
-    return Triangulation(patch.points[:, i], patch.points[:, j], patch.cells)
 
 
 def _heights(values: np.ndarray) -> Any:

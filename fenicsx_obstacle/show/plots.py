@@ -1,58 +1,76 @@
-"""Plots of a study: orders of convergence beside the paper's, and what accuracy costs (one rank)."""
+"""Plots of a study: orders of convergence beside the paper's, and what accuracy costs (one rank).
+
+A grid of several keys has one line for each combination of the values of the others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import COLOURS, MARKERS, figure, plain
-from fenicsx_obstacle.studies.theory import lookup, parameter, quantities
+from fenicsx_obstacle.show.figures import DASHES, figure, plain, style
+from fenicsx_obstacle.show.sweep import sweep
+from fenicsx_obstacle.studies.grid import Vary, along, lines_of
+from fenicsx_obstacle.studies.theory import Quantity, lookup, parameter, quantities
+from fenicsx_obstacle.words import counted
 
 Rows = Sequence[Mapping[str, Any]]
 
 
-def convergence(rows: Rows, varied: Sequence[str]) -> Any:
+def drawings(rows: Rows, vary: Vary) -> Iterator[tuple[str, Any]]:
+    """The plots of a study by name: orders and cost where errors are measured, otherwise figures against a key."""
+    if len(rows) < 2:
+        return
+    if parameter(list(vary)) and quantities(list(vary), rows[-1]):
+        yield "convergence", convergence(rows, vary)
+        yield "cost", cost(rows, vary)
+    else:
+        yield "sweep", sweep(rows, vary)
+
+
+def convergence(rows: Rows, vary: Vary) -> Any:
     """Measured quantities against eps or h; a dotted line has the order to expect, written at its end."""
-    by = parameter(varied)
-    page, axes = figure(6.4, 4.8)
-    x = np.array([row[by] for row in rows], dtype=float)
-    drawn = quantities(varied, rows[-1])
-    for number, quantity in enumerate(drawn):
-        y = np.array([lookup(row, quantity.key) for row in rows], dtype=float)
-        style = {"color": COLOURS[number], "marker": MARKERS[number], "markersize": 5}
-        axes.loglog(x, y, label=quantity.tex, **style)
-        # the expected slope, through a point just below the last value, where orders are seen best
-        end = int(np.argmin(x))
-        slope = 0.7 * y[end] * (x / x[end]) ** quantity.order
-        axes.loglog(x, slope, ":", color=COLOURS[number], linewidth=1)
-        axes.annotate(
-            by if quantity.order == 1 else f"{by}$^{{{quantity.order:g}}}$", (x[end], slope[end]),
-            textcoords="offset points", xytext=(-5, -2), ha="right", fontsize=8, color=COLOURS[number],
-        )  # fmt: skip
+    by, drawn = parameter(list(vary)), quantities(list(vary), rows[-1])
+    lines = lines_of(rows, along(vary))
+    page, axes = figure(6.4 if len(lines) == 1 else 8.4, 4.8)
+    for line, part in enumerate(lines.values()):
+        x = np.array([row[by] for row in part], dtype=float)
+        for number, quantity in enumerate(drawn):
+            y = np.array([lookup(row, quantity.key) for row in part], dtype=float)
+            look = {**style(number), "linestyle": _dash(line)}
+            axes.loglog(x, y, label=quantity.tex if line == 0 else None, **look)
+            if line == 0:
+                _expected(axes, quantity, by, x, y, look["color"])
     stated = {quantity.stated for quantity in drawn}
     words = {True: "orders of the paper", False: "best orders of P1"}
     dotted = " and ".join(words[kind] for kind in (True, False) if kind in stated)
     axes.plot([], [], ":", color="grey", label=dotted)
+    if len(lines) > 1:
+        for line, name in enumerate(lines):
+            axes.plot([], [], linestyle=_dash(line), color="grey", label=plain(name))
     axes.margins(x=0.12)
     axes.set_xlabel(f"{by}   ({'h' if by == 'eps' else 'eps'}: {_other(rows, by)})")
     axes.set_ylabel("against the solution of SNES VI" if by == "eps" else "error")
-    _finish(axes, rows)
+    _finish(axes, rows, beside=len(lines) > 1)
     return page
 
 
-def cost(rows: Rows, varied: Sequence[str]) -> Any:
+def cost(rows: Rows, vary: Vary) -> Any:
     """The first measured quantity against the time of the solve."""
     page, axes = figure(6.4, 4.8)
-    quantity = quantities(varied, rows[-1])[0]
-    seconds = [lookup(row, "seconds.solve") for row in rows]
-    values = [lookup(row, quantity.key) for row in rows]
-    # the time hardly depends on eps: a line through the points would only show the jitter of the clock
-    axes.loglog(seconds, values, "o-" if parameter(varied) == "h" else "o", color=COLOURS[0], label=quantity.tex)
-    for row, at in zip(rows, zip(seconds, values, strict=True), strict=True):
-        label = f"{row['dofs']} unknowns" if parameter(varied) == "h" else f"eps = {row['eps']:.0e}"
-        axes.annotate(label, at, textcoords="offset points", xytext=(7, 4), fontsize=7.5)
+    by, quantity = parameter(list(vary)), quantities(list(vary), rows[-1])[0]
+    for number, (name, part) in enumerate(lines_of(rows, along(vary)).items()):
+        seconds = [lookup(row, "seconds.solve") for row in part]
+        values = [lookup(row, quantity.key) for row in part]
+        # the time hardly depends on eps: a line through the points would only show the jitter of the clock
+        look = {**style(number), "linestyle": "-" if by == "h" else ""}
+        axes.loglog(seconds, values, label=plain(name) or quantity.tex, **look)
+        for row, at in zip(part, zip(seconds, values, strict=True), strict=True):
+            label = counted(row["dofs"], "unknown") if by == "h" else f"eps = {row['eps']:.0e}"
+            if number == 0:  # those of other lines are about the same
+                axes.annotate(label, at, textcoords="offset points", xytext=(7, 4), fontsize=7.5)
     axes.set_xlabel("seconds of the solve")
     axes.set_ylabel(quantity.tex)
     axes.margins(x=0.3, y=0.1)
@@ -60,14 +78,31 @@ def cost(rows: Rows, varied: Sequence[str]) -> Any:
     return page
 
 
+def _dash(line: int) -> Any:
+    return DASHES[line % len(DASHES)]
+
+
+def _expected(axes: Any, quantity: Quantity, by: str, x: np.ndarray, y: np.ndarray, colour: str) -> None:
+    """The expected slope, through a point just below the last value, where orders are seen best."""
+    end = int(np.argmin(x))
+    slope = 0.7 * y[end] * (x / x[end]) ** quantity.order
+    axes.loglog(x, slope, ":", color=colour, linewidth=1)
+    axes.annotate(
+        by if quantity.order == 1 else f"{by}$^{{{quantity.order:g}}}$", (x[end], slope[end]),
+        textcoords="offset points", xytext=(-5, -2), ha="right", fontsize=8, color=colour,
+    )  # fmt: skip
+
+
 def _other(rows: Rows, by: str) -> str:
-    values = [row["h" if by == "eps" else "eps"] for row in rows]
-    if None in values:
+    values = [value for row in rows if (value := row["h" if by == "eps" else "eps"]) is not None]
+    if not values:
         return "none, SNES VI"
-    return f"{values[0]:.3g}" if len(set(values)) == 1 else f"{values[0]:.1e} to {values[-1]:.1e}"
+    low, high = min(values), max(values)
+    return f"{low:.3g}" if low == high else f"{high:.1e} to {low:.1e}"
 
 
-def _finish(axes: Any, rows: Rows) -> None:
+def _finish(axes: Any, rows: Rows, *, beside: bool = False) -> None:
+    """Ticks, title, and the legend, within the axes or beside them."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     for axis, limits in ((axes.xaxis, axes.set_xlim), (axes.yaxis, axes.set_ylim)):
@@ -82,6 +117,6 @@ def _finish(axes: Any, rows: Rows) -> None:
         if few and low > 1e-4 and high < 1e5:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.grid(True, which="major", color="0.9")
-    axes.legend(fontsize=8)
-    title = plain(rows[0]["title"] or rows[0]["scene"])
-    axes.set_title(f"{title} ({rows[0]['element']}, {rows[0]['method']})", fontsize=10)
+    axes.legend(fontsize=8, **({"loc": "center left", "bbox_to_anchor": (1.01, 0.5)} if beside else {}))
+    title, methods = plain(rows[0]["title"] or rows[0]["scene"]), dict.fromkeys(row["method"] for row in rows)
+    axes.set_title(f"{title} ({rows[0]['element']}, {', '.join(methods)})", fontsize=10)

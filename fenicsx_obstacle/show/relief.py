@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.boundary import SIDES, free_boundary, level_function
-from fenicsx_obstacle.show.simplices import Patch, above
+from fenicsx_obstacle.show.boundary import LEVELS, SIDES, free_boundary
+from fenicsx_obstacle.show.simplices import Patch, above, boundary
 
-FREE, OBSTACLE, INK = "#8FB8DE", "#8A8178", "#111111"
-AZIMUTH, ELEVATION = np.radians(-58.0), np.radians(28.0)
+FREE, OBSTACLE, INK, EDGE = "#97C0E4", "#8A8178", "#111111", "#66788A"
+AZIMUTH, ELEVATION = np.radians(-58.0), np.radians(32.0)
+CLEAR = 0.42  # opacity of u out of contact: a wall in front must not hide the contact behind it
 HEIGHT = 0.42  # of the relief, in units of its widest side
 
 
@@ -33,12 +34,27 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Lines:
+    """Pieces of lines of one colour.
+
+    Attributes:
+        ends: End points of the pieces, in the units of the picture, shape (m, 2, 3).
+        colour: #RRGGBB.
+        radius: Half the width, in the units of the picture.
+    """
+
+    ends: np.ndarray
+    colour: str
+    radius: float
+
+
+@dataclass(frozen=True)
 class View:
     """A picture in space.
 
     Attributes:
         surfaces: What is seen.
-        line: The free boundary: end points of its pieces, shape (m, 2, 3).
+        lines: The edge of u, and the free boundary.
         lower: Lower corner of the box, in the units of the data.
         upper: Upper corner.
         scale: From data to picture, per axis.
@@ -46,7 +62,7 @@ class View:
     """
 
     surfaces: list[Surface]
-    line: np.ndarray
+    lines: list[Lines]
     lower: np.ndarray
     upper: np.ndarray
     scale: np.ndarray
@@ -65,33 +81,39 @@ def axes_of_view() -> np.ndarray:
 
 def touching(patch: Patch) -> Patch:
     """The part in contact, cut along the free boundary; its pressure is the one of the nodes in contact."""
-    parts = [above(_spread(patch), -level_function(patch, side)) for side in SIDES if side in patch.fields]
+    spread = _spread(patch)
+    parts = [above(spread, -patch.fields[level]) for level in LEVELS.values() if level in patch.fields]
     return joined(parts) if parts else Patch(patch.points, patch.cells[:0], patch.fields)
 
 
 def free(patch: Patch) -> Patch:
     """The part out of contact."""
-    for side in SIDES:
-        if side in patch.fields:
-            patch = above(patch, level_function(patch, side))
+    for level in LEVELS.values():
+        if level in patch.fields:
+            patch = above(patch, patch.fields[level])
     return patch
 
 
 def membrane(patch: Patch, colouring: Any, u: str) -> View:
     """The graph of u over a flat domain: contact in the colours of the pressure, obstacles in grey.
 
+    What has penetrated an obstacle is drawn on its surface: under it the contact could not be seen.
+
     Args:
-        patch: Triangles in the plane.
+        patch: Triangles in the plane, from `with_levels`.
         colouring: From pressures to colours.
         u: Name of u.
     """
+    nothing = np.array(np.inf)
+    seen = np.clip(patch.fields["u"], patch.fields.get("lower", -nothing), patch.fields.get("upper", nothing))
+    patch = Patch(patch.points, patch.cells, {**patch.fields, "u": seen})
     low, high = patch.fields["u"].min(), patch.fields["u"].max()
     margin = 0.12 * (high - low or 1.0)
     lower, upper = patch.points.min(axis=0), patch.points.max(axis=0)
     lower[2], upper[2] = low - margin, high + margin
     size = upper - lower
     scale = np.array([1, 1, HEIGHT * max(size[:2]) / size[2]]) / max(size[:2])
-    view = View([], np.empty((0, 2, 3)), lower, upper, scale, ("x", "y", u))
+    view = View([], [], lower, upper, scale, ("x", "y", u))
     inside, outside = touching(patch), free(patch)
     obstacles = {
         side: _surface(view, _graph(_visible(patch, side, lower[2], upper[2]), side), OBSTACLE, opacity)
@@ -101,11 +123,13 @@ def membrane(patch: Patch, colouring: Any, u: str) -> View:
     surfaces = [
         *(obstacles[side] for side in ("lower",) if side in obstacles),
         _surface(view, _graph(inside, "u"), colouring(inside.fields["pressure"]), 1.0),
-        _surface(view, _graph(outside, "u"), FREE, 0.55),
+        _surface(view, _graph(outside, "u"), FREE, CLEAR),
         *(obstacles[side] for side in ("upper",) if side in obstacles),
     ]
-    lines = [_graph(line, "u") for line in free_boundary(patch)]
-    return View([s for s in surfaces if len(s.triangles)], _pieces(view, lines), lower, upper, scale, view.labels)
+    view.surfaces.extend(surface for surface in surfaces if len(surface.triangles))
+    graph = _graph(patch, "u")
+    view.lines.extend(_lines(view, graph, [_graph(line, "u") for line in free_boundary(patch)]))
+    return view
 
 
 def in_space(patch: Patch, colours: np.ndarray) -> View:
@@ -117,9 +141,10 @@ def in_space(patch: Patch, colours: np.ndarray) -> View:
     """
     lower, upper = patch.points.min(axis=0), patch.points.max(axis=0)
     scale = np.ones(3) / max(upper - lower)
-    view = View([], np.empty((0, 2, 3)), lower, upper, scale, ("x", "y", "z"))
-    surface = _surface(view, patch, colours, 1.0)
-    return View([surface], _pieces(view, free_boundary(patch)), lower, upper, scale, view.labels)
+    view = View([], [], lower, upper, scale, ("x", "y", "z"))
+    view.surfaces.append(_surface(view, patch, colours, 1.0))
+    view.lines.extend(_lines(view, patch, free_boundary(patch)))
+    return view
 
 
 def joined(parts: list[Patch]) -> Patch:
@@ -131,20 +156,22 @@ def joined(parts: list[Patch]) -> Patch:
 
 
 def _spread(patch: Patch) -> Patch:
-    """The pressure continued to the neighbours of the contact set, so that its edge is no ramp to zero."""
+    """The pressure continued to two rings of nodes about the contact set, so that its edge is no ramp to zero."""
     cells, p = patch.cells, patch.fields["pressure"]
-    contact = patch.fields["contact"] > 0
-    inside = contact[cells]
-    count = inside.sum(axis=1)
-    mean = (p[cells] * inside).sum(axis=1) / np.maximum(count, 1)
-    weight = np.bincount(cells.ravel(), np.repeat(count > 0, cells.shape[1]), len(p))
-    near = np.bincount(cells.ravel(), np.repeat(mean, cells.shape[1]), len(p)) / np.maximum(weight, 1)
-    return Patch(patch.points, cells, {**patch.fields, "pressure": np.where(contact, p, near)})
+    known, corners = patch.fields["contact"] > 0, patch.cells.shape[1]
+    for _ in range(2):
+        inside = known[cells]
+        count = inside.sum(axis=1)
+        mean = (p[cells] * inside).sum(axis=1) / np.maximum(count, 1)
+        weight = np.bincount(cells.ravel(), np.repeat(count > 0, corners), len(p))
+        near = np.bincount(cells.ravel(), np.repeat(mean, corners), len(p)) / np.maximum(weight, 1)
+        p, known = np.where(known, p, near), known | (weight > 0)
+    return Patch(patch.points, cells, {**patch.fields, "pressure": p})
 
 
 def _visible(patch: Patch, side: str, low: float, high: float) -> Patch:
     """An obstacle within the box, without the part that u covers in contact."""
-    patch = above(patch, level_function(patch, side))
+    patch = above(patch, patch.fields[LEVELS[side]])
     patch = above(patch, patch.fields[side] - low)
     patch = above(patch, high - patch.fields[side])
     # a little behind u: where both are equal the eye would see one through the other in patches
@@ -162,8 +189,13 @@ def _surface(view: View, patch: Patch, colours: str | np.ndarray, opacity: float
     return Surface(view.place(patch.points), patch.cells, colours[:, :3], opacity)
 
 
-def _pieces(view: View, lines: list[Patch]) -> np.ndarray:
-    return np.concatenate([np.empty((0, 2, 3)), *(view.place(line.points)[line.cells] for line in lines)])
+def _lines(view: View, patch: Patch, free: list[Patch]) -> list[Lines]:
+    edge = boundary(patch)
+    pieces = [view.place(line.points)[line.cells] for line in free]
+    return [
+        Lines(view.place(edge.points)[edge.cells], EDGE, 0.0012),
+        Lines(np.concatenate([np.empty((0, 2, 3)), *pieces]), INK, 0.0035),
+    ]
 
 
 def rgb(colour: str) -> np.ndarray:

@@ -74,15 +74,57 @@ def gradients(patch: Patch, values: np.ndarray) -> np.ndarray:
     return np.einsum("ci,cix->cx", np.linalg.solve(gram, rises[..., None])[..., 0], edges)
 
 
+def boundary(patch: Patch) -> Patch:
+    """The edges that belong to one triangle only, in its direction."""
+    edges = np.concatenate([patch.cells[:, [0, 1]], patch.cells[:, [1, 2]], patch.cells[:, [2, 0]]])
+    names = edges.min(axis=1) * len(patch.points) + edges.max(axis=1)
+    _, first, count = np.unique(names, return_index=True, return_counts=True)
+    return Patch(patch.points, edges[first[count == 1]], patch.fields)
+
+
+def rims(patch: Patch, plane: tuple[int, int] = (0, 1)) -> list[np.ndarray]:
+    """The closed lines that bound triangles in a plane, around holes as well.
+
+    Args:
+        patch: Triangles.
+        plane: Numbers of the two coordinates.
+
+    Returns:
+        Corners of each line, shape (n, 2), with the triangles to the left.
+    """
+    points = patch.points[:, plane]
+    x, y, z = points[patch.cells].transpose(1, 0, 2)
+    left = np.cross(y - x, z - x) > 0
+    oriented = Patch(patch.points, np.where(left[:, None], patch.cells, patch.cells[:, ::-1]), {})
+    following: dict[int, list[int]] = {}
+    for start, end in boundary(oriented).cells.tolist():
+        following.setdefault(start, []).append(end)
+    lines = []
+    while following:
+        line = [next(iter(following))]
+        while line[-1] in following:
+            ends = following[line[-1]]
+            line.append(ends.pop())
+            if not ends:
+                del following[line[-2]]
+        lines.append(points[line])
+    return lines
+
+
 def _edge(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([a, b], axis=1)
 
 
 def _at_edges(patch: Patch, level: np.ndarray, corners: np.ndarray) -> Patch:
     """Simplices whose corners lie where `level` vanishes on edges; corners has shape (cells, corners, 2)."""
+    a, b = np.sort(corners, axis=2).transpose(2, 0, 1)
+    # an end of an edge that lies on the level is the place, whichever edge leads to it
+    a, b = np.where(level[b] == 0, b, a), np.where(level[a] == 0, a, b)
+    names = a * len(level) + b
+    distinct = np.all(np.diff(np.sort(names, axis=1), axis=1) > 0, axis=1)
     # neighbours share their corners, so that surfaces stay connected and shading smooth
-    edges, cells = np.unique(np.sort(corners.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
-    a, b = edges.T
+    found, cells = np.unique(names[distinct], return_inverse=True)
+    a, b = np.divmod(found, max(len(level), 1))
     drop = level[a] - level[b]
     t = np.where(drop == 0, 0.0, level[a] / np.where(drop == 0, 1.0, drop))
 
@@ -91,7 +133,7 @@ def _at_edges(patch: Patch, level: np.ndarray, corners: np.ndarray) -> Patch:
         return (1 - weight) * values[a] + weight * values[b]
 
     fields = {name: between(values) for name, values in patch.fields.items()}
-    return Patch(between(patch.points), cells.reshape(corners.shape[:2]), fields)
+    return Patch(between(patch.points), cells.reshape(-1, corners.shape[1]), fields)
 
 
 def patch_of(arrays: Mapping[str, np.ndarray]) -> Patch:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.relief import INK, View, axes_of_view, rgb
+from fenicsx_obstacle.show.figures import over, power
+from fenicsx_obstacle.show.relief import View, axes_of_view, rgb
 from fenicsx_obstacle.show.warped import rendered
 
 LIGHT = np.array([-0.25, -0.45, 0.86])
@@ -64,7 +65,9 @@ def _box(axis: Any, view: View) -> None:
         # at the foot of the upright edge a figure of the x-axis stands already
         first = low[number] + (0.08 if number == 2 else -1e-9) * size
         ticks = [tick for tick in wanted if first <= tick <= high[number] + 1e-9 * size]
-        for tick, text in zip(ticks, _texts(ticks), strict=True):
+        exponent = power(low[number], high[number])
+        texts = _texts(ticks, exponent)
+        for tick, text in zip(ticks, texts, strict=True):
             at = np.where(np.isnan(edge), tick, edge)
             for fixed, value in walls[number]:
                 other = next(i for i in range(3) if i not in (number, fixed))
@@ -73,9 +76,10 @@ def _box(axis: Any, view: View) -> None:
                 axis.plot(*_project(view, stroke).T, color="0.9", linewidth=0.7, zorder=1)
             place = _project(view, at) + 0.035 * outwards
             axis.text(*place, text, fontsize=7.5, ha=_side(outwards), va="center", color="0.2")
-        label = _project(view, np.where(np.isnan(edge), middle, edge)) + (0.16 if number == 2 else 0.12) * outwards
+        beyond = 0.09 + 0.019 * max(map(len, texts), default=0) if number == 2 else 0.12
+        label = _project(view, np.where(np.isnan(edge), middle, edge)) + beyond * outwards
         turned = {"rotation": 90, "ha": "center"} if number == 2 else {"ha": "center"}
-        axis.text(*label, view.labels[number], fontsize=9, va="center", **turned)
+        axis.text(*label, over(view.labels[number], exponent), fontsize=9, va="center", **turned)
 
 
 def _outwards(view: View, number: int, edge: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -92,9 +96,10 @@ def _side(outwards: np.ndarray) -> str:
     return "right" if outwards[0] < -0.2 else "left" if outwards[0] > 0.2 else "center"
 
 
-def _texts(ticks: list[float]) -> list[str]:
+def _texts(ticks: list[float], exponent: int) -> list[str]:
     step = abs(ticks[1] - ticks[0]) if len(ticks) > 1 else 1.0
-    return [f"{0.0 if abs(tick) < 1e-9 * step else tick:g}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
+    figures = [0.0 if abs(tick) < 1e-9 * step else tick / 10.0**exponent for tick in ticks]
+    return [f"{figure:g}".replace("-", "\N{MINUS SIGN}") for figure in figures]
 
 
 def _paint(axis: Any, view: View) -> None:
@@ -111,14 +116,15 @@ def _paint(axis: Any, view: View) -> None:
     faces = np.column_stack([np.clip(colours * shade[:, None], 0, 1), opacity])
     # edges are drawn where triangles are opaque: without them antialiasing leaves hairlines
     edges = np.where(faces[:, 3:] > 0.9, faces, 0.0)
-    widths = np.full(len(faces), 0.25)
-    # pieces of the line are triangles without area, a little nearer than what they lie on
-    corners = np.concatenate([corners, view.line[:, [0, 1, 1]]])
+    widths, count = np.full(len(faces), 0.25), len(faces)
+    # pieces of lines are triangles without area, a little nearer than what they lie on
+    for lines in view.lines:
+        corners = np.concatenate([corners, lines.ends[:, [0, 1, 1]]])
+        paint = np.tile(np.append(rgb(lines.colour), 1.0), (len(lines.ends), 1))
+        faces, edges = np.concatenate([faces, paint]), np.concatenate([edges, paint])
+        widths = np.concatenate([widths, np.full(len(paint), 460 * lines.radius)])
     depth = (corners @ camera[2]).mean(axis=1)
-    depth[len(faces) :] += 0.02
-    ink = np.tile(np.append(rgb(INK), 1.0), (len(view.line), 1))
-    faces, edges = np.concatenate([faces, ink]), np.concatenate([edges, ink])
-    widths = np.concatenate([widths, np.full(len(ink), 1.6)])
+    depth[count:] += 0.02
     order = np.argsort(depth)
     axis.add_collection(
         PolyCollection((corners @ camera[:2].T)[order], facecolors=faces[order], edgecolors=edges[order],

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
 from fenicsx_obstacle.studies.theory import lookup, order, parameter, quantities
+from fenicsx_obstacle.words import counted, short
 
 _COST = (
     ("newton_iterations", "Newton", "d"),
@@ -14,15 +16,24 @@ _COST = (
     ("poisson_units", "Poisson", ".1f"),
     ("memory_mb", "MB", ".0f"),
 )
-EARLIER = "* timed in an earlier run: compare its Poisson solves, not its seconds, with the other rows"
+_LEGEND = (
+    "Newton, CG: steps on the finest mesh; seconds: the whole solve; Poisson: the same in solves of one linear Poisson "
+    "problem on that mesh; MB: memory of all ranks at its peak."
+)
+_ORDERS = (
+    "Orders are those of the quantity to the left; below them what to expect: what the paper proves, or the best that "
+    "P1 can give."
+)
+_EARLIER = "* timed in an earlier run: compare its Poisson solves, not its seconds, with the other rows."
 
 
 class Cell(NamedTuple):
-    """One cell of a row."""
+    """One cell of a row; `width` is what its column needs at least, should the first row leave it empty."""
 
     head: str
     expected: str
     value: str
+    width: int = 5
 
 
 class StudyTable:
@@ -33,43 +44,54 @@ class StudyTable:
         run: The number of the present run; None where rows are not kept.
     """
 
-    def __init__(self, varied: Sequence[str], run: int | None = None):
-        self.varied, self.by, self.run = list(varied), parameter(varied), run
+    def __init__(self, vary: Vary, run: int | None = None, *, penalised: bool = True):
+        """An empty table; `penalised` gives it a column for eps, empty in rows of the variational inequality."""
+        self.varied, self.by, self.run, self.penalised = list(vary), parameter(list(vary)), run, penalised
+        self._along = along(vary)
+        self._widths = {key: max(len(short(value)) for value in values) for key, values in vary.items()}
         self.rows: list[list[Cell]] = []
         self._measured: list[Any] | None = None
-        self._last: Mapping[str, Any] | None = None
+        self._last: dict[str, Mapping[str, Any]] = {}  # the last row on each line of the grid
 
     def lines(self, row: Mapping[str, Any]) -> list[str]:
         """The lines this row adds: before the first row the heads as well."""
         cells = list(self._cells(row))
         heads = not self.rows
         self.rows.append(cells)
-        self._last = row
-        widths = [max(len(cell.head), len(cell.value), 5) for cell in self.rows[0]]
+        widths = [max(len(cell.head), len(cell.value), cell.width) for cell in self.rows[0]]
         lines = [[cell.head for cell in cells], [cell.expected for cell in cells]] if heads else []
         return [_line(parts, widths) for parts in [*lines, [cell.value for cell in cells]] if any(parts)]
+
+    def notes(self) -> list[str]:
+        """What the columns mean, in a few sentences."""
+        orders = any(cell.head == "order" for cell in self.rows[0])
+        earlier = any("*" in cell.value for cells in self.rows for cell in cells)
+        return [_LEGEND, *[_ORDERS] * orders, *[_EARLIER] * earlier]
 
     def _cells(self, row: Mapping[str, Any]) -> Iterator[Cell]:
         if self._measured is None:
             self._measured = quantities(self.varied, row)
+        line = line_of(row, self._along)
         for key in self.varied:
-            yield Cell(key.partition(".")[2] or key, "", short(row["vary"][key]))
+            yield Cell(last_part(key), "", short(row["vary"][key]), self._widths[key])
         if self.by == "h":
             yield Cell("h", "", f"{row['h']:.3e}")
-        if self.by != "eps" and row.get("eps") is not None:
-            yield Cell("eps", "", f"{row['eps']:.1e}")
-        for name, value in (row.get("report") or {}).items():
-            yield Cell(name, "", "" if value is None else f"{value:.6g}")
+        if self.by != "eps" and self.penalised:
+            yield Cell("eps", "", "" if row["eps"] is None else f"{row['eps']:.1e}", 7)
+        for key, name in (figures_of(row) if not self.by or row.get("report") else {}).items():
+            value = lookup(row, key)
+            yield Cell(name.removesuffix(" obstacle"), "", "" if value is None else f"{value:.6g}", 11)
         for quantity in self._measured:
             value = lookup(row, quantity.key)
-            yield Cell(quantity.label, self._source(quantity), "" if value is None else f"{value:.3e}")
+            yield Cell(quantity.label, self._source(quantity), "" if value is None else f"{value:.3e}", 9)
             if self.by:
-                seen = order(quantity.key, row, self._last, self.by)
+                seen = order(quantity.key, row, self._last.get(line), self.by)
                 yield Cell("order", f"{quantity.order:g}", "" if seen is None else f"{seen:.2f}")
         for key, label, form in _COST:
             value = lookup(row, key)
             earlier = "*" if label == "seconds" and self.run is not None and row.get("run") != self.run else ""
             yield Cell(label, "", "" if value is None else format(value, form) + earlier)
+        self._last[line] = row
 
     def _source(self, quantity: Any) -> str:
         if not self.by:
@@ -103,13 +125,8 @@ def difference(found: Mapping[str, Any], first: str, second: str) -> str:
             lines.append(f"  force on {side} obstacle: " + " and ".join(f"{force:.6g}" for force in forces))
     lines.append("  energy: " + " and ".join(f"{energy:.8g}" for energy in found["energy"]))
     if found["outside"]:
-        lines.append(f"  {found['outside']} nodes of the finer mesh lie outside of the other and do not count")
+        lines.append(f"  {counted(found['outside'], 'node')} of the finer mesh outside of the other: not counted")
     return "\n".join(lines)
-
-
-def short(value: Any) -> str:
-    """A varied value in few characters."""
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _escape(text: str) -> str:

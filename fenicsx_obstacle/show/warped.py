@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.relief import INK, View, axes_of_view
+from fenicsx_obstacle.show.relief import View, axes_of_view
 
 PATIENCE = 120.0  # seconds
 _MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
@@ -60,9 +60,11 @@ def rendered(view: View, extent: tuple[float, float, float, float], pixels: int)
 
 
 def _write(view: View, extent: tuple[float, ...], pixels: int, path: Path) -> None:
-    arrays: dict[str, Any] = {"line": view.line, "extent": np.array(extent), "pixels": np.array(pixels)}
+    arrays: dict[str, Any] = {"extent": np.array(extent), "pixels": np.array(pixels)}
     for number, surface in enumerate(view.surfaces):
         arrays |= {f"{name}{number}": np.asarray(value) for name, value in vars(surface).items()}
+    for number, lines in enumerate(view.lines):
+        arrays |= {f"line_{name}{number}": np.asarray(value) for name, value in vars(lines).items()}
     np.savez(path, **arrays)
 
 
@@ -85,11 +87,14 @@ def draw(data: Path, picture: Path) -> None:
             ambient=0.5, diffuse=0.55, specular=0.08, specular_power=20,
         )  # fmt: skip
         number += 1
-    ends = arrays["line"]
-    if len(ends):
-        segments = np.insert(np.arange(2 * len(ends)).reshape(-1, 2), 0, 2, axis=1).ravel()
-        line = pyvista.PolyData(ends.reshape(-1, 3), lines=segments).clean(tolerance=1e-9).strip()
-        plotter.add_mesh(line.tube(radius=0.0035), color=INK, lighting=False)
+    number = 0
+    while f"line_ends{number}" in arrays:
+        ends, colour, radius = (arrays[f"line_{name}{number}"] for name in ("ends", "colour", "radius"))
+        if len(ends):
+            segments = np.insert(np.arange(2 * len(ends)).reshape(-1, 2), 0, 2, axis=1).ravel()
+            line = pyvista.PolyData(ends.reshape(-1, 3), lines=segments).clean(tolerance=1e-9).strip()
+            plotter.add_mesh(line.tube(radius=float(radius)), color=str(colour), lighting=False)
+        number += 1
     _look(plotter, (left, right, bottom, top))
     plotter.enable_anti_aliasing("ssaa")
     plotter.screenshot(picture, transparent_background=True)

@@ -13,8 +13,10 @@ from mpi4py import MPI
 from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench, changed
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.studies.rows import RowStore, flat, row_key
 from fenicsx_obstacle.studies.theory import parameter
 
@@ -49,11 +51,12 @@ def study(
 
 
 class Study:
-    """A study that may be interrupted: rows in its store are not computed again.
+    """A study that may be interrupted: rows in a store are not computed again.
 
     Attributes:
-        varied: The keys that vary.
+        vary: Values of each key that varies.
         by: What orders are taken in: eps, h or nothing.
+        penalised: Whether any row has an eps.
         last: The scene of the last row.
     """
 
@@ -63,7 +66,6 @@ class Study:
         vary: Mapping[str, Sequence[Any]],
         options: Mapping[str, Any],
         comm: MPI.Comm = MPI.COMM_WORLD,
-        store: RowStore | None = None,
     ):
         """Check all scenes of the study before the first is solved.
 
@@ -72,32 +74,39 @@ class Study:
             vary: Values of each key.
             options: Fixed values.
             comm: Communicator; a mesh of the scene's own brings its own.
-            store: Where finished rows are kept: on rank 0, None elsewhere or for none.
 
         Raises:
             InputError: If a value does not fit its key.
         """
-        self.varied, self.by = list(vary), parameter(list(vary))
+        for key, values in vary.items():
+            if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
+                raise InputError(f"{scene.source}: {key} = {values!r} cannot vary: expected a list of values")
+        self.vary, self.by = vary, parameter(list(vary))
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
-        self.store = store
         self._bench: _Bench | None = None
-        self._stored = self.comm.bcast(store is not None)
+        self._store: RowStore | None = None
         base = changed(scene, dict(options))
         combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
         self.points = [(combination, changed(base, combination)) for combination in combinations]
         self.last = self.points[-1][1]
+        penalised = [_is_penalised(point.tables) for _, point in self.points]
+        if self.by == "eps" and not all(penalised):
+            raise InputError(f"{scene.source}: eps cannot vary: it means nothing to method vi, or without an obstacle")
+        self.penalised = any(penalised)
 
-    def run(self, on_row: OnRow | None = None) -> list[Row]:
+    def run(self, on_row: OnRow | None = None, store: RowStore | None = None) -> list[Row]:
         """All rows, in order (collective).
 
         Args:
             on_row: Called with each row, and its answer where it was computed now.
+            store: Where finished rows are kept: on rank 0, None elsewhere or for none.
         """
+        self._store, stored = store, self.comm.bcast(store is not None)
         rows: list[Row] = []
         for number, (combination, scene) in enumerate(self.points, start=1):
             values = ", ".join(f"{key}={value}" for key, value in combination.items())
             _log.info(values, extra={"row": number, "rows": len(self.points)})
-            key = on_root(self.comm, row_key, scene, self.by, self.comm.size) if self._stored else ""
+            key = on_root(self.comm, row_key, scene, self.by, self.comm.size) if stored else ""
             row = on_root(self.comm, self._find, key)
             answer = None
             if row is None:
@@ -115,14 +124,14 @@ class Study:
         return self._answer(self.last)
 
     def _find(self, key: str) -> Row | None:
-        return None if self.store is None else self.store.find(key)
+        return None if self._store is None else self._store.find(key)
 
     def _add(self, key: str, row: Row) -> Row:
-        return row if self.store is None else self.store.add(key, row)
+        return row if self._store is None else self._store.add(key, row)
 
     def _write_table(self, rows: list[Row]) -> None:
-        if self.store is not None:
-            self.store.write_table(rows)
+        if self._store is not None:
+            self._store.write_table(rows)
 
     def _answer(self, scene: Scene) -> Answer:
         if self._bench is None or not self._bench.serves(scene):
@@ -142,6 +151,10 @@ class Study:
             dual = self._bench.work.exact.dual.error(answer.pressure, eps)
             extras["errors"] = {**answer.record["errors"], "pressure_dual": dual}
         return extras
+
+
+def _is_penalised(tables: Tables) -> bool:
+    return tables.solve.method != "vi" and (tables.obstacle.lower, tables.obstacle.upper) != (None, None)
 
 
 class _Bench:

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.answers.compute import versions
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import write_text
+from fenicsx_obstacle.parallel import make_folder, remove_empty, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 
 
@@ -54,8 +54,8 @@ class RowStore:
             InputError: If the folder cannot be written, or another study is writing there.
         """
         self.folder, self.path = folder, folder / "rows.jsonl"
+        self._made = make_folder(folder)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
             self._lock: IO[str] = (folder / ".lock").open("w")
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system releases it even after kill -9
             if fresh:
@@ -96,8 +96,11 @@ class RowStore:
         write_text(self.folder / "rows.csv", as_csv(rows))
 
     def close(self) -> None:
-        """Let another study have the folder."""
+        """Let another study have the folder; without a row it leaves nothing behind."""
+        if not self._rows:
+            Path(self._lock.name).unlink(missing_ok=True)
         self._lock.close()
+        remove_empty(self._made)
 
     def _load(self) -> dict[str, dict[str, Any]]:
         """Rows on the disk; what a killed process left of a last line is cut off."""

@@ -1,0 +1,78 @@
+"""Values, lists of values and settings as they stand on the command line."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any
+
+from fenicsx_obstacle.errors import InputError
+
+
+def values_of(text: str, key: str) -> list[Any]:
+    """The values of a list A,B,C or a range A..B or A..B:N.
+
+    Raises:
+        InputError: If it is neither.
+    """
+    match = re.fullmatch(r"(.+?)\.\.(.+?)(?::(\d+))?", text)
+    if match is None:
+        return [_value(part) for part in text.split(",")]
+    first, last = _value(match[1]), _value(match[2])
+    if isinstance(first, str) or isinstance(last, str) or first <= 0 or last <= 0:
+        raise InputError(f"--vary {key}={text}: the ends of a range are positive numbers; give a list A,B,C otherwise")
+    whole = isinstance(first, int) and isinstance(last, int)
+    if match[3] is not None:
+        count = int(match[3])
+        if count < 1:
+            raise InputError(f"--vary {key}={text}: at least one value")
+        steps = [first * (last / first) ** (i / max(count - 1, 1)) for i in range(count)]
+    else:
+        factor = 10.0 if key in ("eps", "solve.eps") else 2.0
+        ratio = factor if last >= first else 1 / factor
+        steps = [float(first)]
+        while (steps[-1] * ratio - last) * (ratio - 1) <= 1e-9 * last:
+            steps.append(steps[-1] * ratio)
+    # eps by tens: 1e-3 and not 1.0000000000000002e-3
+    return [round(step) if whole else float(f"{step:.12g}") for step in steps]
+
+
+def varied(item: str) -> tuple[str, list[Any]]:
+    """Key and values of KEY=LIST.
+
+    Raises:
+        InputError: If it is not.
+    """
+    key, equals, text = item.partition("=")
+    if not equals or not text:
+        raise InputError(f"--vary {item}: expected KEY=LIST, such as cells=16..128")
+    return key.strip(), values_of(text.strip(), key.strip())
+
+
+def _value(text: str) -> Any:
+    """A number or list as TOML reads it, otherwise the text itself, such as a formula."""
+    for read in (int, float, lambda text: tomllib.loads(f"v = {text}")["v"]):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text.strip()
+
+
+def typed(given: dict[str, Any]) -> dict[str, Any]:
+    """Options by name, with those of --set by their dotted keys.
+
+    Raises:
+        InputError: If a --set is not KEY=VALUE.
+    """
+    changes = dict(_setting(item) for item in given.pop("set_", ()))
+    if isinstance(given.get("eps"), str):
+        given["eps"] = _value(given["eps"])
+    return {**changes, **given}
+
+
+def _setting(item: str) -> tuple[str, Any]:
+    key, equals, text = item.partition("=")
+    if not equals or not text:
+        raise InputError(f"--set {item}: expected KEY=VALUE, such as define.ecc=0.9")
+    return key.strip(), _value(text.strip())

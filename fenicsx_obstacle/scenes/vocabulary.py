@@ -1,0 +1,88 @@
+"""The names that a scene's formulas may use, and their values at points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes import formulas
+from fenicsx_obstacle.scenes.formulas import Formula
+
+COORDINATES = ("x", "y", "z", "r", "theta")
+CONSTANTS = {"pi": math.pi}
+
+
+class Vocabulary:
+    """What a scene defines, beside coordinates and constants.
+
+    Attributes:
+        source: Where the scene comes from, for messages.
+        define: Formula of each defined name, in order: later ones may use earlier ones.
+    """
+
+    source: str
+    define: Mapping[str, Formula]
+
+    @property
+    def known_names(self) -> set[str]:
+        """Names that formulas at points may use."""
+        return {*self.define, *CONSTANTS, *COORDINATES, "distance"}
+
+    def needs(self, formula: Formula) -> set[str]:
+        """Names that a formula uses, itself and through definitions."""
+        found, new = set[str](), formula.names
+        while new:
+            found |= new
+            new = {name for key in new & set(self.define) for name in self.define[key].names} - found
+        return found
+
+    def is_constant(self, name: str) -> bool:
+        """Whether a known name has one value everywhere."""
+        used = {name, *(self.needs(self.define[name]) if name in self.define else ())}
+        return not used & {*COORDINATES, "distance"}
+
+    def formula(self, value: float | str, place: str) -> Formula:
+        """Parse a value of this scene; `place` is its table and key."""
+        return formulas.parse(value, f"{self.source}: {place}")
+
+    def at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, Any] | None = None) -> np.ndarray:
+        """Values of a formula.
+
+        Args:
+            formula: From `formula()`.
+            x: Points, shape (3, n).
+            values: Further names, such as eps; `distance`, where the formula needs it.
+
+        Returns:
+            Array of n values.
+        """
+        names: dict[str, Any] = {**CONSTANTS, **(values or {}), **dict(zip("xyz", x, strict=True))}
+        needed = self.needs(formula)  # of a million points, only what the formula needs
+        if "r" in needed:
+            names["r"] = np.linalg.norm(x, axis=0)
+        if "theta" in needed:
+            names["theta"] = np.arctan2(x[1], x[0])
+        for key in (key for key in self.define if key in needed):
+            names[key] = self.define[key].on_arrays(names)
+        return np.broadcast_to(formula.on_arrays(names), x.shape[1:])
+
+    def number(self, value: float | str, place: str, values: Mapping[str, float] | None = None) -> float:
+        """A value that must be one finite number, such as a corner of the mesh.
+
+        Raises:
+            InputError: If it depends on the place or is not finite.
+        """
+        formula = self.formula(value, place)
+        names: dict[str, Any] = {**CONSTANTS, **(values or {})}
+        for key, defined in self.define.items():
+            if defined.names <= set(names):
+                names[key] = float(defined.on_arrays(names))
+        formula.check_names(names)
+        result = float(formula.on_arrays(names))
+        if not math.isfinite(result):
+            raise InputError(f"{formula.place} = {formula.text}: is {result}")
+        return result

@@ -1,0 +1,40 @@
+"""The main job on the scenes of demos/: answers with pictures, an eps-study and two h-studies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fenicsx_obstacle.answers.compute import solve
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.show.report import Say, report_answer, report_study
+
+DEMOS = Path(__file__).parent.parent.parent / "demos"
+
+
+def run_demo(folder: Path, say: Say) -> None:
+    """Solve the scenes of demos/, then the eps-study and the h-studies (collective).
+
+    Raises:
+        InputError: Without a checkout of the project.
+    """
+    if not DEMOS.is_dir():
+        raise InputError("the demo runs from a checkout of the project, where demos/ is")
+    for name in ("string", "disk", "ball", "two_sided"):
+        answer = solve(Scene.read(DEMOS / f"{name}.toml"))
+        answer.save(folder / name)
+        drawn = report_answer(answer, folder / name, picture=True)
+        say(f"{answer.summary()}\n  {drawn}\n")
+    studies: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
+        ("disk", "h fixed: u_eps tends to the solution of the variational inequality with order eps",
+         {"eps": [10.0**-k for k in range(1, 11)]}, {"cells": 64}),
+        ("disk", "eps = h^2: order 1 in H1, and at least 1 for the pressure in the dual norm",
+         {"cells": [16, 32, 64, 128]}, {"eps": "h^2"}),
+        ("ball", "eps = h^2 again, on Bueler's ball", {"cells": [16, 32, 64, 128]}, {"eps": "h^2"}),
+    ]  # fmt: skip
+    for name, headline, vary, options in studies:
+        scene = Scene.read(DEMOS / f"{name}.toml")
+        say(f"{scene.tables.title}. {headline}")
+        report_study(scene, vary, options, folder / name / "-".join(vary), say)
+        say("")

@@ -1,0 +1,166 @@
+"""Tables and plots of studies: one line for each value of the other keys, columns that stay where they are."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+
+from fenicsx_obstacle import InputError, study
+from fenicsx_obstacle.show import warped
+from fenicsx_obstacle.show.plots import drawings
+from fenicsx_obstacle.show.report import report_study
+from fenicsx_obstacle.show.tables import StudyTable
+
+BUMP = {"load": -4, "lower": "-c", "define": {"c": 0.1}}
+
+
+@pytest.fixture(autouse=True)
+def without_pyvista(monkeypatch):
+    """The pictures of the last rows are not what is tested here."""
+    monkeypatch.setattr(warped, "find_spec", lambda name: None)
+
+
+def rows_of(scene, vary, folder):
+    said = []
+    rows = report_study(scene, vary, {}, folder / "out", said.append)
+    return rows, said
+
+
+def curves(figure):
+    """Measured lines of all panels: abscissas and ordinates of what has markers and points."""
+    lines = [line for axes in figure.axes for line in axes.lines if line.get_marker() != "None"]
+    return [tuple(np.asarray(data, dtype=float) for data in line.get_data()) for line in lines if len(line.get_xdata())]
+
+
+GRIDS = {
+    "eps": {"eps": [1e-2, 1e-3, 1e-4], "cells": [4, 8]},
+    "cells": {"method": ["vi", "penalty"], "cells": [4, 8, 16]},
+    "levels": {"cells": [4, 8], "refine": [0, 1]},
+    "sweep": {"method": ["vi", "penalty"], "define.c": [0.2, 0.1, 0.05]},
+    "words": {"method": ["vi", "penalty"], "start": ["cold", "nested"]},
+}
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_no_line_goes_to_and_fro(name, disk, folder):
+    """In a grid each line has one value of the other keys: its abscissas rise or fall, and it has its own legend."""
+    scene = disk if name in ("eps", "cells", "levels") else membrane(**BUMP)
+    rows, _ = rows_of(scene, GRIDS[name], folder)
+    if COMM.rank != 0:
+        return
+    drawn = dict(drawings(rows, GRIDS[name]))
+    assert list(drawn) == (["convergence", "cost"] if scene is disk else ["sweep"])
+    main = next(iter(drawn.values()))
+    for x, _ in curves(main):
+        steps = np.diff(x)
+        assert len(x) > 1
+        assert np.all(steps > 0) or np.all(steps < 0), x
+    assert len(main.axes[0].get_legend().get_texts()) >= 2
+
+
+def test_a_sweep_plots_the_figures_of_the_report(folder):
+    """Each figure of [report] against the key in the scene's words; without a report contact area, force, energy."""
+    report = {"deepest": "inf(u)", "force": "integral(p)"}
+    vary = {"define.c": [0.05, 0.1, 0.2]}
+    for scene, labels in (
+        (membrane(**BUMP, report=report), ["deepest", "force"]),
+        (membrane(**BUMP), ["contact area", "force on lower obstacle", "energy"]),
+    ):
+        rows, said = rows_of(scene, vary, folder)
+        if COMM.rank != 0:
+            continue
+        assert (folder / "out" / "sweep.png").exists()
+        assert "sweep.png" in said[-1]
+        ((_, figure),) = drawings(rows, vary)
+        assert [axes.get_ylabel() for axes in figure.axes] == labels
+        assert {axes.get_xlabel() for axes in figure.axes} == {"c"}
+        assert len(curves(figure)) == len(labels)
+        assert all(list(x) == vary["define.c"] for x, _ in curves(figure))
+        force = [row["contact"]["lower"]["force"] for row in rows]
+        assert np.allclose(curves(figure)[1][1], force, rtol=1e-9)
+        assert all(label.removesuffix(" obstacle") in said[0] for label in labels)  # and columns of the table
+        assert "<svg" in (folder / "out" / "report.html").read_text()
+
+
+def test_one_row_has_no_plot(disk, folder):
+    _, said = rows_of(disk, {"cells": [4]}, folder)
+    if COMM.rank == 0:
+        assert said[-1].endswith("rows.csv, rows.jsonl, last/, report.html")
+
+
+def test_columns_stay_where_they_are(disk, folder):
+    """Rows of the variational inequality have an empty cell for eps, in the table, in LaTeX, CSV and JSON."""
+    vary = {"solve.method": ["vi", "penalty"], "cells": [4, 8]}
+    rows, said = rows_of(disk, vary, folder)
+    table = StudyTable(vary, penalised=True)
+    lines = [line for row in rows for line in table.lines(row)]
+    heads = [cell.head for cell in table.rows[0]]
+    assert all([cell.head for cell in cells] == heads for cells in table.rows)
+    place = heads.index("eps")
+    assert [bool(cells[place].value) for cells in table.rows] == [False, False, True, True]
+    ends = {len(line) for line in lines if "paper:" not in line}
+    assert len(ends) == 1, said  # all rows as wide as the head
+    latex = [line for line in table.latex().splitlines() if " & " in line]
+    assert {line.count(" & ") for line in latex} == {len(heads) - 1}
+    assert latex[1].split(" & ")[place].strip() == ""
+    if COMM.rank == 0:
+        with (folder / "out" / "rows.csv").open() as file:
+            assert [bool(row["eps"]) for row in csv.DictReader(file)] == [False, False, True, True]
+        stored = [json.loads(line) for line in (folder / "out" / "rows.jsonl").read_text().splitlines()]
+        assert [row["eps"] is None for row in stored] == [True, True, False, False]
+
+
+def test_orders_along_each_line_of_a_grid(disk):
+    """Orders compare rows that differ in the parameter only, wherever they stand in the grid."""
+    vary = {"cells": [4, 8, 16], "method": ["vi", "penalty"]}
+    table = StudyTable(vary, penalised=True)
+    for combination in study(disk, vary):
+        table.lines({**combination, "vary": {key: combination[f"vary.{key}"] for key in vary}})
+    place = next(i for i, cell in enumerate(table.rows[0]) if cell.head == "order")
+    assert [bool(cells[place].value) for cells in table.rows] == [False] * 2 + [True] * 4
+
+
+@pytest.mark.parametrize(
+    ("vary", "options"),
+    [
+        ({"eps": [0.1, 0.01]}, {"method": "vi"}),
+        ({"solve.eps": [0.1, 0.01], "method": ["penalty", "vi"]}, {}),
+    ],
+)
+def test_eps_means_nothing_to_vi(vary, options, disk, folder):
+    with pytest.raises(InputError, match="eps cannot vary: it means nothing to method vi"):
+        report_study(disk, vary, options, folder / "out", lambda line: None)
+    assert not (folder / "out").exists()
+    with pytest.raises(InputError, match="or without an obstacle"):
+        study(membrane(load=1), {"eps": [0.1, 0.01]})
+
+
+def test_a_refused_study_leaves_nothing(disk, folder):
+    """Also where only the mesh shows the mistake; what was there before stays."""
+    bad = membrane(tension="x - 1/2", upper=1)
+    for _ in range(2):
+        with pytest.raises(InputError, match="must be positive"):
+            report_study(bad, {"cells": [4, 8]}, {}, folder / "a" / "b", lambda line: None)
+        COMM.barrier()
+        assert not (folder / "a").exists()
+        COMM.barrier()
+    rows_of(disk, {"cells": [4]}, folder)
+    with pytest.raises(InputError, match="must be positive"):
+        report_study(bad, {"cells": [4, 8]}, {}, folder / "out", lambda line: None)
+    assert (folder / "out" / "rows.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("vary", "options", "message"),
+    [
+        ({"cells": []}, {}, r"cells = \[\] cannot vary: expected a list of values"),
+        ({"cells": 4}, {}, "cells = 4 cannot vary"),
+        ({"cels": [4]}, {}, "unknown key 'cels'; did you mean 'cells'"),
+        ({"cells": [4]}, {"epz": 1}, "unknown key 'epz'; did you mean 'eps'"),
+    ],
+)
+def test_mistakes_in_calls(vary, options, message, disk):
+    with pytest.raises(InputError, match=message):
+        study(disk, vary, **options)
