@@ -19,7 +19,10 @@ STUDY = ["study", str(DEMOS / "disk.toml"), "--cells", "8", "--vary", "eps=1e-1,
 
 def on_terminal(*arguments, ranks=1):
     """Run with standard error on a terminal: what came out of stdout, and of the terminal."""
-    ours, theirs = pty.openpty()
+    try:
+        ours, theirs = pty.openpty()
+    except OSError:  # a bare chroot, a container without /dev/pts
+        pytest.skip("this machine gives no terminals")
     fcntl.ioctl(
         theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0)
     )  # a terminal without width shows nothing
