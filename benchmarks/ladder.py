@@ -24,7 +24,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.cli import values_of
+from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 

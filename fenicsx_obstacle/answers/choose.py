@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.data import values_of
+from fenicsx_obstacle.discrete.data import array_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
@@ -58,5 +58,5 @@ def penalty_parameter(problem: Problem, value: float | str) -> float:
         raise InputError(f"{formula.place} = {formula.text}: must be positive, it is {eps:g}")
     if "h" not in formula.names:
         return eps
-    stiffness = [values_of(problem.data.cellwise(effect.value)) for effect in scene.effects if effect.elastic]
+    stiffness = [array_of(problem.data.cellwise(effect.value)) for effect in scene.effects if effect.elastic]
     return eps / largest(problem.level.comm, stiffness[0])

@@ -24,7 +24,7 @@ Cellwise: TypeAlias = fem.Function | fem.Constant
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
 
 
-def values_of(function: Cellwise) -> np.ndarray:
+def array_of(function: Cellwise) -> np.ndarray:
     """Values at local dofs, or the one there is."""
     return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
 
@@ -54,7 +54,7 @@ class Data:
         if value.place not in self._cellwise:
             made = self._sample_cells(value)
             if positive:
-                self._refuse(value, made, values_of(made) <= 0, "must be positive; it is")
+                self._refuse(value, made, array_of(made) <= 0, "must be positive; it is")
             self._cellwise[value.place] = made
         return self._cellwise[value.place]
 
@@ -224,7 +224,7 @@ class Data:
         return self.scene.at_points(formula, x, known)
 
     def _refuse_infinite(self, formula: Value, function: Cellwise) -> None:
-        self._refuse(formula, function, ~np.isfinite(values_of(function)), "is not a finite number: it is")
+        self._refuse(formula, function, ~np.isfinite(array_of(function)), "is not a finite number: it is")
 
     def _refuse(self, formula: Value, function: Cellwise, bad: np.ndarray, what: str) -> None:
         """All ranks raise if any value is bad, naming one place (collective)."""

@@ -1,0 +1,85 @@
+"""Where the time of one solve goes: mesh, levels, assembly, start, Newton, Krylov; in seconds and Poisson units.
+
+    .venv/bin/python benchmarks/shares.py demos/ball.toml --cells 1024 --eps 1e-8
+
+Taken from Python's profiler and from PETSc's log in one process, on one rank; a first small solve compiles.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import json
+import pstats
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import Scene
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+
+# the functions that take a share each; none calls another of the list
+SHARES = {
+    "spaces, prolongations": ("parents.py:ends_of", "parents.py:prolongation", "releases.py:functionspace"),
+    "create matrices": ("assembly.py:create_matrix",),
+    "assemble matrices": ("petsc.py:_assemble_matrix_mat",),
+    "assemble vectors": ("assembly.py:_assemble",),
+    "sample data": ("data.py:fixed", "data.py:lower", "data.py:upper", "data.py:cellwise"),
+    "interpolate, relax": ("problem.py:begin_from", "relaxation.py:relax"),
+    "springs of the levels": ("multigrid.py:hold",),
+    "residuals": ("problem.py:residual",),
+    "stopping test": ("stopping.py:__call__",),
+}
+
+
+def main() -> None:
+    """Solve once under both profilers and print the shares."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene")
+    parser.add_argument("--cells", type=int, default=1024)
+    parser.add_argument("--eps", default="1e-8")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    PETSc.Log.begin()
+    scene = Scene.read(options.scene).change({"solve.eps": options.eps})
+    with closing(Workbench(scene.change({"mesh.cells": 64}))) as small:
+        small.answer()
+    scene = scene.change({"mesh.cells": options.cells})
+    level = levels.build(scene, MPI.COMM_WORLD)
+    poisson = poisson_seconds(level)
+    before = krylov()
+    profiler = cProfile.Profile()
+    profiler.enable()
+    with closing(Workbench(scene, level=level)) as bench:
+        record = bench.answer().record
+        profiler.disable()
+    shares = {name: inclusive(profiler, names) for name, names in SHARES.items()}
+    shares["Krylov"] = krylov() - before
+    shares["the rest"] = record["seconds"]["solve"] - sum(shares.values())
+    print(f"{record['dofs']} unknowns, eps = {record['eps']:.1e}; a Poisson solve takes {poisson:.2f} s")
+    for name, seconds in shares.items():
+        print(f"{name:>24} {seconds:7.3f} s {seconds / poisson:6.2f} units")
+    print(f"{'in all':>24} {record['seconds']['solve']:7.3f} s {record['seconds']['solve'] / poisson:6.2f} units")
+    if options.json is not None:
+        with options.json.open("a") as file:
+            file.write(json.dumps({"poisson_seconds": poisson, "shares": shares, **record}) + "\n")
+
+
+def inclusive(profiler: cProfile.Profile, names: tuple[str, ...]) -> float:
+    """Seconds within the named functions, callees included, outermost calls of recursive ones."""
+    found: Callable[[tuple[str, int, str]], bool] = lambda key: f"{Path(key[0]).name}:{key[2]}" in names  # noqa: E731
+    return sum(row[3] for key, row in pstats.Stats(profiler).stats.items() if found(key))  # type: ignore[attr-defined]
+
+
+def krylov() -> float:
+    """Seconds in KSPSolve since the log began."""
+    return float(PETSc.Log.Event("KSPSolve").getPerfInfo()["time"])
+
+
+if __name__ == "__main__":
+    main()
