@@ -21,6 +21,7 @@ COMM = MPI.COMM_WORLD
 HOOKS = COMM.Dup()  # the tests' own collective calls must not meet those of the hooks
 PATIENCE = 30  # seconds
 DEMOS = Path(__file__).parent.parent / "demos"
+BENCHMARKS = DEMOS.parent / "benchmarks"
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import BENCHMARKS, COMM, DEMOS, membrane
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -256,19 +256,45 @@ def test_nodal_path_is_the_forms(name):
 
 @pytest.mark.parametrize(("method", "eps"), [("penalty", "h^2"), ("penalty", 1e-8), ("penalty", 1e-12), ("vi", 1.0)])
 def test_nested_finds_what_a_cold_start_finds_in_few_steps(ball, method, eps):
-    """Newton steps on the finest level <= 6, CG steps <= 15, whatever h and eps; the same answer.
-
-    On several ranks one CG step more: the smoother couples the dofs of its own rank only.
-    """
+    """Newton steps on the finest level <= 6, CG steps <= 12, whatever h and eps; the same answer."""
     for cells in (64, 128):
         ours = solve(ball, method=method, eps=eps, cells=cells).record
         cold = solve(ball, method=method, eps=eps, cells=cells, start="cold").record
         assert ours["newton_iterations"] <= 6
-        assert ours["krylov_iterations"] <= 15 + (COMM.size > 1)
+        assert ours["krylov_iterations"] <= 12
         assert ours["newton_total"] > ours["newton_iterations"]
         for key in ("l2", "max", "energy"):
             assert np.isclose(ours["errors"][key], cold["errors"][key], rtol=1e-6)
         assert np.isclose(ours["contact"]["lower"]["force"], cold["contact"]["lower"]["force"], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("method", "eps"), [("penalty", "h^2"), ("penalty", 1e-8), ("penalty", 1e-12), ("vi", 1.0)])
+def test_contact_that_coarse_meshes_do_not_resolve(method, eps):
+    """The spiral of Graeser and Kornhuber: the counts of the ball."""
+    record = solve(Scene.read(BENCHMARKS / "spiral.toml"), cells=128, method=method, eps=eps).record
+    assert record["newton_iterations"] <= 6
+    assert record["krylov_iterations"] <= 15
+
+
+@pytest.mark.parametrize("beyond", [0, 1])
+def test_coarse_springs_meet_a_shift_with_the_force_of_the_finer_level(beyond):
+    """In one dimension they make the coarse matrix the Galerkin product, wherever the edge of contact lies."""
+    mesh = {"shape": "interval", "x": [0, 1], "cells": 2048}
+    bench = Workbench(Scene(mesh=mesh, tension=1, load=0, lower=-1, boundary=[{"value": 0}]))
+    bench.answer()
+    grid = bench._hierarchy()[-1]
+    level = grid.problem.level
+    held = level.points[0, : level.owned] < 0.5 + (beyond + 0.5) * level.h
+    grid.hold(np.where(held & ~grid.problem.fixed, np.inf, 0.0))
+    assert grid.coarser is not None
+    coarse, galerkin = grid.coarser.problem.A, grid.problem.A.ptap(grid.P)
+    moves = grid.coarser._moves
+    ours, theirs = moves.duplicate(), moves.duplicate()
+    coarse.mult(moves, ours)
+    galerkin.mult(moves, theirs)
+    scale = largest(COMM, np.abs(theirs.array_r))
+    assert 0 < scale == largest(COMM, theirs.array_r * moves.array_r)
+    assert largest(COMM, np.abs((ours.array_r - theirs.array_r) * moves.array_r)) <= 1e-12 * scale
 
 
 def test_line_contact_is_seen_on_coarse_levels():
@@ -278,7 +304,7 @@ def test_line_contact_is_seen_on_coarse_levels():
     for method, eps in (("penalty", 1e-12), ("vi", 1.0)):
         record = solve(scene, method=method, eps=eps).record
         assert record["newton_iterations"] <= 6
-        assert record["krylov_iterations"] <= 30
+        assert record["krylov_iterations"] <= 15
 
 
 def test_three_dimensions():
@@ -291,5 +317,5 @@ def test_three_dimensions():
     )  # fmt: skip
     record = solve(scene, eps=1e-8).record
     assert record["newton_iterations"] <= 6
-    assert record["krylov_iterations"] <= 20
+    assert record["krylov_iterations"] <= 12
     assert record["errors"]["max"] < 0.05
