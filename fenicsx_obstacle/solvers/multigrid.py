@@ -3,10 +3,10 @@
 Contact is a spring at a node: D/eps for the penalty, an infinite one for the variational inequality. A coarse
 correction must not move a node that its spring holds, so the rows of the prolongation there are zero (Kornhuber's
 truncation), and a coarse node is held where the fine node it coincides with is. That alone makes coarse operators too
-soft along the edge of contact, and blind to contact along a line. Truncated multigrid computes them as triple products
-anew for every active set; here a coarse operator stays the stiffness matrix of its level, and coarse springs make up
-for the force that a unit shift of all nodes that move meets on the finer level and not on the coarser. The active set
-thus changes nothing but diagonals.
+soft along the edge of contact, and blind to contact along a line. Others compute them as triple products, anew for
+every active set; here a coarse operator stays the stiffness matrix of its level, and coarse springs make up for the
+force that a unit shift of all nodes that move meets on the finer level and not on the coarser. The active set thus
+changes nothing but diagonals.
 """
 
 from __future__ import annotations
@@ -41,13 +41,12 @@ class Multigrid:
     ones.
 
     Attributes:
-        problems: From the coarsest to the finest.
+        problem: The last.
         coarser: The multigrid of all but the last; None on the coarsest.
     """
 
     def __init__(self, problem: Problem, coarser: Multigrid | None):
         self.problem, self.coarser = problem, coarser
-        self.problems: tuple[Problem, ...] = (*(coarser.problems if coarser else ()), problem)
         self._moves, self._force = problem.A.createVecs()  # 1 where a correction may move a node; what that meets
         if coarser is not None:
             level = problem.level
