@@ -67,7 +67,7 @@ def main() -> None:
     print(f"{'in all':>24} {record['seconds']['solve']:7.3f} s {record['seconds']['solve'] / poisson:6.2f} units")
     if options.json is not None:
         with options.json.open("a") as file:
-            file.write(json.dumps({"poisson_seconds": poisson, "shares": shares, **record}) + "\n")
+            file.write(json.dumps({**record, "poisson_seconds": poisson, "shares": shares}) + "\n")
 
 
 def inclusive(profiler: cProfile.Profile, names: tuple[str, ...]) -> float:
