@@ -22,7 +22,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 COARSEST = 500  # cells at least on the coarsest level of a shape,
 PER_RANK = 100  # and on each rank: cells stay on their rank when refined
-BYTES_PER_VERTEX = {1: 400, 2: 900, 3: 2500}  # of a solve with AMG, measured
+BYTES_PER_VERTEX = {1: 400, 2: 1300, 3: 3500}  # of a solve and all its levels, measured
 
 
 @dataclass(frozen=True, eq=False)
