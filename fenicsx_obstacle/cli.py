@@ -190,6 +190,27 @@ def plot(result: Path, output: Path | None) -> None:
 
 
 @commands.command()
+@click.argument("number", metavar="[NO]", required=False)
+@click.option("--output", type=click.Path(path_type=Path), default=Path("out/theory"), metavar="DIR",
+              help="Folder for pictures and theory.jsonl.  [out/theory]")  # fmt: skip
+@_options("json", "quiet", "log")
+def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
+    """Kikuchi's statements, checked: what is claimed, what is observed, and a verdict.
+
+    NO is the number of a theorem, example or equation, such as 3.3 or 5.5; all of them without it.
+    """
+    from fenicsx_obstacle.show.progress import progress
+    from fenicsx_obstacle.show.theory import show_theory
+
+    _check_places(output, json_file)
+    say = (lambda text: None) if quiet or json_file == "-" else _say
+    with progress("theory", quiet=quiet):
+        rows = show_theory(number, output, say)
+    if json_file is not None:
+        _write_json(json_file, rows)
+
+
+@commands.command()
 @click.option("--output", type=click.Path(path_type=Path), default=Path("out/demo"), metavar="DIR",
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:

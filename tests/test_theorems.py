@@ -9,7 +9,7 @@ from conftest import COMM, DEMOS, membrane
 from fenicsx_obstacle import Scene, solve, study
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.studies.theory import order
+from fenicsx_obstacle.studies.orders import order
 
 
 @pytest.fixture(scope="module")

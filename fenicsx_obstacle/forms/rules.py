@@ -68,6 +68,19 @@ def nodal_rule(cell: str, degree: int = 1) -> Rule:
     raise InputError(f"degree {degree} on a {cell} has no nodal rule with positive weights (3.6); pass rule=Rule(...)")
 
 
+def midpoint_rule(cell: str) -> Rule:
+    """The rule at the midpoints of a triangle's edges, exact for degree 2, or at the centre of a quadrilateral.
+
+    Raises:
+        InputError: For other cells.
+    """
+    if cell == "triangle":
+        return Rule(((0.5, 0.5), (0.0, 0.5), (0.5, 0.0)), (1 / 6,) * 3)
+    if cell == "quadrilateral":
+        return Rule(((0.5, 0.5),), (1.0,))
+    raise InputError(f"a {cell} has no midpoint rule here")
+
+
 def facet_of(cell: str) -> str:
     """Name of the facets of a cell."""
     return _FACET[cell]

@@ -13,7 +13,7 @@ import numpy as np
 from fenicsx_obstacle.show.figures import DASHES, figure, plain, style
 from fenicsx_obstacle.show.sweep import sweep
 from fenicsx_obstacle.studies.grid import Vary, along, lines_of
-from fenicsx_obstacle.studies.theory import Quantity, lookup, parameter, quantities
+from fenicsx_obstacle.studies.orders import Quantity, lookup, parameter, quantities
 from fenicsx_obstacle.words import counted
 
 Rows = Sequence[Mapping[str, Any]]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
-from fenicsx_obstacle.studies.theory import lookup, order, parameter, quantities
+from fenicsx_obstacle.studies.orders import lookup, order, parameter, quantities
 from fenicsx_obstacle.words import counted, short
 
 _COST = (

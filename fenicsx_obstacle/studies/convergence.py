@@ -17,8 +17,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import Tables
+from fenicsx_obstacle.studies.orders import parameter
 from fenicsx_obstacle.studies.rows import RowStore, flat, row_key
-from fenicsx_obstacle.studies.theory import parameter
 
 _log = logging.getLogger(__name__)
 Row = dict[str, Any]

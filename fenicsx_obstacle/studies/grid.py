@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fenicsx_obstacle.studies.theory import lookup, parameter
+from fenicsx_obstacle.studies.orders import lookup, parameter
 from fenicsx_obstacle.words import short
 
 Row = Mapping[str, Any]

@@ -1,0 +1,87 @@
+"""The pairs of the paper's Examples 1-3: a space V_h, a quadrature rule I, and the space Q_h of pressures.
+
+Adding a pair is adding a row: `register(Pair(...))`, also from outside the package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.rules import Rule, midpoint_rule, nodal_rule
+
+SIMPLICES = ("interval", "triangle", "tetrahedron")
+TENSORS = ("quadrilateral", "hexahedron")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """V_h, I and Q_h on the cells that they are for.
+
+    Attributes:
+        name: On the command line.
+        degree: Of the Lagrange space V_h.
+        rules: I for each cell, by its name: positive weights (3.6).
+        pressure: Family and degree of Q_h, whose nodes are the points of I: then I is diagonal in nodal values.
+        voronoi: D_i is the Voronoi area of the node instead of the rule's weights.
+        words: What it is, in a few words.
+    """
+
+    name: str
+    degree: int
+    rules: Mapping[str, Rule]
+    pressure: tuple[str, int]
+    voronoi: bool = False
+    words: str = ""
+
+    def rule(self, cell: str) -> Rule:
+        """I on a cell.
+
+        Raises:
+            InputError: If the pair is not for such cells.
+        """
+        if cell not in self.rules:
+            raise InputError(f"element {self.name} is for {', '.join(self.rules)} cells, not for a {cell}")
+        return self.rules[cell]
+
+    @property
+    def nodal(self) -> bool:
+        """Whether the points of I are nodes of V_h, so that u may touch the obstacle node by node."""
+        return self.pressure[0] != "DG"
+
+
+_register: dict[str, Pair] = {}
+
+
+def register(pair: Pair) -> Pair:
+    """Scenes may name this pair as their element.
+
+    Raises:
+        InputError: If a rule has a weight that is not positive, against (3.6).
+    """
+    for cell, rule in pair.rules.items():
+        if not all(weight > 0 for weight in rule.weights):
+            raise InputError(f"element {pair.name}: the rule on a {cell} has weights that are not positive (3.6)")
+    _register[pair.name] = pair
+    return pair
+
+
+def pairs() -> Mapping[str, Pair]:
+    """The pairs by name."""
+    return MappingProxyType(_register)
+
+
+register(Pair("P1", 1, {cell: nodal_rule(cell) for cell in SIMPLICES}, ("Lagrange", 1),
+              words="vertex rule (Examples 1, 2)"))  # fmt: skip
+register(Pair("Q1", 1, {cell: nodal_rule(cell) for cell in TENSORS}, ("Lagrange", 1),
+              words="trapezoid rule (Examples 1, 3)"))  # fmt: skip
+register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in TENSORS}, ("Lagrange", 2),
+              words="Simpson's rule (Example 1)"))  # fmt: skip
+register(Pair("P2", 2, {"triangle": midpoint_rule("triangle")}, ("CR", 1),
+              words="rule at edge midpoints, obstacle and pressure there"))  # fmt: skip
+register(Pair("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1), voronoi=True,
+              words="vertex rule with Voronoi areas: consistent on any Delaunay mesh"))  # fmt: skip
+register(Pair("Q1-gauss", 1, {"quadrilateral": midpoint_rule("quadrilateral")}, ("DG", 0),
+              words="one-point Gauss rule (Example 3): unstable, p_h shows a chessboard"))  # fmt: skip
