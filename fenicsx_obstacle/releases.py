@@ -68,6 +68,11 @@ def vec(u: fem.Function) -> PETSc.Vec:
     return u.vector if OLD else u.x.petsc_vec
 
 
+def add_ghosts(u: fem.Function) -> None:
+    """Add what ranks hold at ghosts to the values of the owners (collective)."""
+    vec(u).ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+
+
 def cell_dofs(V: fem.FunctionSpace) -> np.ndarray:
     """Dofs of each local cell, shape (cells, dofs per cell)."""
     dofs = V.dofmap.list

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene, solve
 from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.forms.pairs import P1
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.solvers.newton import solve_penalty
 
@@ -160,10 +161,11 @@ class Tiny:
 
     def __init__(self, A, b):
         self.matrix, self.b, n = np.array(A), np.array(b), len(b)
-        self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0)
+        self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0, pair=P1)
         self.w = SimpleNamespace(x=SimpleNamespace(array=np.zeros(n)))
         self.eps = SimpleNamespace(value=1.0)
         self.fixed, self.constrained, self.affine = np.zeros(n, bool), True, True
+        self.touchable = ~self.fixed
         self.has_energy, self.symmetric = True, True
         self.A = PETSc.Mat().createDense(n, comm=MPI.COMM_SELF)
         self.A.setUp()
@@ -180,6 +182,11 @@ class Tiny:
 
     def gaps(self):
         return np.full(len(self.b), np.inf), -self.w.x.array
+
+    pressed_gaps = gaps
+
+    def bearing(self, active):
+        return active
 
     def refer_to_contact(self, *, blunt=False):
         return False

@@ -18,7 +18,7 @@ class Contact:
     """The contact of a solved problem; figures are the same on every rank.
 
     Attributes:
-        pressure: p_i at owned dofs, negative against the upper obstacle.
+        pressure: p_i at owned points of I, negative against the upper obstacle.
         lower: Whether a node presses against the lower obstacle.
         upper: Likewise.
         area: Sum of D_i over the contact nodes.
@@ -41,14 +41,14 @@ def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
 
     Args:
         problem: Holds the solution.
-        pressure: Its contact pressure at owned dofs.
+        pressure: Its contact pressure at owned points of I.
     """
     comm, D = problem.level.comm, problem.weights
     above_lower, below_upper = problem.gaps()
     reach = [np.abs(gap[np.isfinite(gap)]) for gap in (above_lower, below_upper)]
     near = TOUCHES * max(largest(comm, np.concatenate(reach)), 0.0)
     least = PRESSES * max(largest(comm, np.abs(pressure)), 0.0)
-    free = ~problem.fixed
+    free = problem.touchable
     lower = free & (above_lower <= near) & (pressure > least)
     upper = free & (below_upper <= near) & (-pressure > least)
     beyond = largest(comm, np.concatenate([-above_lower[free], -below_upper[free]]))

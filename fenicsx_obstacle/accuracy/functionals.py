@@ -52,7 +52,9 @@ class Report:
         Raises:
             InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside.
         """
-        dim = self.level.mesh.geometry.dim
+        dim, pair = self.level.mesh.geometry.dim, self.level.pair
+        if not pair.nests:
+            raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}")
         for formula in self.scene.report.values():
             for node in ast.walk(formula.tree):
                 match node:

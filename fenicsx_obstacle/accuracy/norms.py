@@ -12,7 +12,6 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
@@ -110,32 +109,34 @@ class Exact:
     @cached_property
     def dual(self) -> DualNorm:
         """Dual norm of pressure errors (first use is collective)."""
-        return DualNorm(self.problem.scene, self.problem.level, self.formula)
+        return DualNorm(self.problem.data, self.formula)
 
 
 class DualNorm:
-    """||p - p_h||_1* = sup (p - p_h, v) / ||v||_1, by the Riesz map on the once refined mesh.
+    """||p - p_h||_1* = sup (p - p_h, v) / ||v||_1, by the Riesz map on polynomials one degree higher than V_h.
 
     The exact pressure needs no formula: (p, v) = a(u, v) - f(v) with the exact u, which holds for measures too.
     """
 
-    def __init__(self, scene: Scene, level: Level, formula: Formula):
-        self.fine = fine = levels.refined(level)
-        formulas, v, trial = Formulas(scene, fine), ufl.TestFunction(fine.V), ufl.TrialFunction(fine.V)
+    def __init__(self, data: Data, formula: Formula):
+        level, scene = data.level, data.scene
+        self.p = fem.Function(level.Q)
+        formulas, richer = Formulas(scene, level), releases.functionspace(level.mesh, "Lagrange", level.pair.degree + 1)
+        v, trial = ufl.TestFunction(richer), ufl.TrialFunction(richer)
         self.eps = formulas.eps
         ue = formulas.cellwise(formula)
-        self.p = fem.Function(fine.V)
         reaction = sum(effect.terms(ue, v, formulas) for effect in scene.effects)
         self._error = releases.form(reaction - self.p * v * formulas.dx)
-        dofs, _ = Data(scene, fine).fixed
-        self._zero = fem.Function(fine.V)
+        facets = np.unique(np.concatenate([np.empty(0, np.int32), *data.held])).astype(np.int32)
+        dofs = fem.locate_dofs_topological(richer, level.mesh.topology.dim - 1, facets)
+        self._zero = fem.Function(richer)
         bc = fem.dirichletbc(self._zero, dofs)
-        self.fixed = dofs[dofs < fine.owned]
+        self.fixed = dofs[dofs < richer.dofmap.index_map.size_local]
         riesz = releases.form(ufl.inner(ufl.grad(trial), ufl.grad(v)) * ufl.dx + trial * v * ufl.dx)
         self._H = releases.create_matrix(riesz)
         fem.petsc.assemble_matrix(self._H, riesz, [bc])
         self._H.assemble()
-        self._b = releases.create_vector(self._error, fine.V)
+        self._b = releases.create_vector(self._error, richer)
         self._ksp = PETSc.KSP().create(level.comm)
         self._ksp.setOperators(self._H)
         self._ksp.setType("cg")
@@ -143,12 +144,9 @@ class DualNorm:
         self._ksp.setTolerances(rtol=1e-9)
 
     def error(self, pressure: fem.Function, eps: float | None) -> float:
-        """||p - p_h||_1* of a nodal pressure on the coarse level (collective)."""
-        fine = self.fine
-        assert fine.ends is not None
+        """||p - p_h||_1* of a pressure in Q_h (collective)."""
         self.eps.value = eps or 0.0
-        self.p.x.array[: fine.owned] = pressure.x.array[fine.ends].mean(axis=1)
-        self.p.x.scatter_forward()
+        self.p.x.array[:] = pressure.x.array
         with self._b.localForm() as local:
             local.set(0.0)
         fem.petsc.assemble_vector(self._b, self._error)
@@ -162,23 +160,28 @@ class DualNorm:
 
 
 class Distance:
-    """Norms of nodal differences on one problem; forms shared by all scenes."""
+    """Norms of differences on one problem; forms shared by all scenes."""
 
     def __init__(self, problem: Problem):
         self.problem = problem
-        self.e = fem.Function(problem.level.V)
+        self.e, self.d = fem.Function(problem.level.V), fem.Function(problem.level.Q)
         energy = squared_energy_norm(problem.scene, self.e, problem.data)
         self._energy = releases.form(energy)
         self._l2 = releases.form(self.e**2 * problem.data.dx)
+        self._pressure = releases.form(self.d**2 * problem.data.dx)
 
     def energy(self, values: np.ndarray) -> float:
         """||mu^(1/2) grad e|| of nodal values, ghosts included (collective)."""
-        return self._norm(self._energy, values)
+        return self._norm(self._energy, self.e, values)
 
     def l2(self, values: np.ndarray) -> float:
         """||e||_0 likewise (collective)."""
-        return self._norm(self._l2, values)
+        return self._norm(self._l2, self.e, values)
 
-    def _norm(self, form: Any, values: np.ndarray) -> float:
-        self.e.x.array[:] = values
+    def pressure(self, values: np.ndarray) -> float:
+        """||d||_0 of values at the dofs of Q_h, ghosts included (collective)."""
+        return self._norm(self._pressure, self.d, values)
+
+    def _norm(self, form: Any, function: fem.Function, values: np.ndarray) -> float:
+        function.x.array[:] = values
         return math.sqrt(max(total(self.problem.level.comm, fem.assemble_scalar(form)), 0.0))

@@ -32,8 +32,8 @@ class Answer:
         scene: What was solved, with all changes.
         level: The mesh and its space.
         u: Solution, in the unit of the heights.
-        pressure: Contact pressure p at the nodes, in the unit of the load; <= 0 against the upper obstacle.
-        contact: 1 at nodes in contact, else 0.
+        pressure: Contact pressure p in Q_h, in the unit of the load; <= 0 against the upper obstacle.
+        contact: 1 at the points of I in contact, else 0; in Q_h.
         lower: Nodal lower obstacle, or None.
         upper: Nodal upper obstacle, or None.
         error: Nodal distance to the exact solution, or None.
@@ -63,7 +63,8 @@ class Answer:
         return dict(self.record.get("report", {}))
 
     def at(self, points: ArrayLike) -> np.ndarray:
-        """Values of u at points, not-a-number outside the mesh (collective).
+        """Values of u at points, not-a-number outside the mesh; of other elements than P1, of their linear interpolant
+        at the nodes (collective).
 
         Args:
             points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
@@ -76,6 +77,7 @@ class Answer:
         Raises:
             InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh.
         """
+        from fenicsx_obstacle.answers.linear import linear
         from fenicsx_obstacle.discrete.points import values_at
 
         given, gdim = np.asarray(points, dtype=np.float64), self.level.mesh.geometry.dim
@@ -85,7 +87,8 @@ class Answer:
         flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
         if np.any(flat[:, gdim:] != 0):
             raise InputError(f"at() takes points of the mesh, shape (n, {gdim}); coordinates beyond these must be 0")
-        return values_at(self.level, self.u, flat).reshape(given.shape[:-1])
+        plain = linear(self)
+        return values_at(plain.level, plain.u, flat).reshape(given.shape[:-1])
 
     def functions(self) -> dict[str, fem.Function]:
         """The fields by name, those that exist."""

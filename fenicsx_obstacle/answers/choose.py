@@ -17,18 +17,21 @@ METHODS = {
 }
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
 LINEAR_SOLVER = "conjugate gradients with algebraic multigrid (hypre BoomerAMG)"
+DIRECT_SOLVER = "a direct solver (MUMPS), because contact couples the nodes of a cell"
+AUGMENTED = "penalty solves with augmented obstacles g + eps p: the quadratic program with u <= g at the points of I"
 
 
 def nested(scene: Scene) -> bool:
     """Whether a scene is solved from the coarsest level of its mesh on, where it has more than one.
 
     Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
-    at the nodes. (3.4)* is the paper's own iteration, which starts without contact; `start = "cold"` asks for the same
-    of the other methods. Whatever is not nested is solved on the finest level alone, with `LINEAR_SOLVER`.
+    at the nodes of spaces that nest. (3.4)* is the paper's own iteration, which starts without contact;
+    `start = "cold"` asks for the same of the other methods. Whatever is not nested is solved on the finest level
+    alone, with `LINEAR_SOLVER`, or `DIRECT_SOLVER` where the pair is not nodal.
     """
     table = scene.tables.solve
     simple = all(effect.affine and effect.symmetric and effect.convex for effect in scene.effects)
-    return simple and table.start == "nested" and table.method != "successive"
+    return simple and scene.pair.nests and table.start == "nested" and table.method != "successive"
 
 
 def chain(problem: Problem) -> list[Problem]:

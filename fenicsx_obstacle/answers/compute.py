@@ -23,6 +23,7 @@ from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
@@ -30,6 +31,7 @@ from fenicsx_obstacle.scenes.formulas import nearest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.solvers import multigrid
+from fenicsx_obstacle.solvers.augmented import solve_augmented
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
@@ -66,7 +68,7 @@ def solve(
         refine: Uniform refinements.
         method: penalty, successive or vi.
         start: nested, from the coarsest level of the mesh on, or cold.
-        element: Pair of spaces, P1.
+        element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
         comm: Communicator; a mesh of the scene's own brings its own.
         yardstick: Time one linear Poisson solve on the same mesh as well.
 
@@ -156,9 +158,11 @@ class Workbench:
         grids = self._hierarchy() if levels_serve else []
         start = time.perf_counter()
         method, eps = scene.tables.solve.method, None
+        if problem.forms.multiplier is not None:  # of an earlier solve
+            problem.forms.multiplier.x.array[:] = 0.0
         exact = method == "vi"
         if exact:
-            solver: Callable[..., Outcome] = solve_vi
+            solver: Callable[..., Outcome] = solve_vi if problem.level.pair.nodal else solve_augmented
         elif not problem.constrained:
             solver = partial(solve_penalty, eps=1.0)
         else:
@@ -169,7 +173,8 @@ class Workbench:
         else:
             problem.refer(problem.cold_start())
             outcomes = [solver(problem)]
-        pressure = residual_pressure(problem) if exact else penalty_pressure(problem)
+        of_bounds = exact and problem.level.pair.nodal
+        pressure = residual_pressure(problem) if of_bounds else penalty_pressure(problem)
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
@@ -199,7 +204,7 @@ class Workbench:
         sides = {"lower": (problem.below, contact.lower_force), "upper": (problem.above, contact.upper_force)}
         record = {
             "scene": scene.name, "title": scene.tables.title, "method": scene.tables.solve.method,
-            "element": scene.tables.solve.element, "ranks": level.comm.size,
+            "element": scene.pair.name, "ranks": level.comm.size,
             "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
             "cells_total": level.cells, "dofs": level.dofs,
             "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
@@ -216,12 +221,13 @@ class Workbench:
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
             "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
-        pressure, touching = _function(level, p), _function(level, (contact.lower | contact.upper).astype(float))
+        pressure, touching = in_q(level, p), in_q(level, (contact.lower | contact.upper).astype(float))
         if self._report is not None:
             record["report"] = self._report.evaluate(u, pressure, touching, problem.elastic.array_r)
         error = None
         if self.exact is not None:
-            error = _function(level, u.x.array - self.exact.nodal(eps))
+            error = fem.Function(level.V)
+            error.x.array[:] = u.x.array - self.exact.nodal(eps)
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
         return Answer(
@@ -245,11 +251,3 @@ def versions() -> dict[str, str]:
 
     petsc = ".".join(str(part) for part in PETSc.Sys.getVersion())
     return {"fenicsx_obstacle": version("fenicsx_obstacle"), "dolfinx": dolfinx.__version__, "petsc": petsc}
-
-
-def _function(level: levels.Level, values: np.ndarray) -> fem.Function:
-    """Function from owned or all local values (collective)."""
-    function = fem.Function(level.V)
-    function.x.array[: len(values)] = values
-    function.x.scatter_forward()
-    return function

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
-from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.errors import InputError
@@ -30,6 +30,7 @@ def compare(a: Answer, b: Answer) -> dict[str, Any]:
     Raises:
         InputError: If the answers live in spaces of different dimensions.
     """
+    a, b = linear(a), linear(b)
     fine, coarse = (a, b) if a.level.dofs >= b.level.dofs else (b, a)
     if fine.level.mesh.geometry.dim != coarse.level.mesh.geometry.dim:
         raise InputError("compare: the answers live in spaces of different dimensions")
@@ -91,7 +92,7 @@ def _lumped(answer: Answer) -> np.ndarray:
     count, weights = own_cells(level.mesh), fem.Function(level.V)
     dofs, size = releases.cell_dofs(level.V), volumes(corners(level.mesh))
     np.add.at(weights.x.array, dofs[:count].ravel(), np.repeat(size[:count] / dofs.shape[1], dofs.shape[1]))
-    releases.vec(weights).ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    releases.add_ghosts(weights)
     return weights.x.array[: level.owned].copy()
 
 

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import gathered, new_files, on_root
@@ -95,6 +96,7 @@ def _scene_there(scene: Scene, folder: Path) -> Scene:
 
 def gather(answer: Answer) -> dict[str, np.ndarray]:
     """Points, cells and fields of all ranks on rank 0, numbered by global dof; empty elsewhere (collective)."""
+    answer = linear(answer)
     level = answer.level
     comm, owned = level.comm, level.owned
     own_cells = level.mesh.topology.index_map(level.mesh.topology.dim).size_local

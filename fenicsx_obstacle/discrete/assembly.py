@@ -17,11 +17,12 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.voronoi import voronoi_areas
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
-from fenicsx_obstacle.forms.rules import nodal_rule
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, total
 
+NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
 HELD = 1e16  # times the diagonal of a row that is to answer zero
 
 
@@ -34,6 +35,7 @@ class Forms:
         below: Distance of the lower obstacle from r, or None.
         above: Likewise of the upper obstacle.
         eps: Penalty parameter.
+        multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
     """
 
     def __init__(self, effects: Sequence[Effect], data: Data):
@@ -43,7 +45,9 @@ class Forms:
         self.below = fem.Function(V) if data.lower is not None else None
         self.above = fem.Function(V) if data.upper is not None else None
         self.eps = fem.Constant(data.level.mesh, PETSc.ScalarType(1.0))
-        self.v, self.rule = ufl.TestFunction(V), nodal_rule(releases.cell_name(data.level.mesh))
+        pair = data.level.pair
+        self.v, self.rule = ufl.TestFunction(V), pair.rule(releases.cell_name(data.level.mesh))
+        self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         self._a_minus_f = self._terms(self.w + self.reference)
         self._stiffness = releases.form(ufl.derivative(self._a_minus_f, self.w))
         dofs, values = data.fixed
@@ -60,11 +64,15 @@ class Forms:
         return sum(effect.terms(u, self.v, self.data) for effect in self.effects)
 
     def weights(self) -> np.ndarray:
-        """D_i = I(phi_i, 1) at owned dofs."""
-        out = self.vector()
-        self._assemble(out, releases.form(self.v * self.rule.on(self.data.dx)))
+        """D_i = I(phi_i, 1) at owned points of I: dofs of V_h, 0 at those that are none, or else of Q_h."""
+        level = self.data.level
+        v = self.v if level.pair.nodal else ufl.TestFunction(level.Q)
+        form = releases.form(v * self.rule.on(self.data.dx))
+        out = releases.create_vector(form, v.ufl_function_space())
+        self._assemble(out, form)
         values = out.array.copy()
         out.destroy()
+        values[values < NO_WEIGHT * largest(level.comm, values)] = 0.0
         return values
 
     def refer(self) -> None:
@@ -97,7 +105,10 @@ class Forms:
     def _form(self, name: str) -> Any:
         """Compiled on first use (collective): the fast path needs none of these."""
         if name not in self._made:
-            gaps: dict[str, Any] = {"eps": self.eps, "lower": self.below, "upper": self.above}
+            gaps: dict[str, Any] = {"lower": self.below, "upper": self.above}
+            if self.multiplier is not None:
+                gaps = {side: None if gap is None else gap + self.eps * self.multiplier for side, gap in gaps.items()}
+            gaps["eps"] = self.eps
             if name == "energy":
                 form = sum(effect.energy(self.w + self.reference, self.data) for effect in self.effects)  # type: ignore[misc]
             elif name == "elastic":
@@ -131,6 +142,16 @@ class Nodal(Forms):
         if any(integral.integrand() != 0 for integral in at_rest.integrals()):
             self._assemble(self._minus_load, releases.form(at_rest))
         self._D = super().weights()
+        self._lumping: PETSc.Vec | None = None
+        if data.level.pair.voronoi:
+            self._lump(voronoi_areas(data.level.V))
+
+    def _lump(self, D: np.ndarray) -> None:
+        """Take these weights for I, and for the load too, or -(A g + f)/D would not tend to the pressure."""
+        self._lumping = self._minus_load.duplicate()
+        self._lumping.array[:] = self._minus_load.array_r * (D / self._D - 1.0)
+        self._minus_load.axpy(1.0, self._lumping)
+        self._D = D
 
     def weights(self) -> np.ndarray:
         return self._D
@@ -156,6 +177,16 @@ class Nodal(Forms):
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         self.spring(A, self.springs() if penalised else None)
+
+    def energy(self, *, penalised: bool) -> float:
+        value = super().energy(penalised=False)
+        own, comm = len(self._D), self.data.level.comm
+        if self._lumping is not None:
+            heights = (self.w.x.array + self.reference.x.array)[:own]
+            value += total(comm, self._lumping.array_r * heights)
+        if penalised:
+            value += total(comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
+        return value
 
     def springs(self) -> np.ndarray:
         """Derivative of the penalty, D_i / eps at owned dofs in contact, else 0: what holds a node there."""

@@ -84,13 +84,18 @@ class Data:
         return self._obstacle("upper")
 
     @cached_property
+    def held(self) -> list[np.ndarray]:
+        """Local facets where u is given, of each [[boundary]] (first use is collective)."""
+        parts = enumerate(self.scene.tables.boundary, start=1)
+        return [self._facets(part.on, part.where, f"[[boundary]] (no. {number})") for number, part in parts]
+
+    @cached_property
     def fixed(self) -> tuple[np.ndarray, fem.Function]:
         """Local dofs where u is given, sorted, and the values there (first use is collective)."""
         level, values = self.level, fem.Function(self.level.V)
         fixed = np.zeros(len(values.x.array), dtype=bool)
-        for number, part in enumerate(self.scene.tables.boundary):
+        for number, (part, facets) in enumerate(zip(self.scene.tables.boundary, self.held, strict=True)):
             place = f"[[boundary]] (no. {number + 1})"
-            facets = self._facets(part.on, part.where, place)
             dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, facets)
             formula = self.scene.formula(0.0 if part.value is None else part.value, f"{place} value")
             function = fem.Function(level.V)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from math import factorial
@@ -16,6 +16,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import files, parents
 from fenicsx_obstacle.discrete.cells import corners, volumes
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import shapes
 from fenicsx_obstacle.scenes.scene import Scene
@@ -30,12 +31,13 @@ class Level:
     """A mesh with its nodal space, and what is known of its boundary; what is not the mesh is made on first use.
 
     Attributes:
-        mesh: Simplices.
+        mesh: Cells of one kind.
         h: Side of the grid for shapes, largest sqrt(2|T|) or (6|T|)^(1/3) for other meshes.
         named: Local facets of each named part of the boundary, or curve (in solids, surface) inside; None where they
             are those of `coarse`.
         materials: Owned cells of each named material; None likewise.
         shape: The recipe asked for, for shapes; `mesh` has a coarser grid where it is to be refined.
+        pair: V_h, the rule I and Q_h.
         coarse: The level it was refined from.
         parents: For each owned cell the local cell of `coarse` it came from.
         places: Where in it the corners of the cell are.
@@ -46,18 +48,27 @@ class Level:
     named: dict[str, np.ndarray] | None = None
     materials: dict[str, np.ndarray] | None = None
     shape: shapes.Shape | None = None
+    pair: Pair = P1
     coarse: Level | None = None
     parents: np.ndarray | None = None
     places: np.ndarray | None = None
 
     @cached_property
     def V(self) -> fem.FunctionSpace:
-        """Continuous P1 functions, the paper's V_h without boundary values (first use is collective)."""
-        return releases.functionspace(self.mesh, "Lagrange", 1)
+        """Continuous functions, the paper's V_h without boundary values (first use is collective)."""
+        return releases.functionspace(self.mesh, "Lagrange", self.pair.degree)
+
+    @cached_property
+    def Q(self) -> fem.FunctionSpace:
+        """Pressures, the paper's Q_h, whose nodes are the points of I (first use is collective)."""
+        same = self.pair.pressure == ("Lagrange", self.pair.degree)
+        return self.V if same else releases.functionspace(self.mesh, *self.pair.pressure)
 
     @cached_property
     def points(self) -> np.ndarray:
         """Coordinates of the local dofs, shape (3, dofs)."""
+        if self.pair.degree > 1:
+            return np.ascontiguousarray(self.V.tabulate_dof_coordinates().T)
         # as the mesh has them: DOLFINx's own table is off in the last digit, differently on each rank
         return np.ascontiguousarray(self.mesh.geometry.x[releases.dof_nodes(self.V)].T)
 
@@ -139,7 +150,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
-    table = scene.tables.mesh
+    table, pair = scene.tables.mesh, scene.pair
     refine = table.refine
     if scene.mesh is not None:
         level = _level(releases.settle(scene.mesh))
@@ -148,11 +159,22 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     else:
         level, halvings = _from_shape(_shape(scene), refine, comm)
         refine += halvings
+    pair.rule(releases.cell_name(level.mesh))
+    if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
+        raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
     for _ in range(refine):
         dim = level.mesh.topology.dim
         _check_memory(level.dofs * 2.0**dim, BYTES_PER_VERTEX[dim], "'refine' fewer times")
         level = refined(level)
-    return level
+    return level if pair is P1 else of_pair(level, pair)
+
+
+def of_pair(level: Level, pair: Pair) -> Level:
+    """The same mesh with the spaces of another pair; where these do not nest it stands alone."""
+    if not pair.nests:
+        return replace(level, pair=pair, coarse=None, parents=None, places=None, named=level.facets,
+                       materials=level.groups)  # fmt: skip
+    return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
 
 def of_space(V: fem.FunctionSpace) -> Level:
@@ -194,9 +216,11 @@ def _shape(scene: Scene) -> shapes.Shape:
         case "interval":
             return shapes.box("interval", [corner("x")], table.cells)
         case "rectangle":
-            return shapes.box("triangle", [corner("x"), corner("y")], table.cells, table.diagonal)
+            cell = _cell(scene, "triangle", "quadrilateral")
+            return shapes.box(cell, [corner("x"), corner("y")], table.cells, table.diagonal, table.perturb)
         case "box":
-            return shapes.box("tetrahedron", [corner("x"), corner("y"), corner("z")], table.cells)
+            cell = _cell(scene, "tetrahedron", "hexahedron")
+            return shapes.box(cell, [corner("x"), corner("y"), corner("z")], table.cells, perturb=table.perturb)
         case "l-shape":
             return shapes.l_shape([corner("x"), corner("y")], table.cells)
     radius = scene.number(table.radius, "[mesh] radius")
@@ -205,12 +229,22 @@ def _shape(scene: Scene) -> shapes.Shape:
     return shapes.disk(radius, table.cells)
 
 
+def _cell(scene: Scene, *kinds: str) -> str:
+    """The kind of cell that [mesh] names, or else the first of these that the pair is for."""
+    asked = scene.tables.mesh.cell
+    if asked is None:
+        return next((kind for kind in kinds if kind in scene.pair.rules), kinds[0])
+    if asked not in kinds:
+        raise InputError(f"{scene.source}: [mesh] cell = '{asked}': this shape has {' or '.join(kinds)} cells")
+    return asked
+
+
 def _from_shape(asked: shapes.Shape, refine: int, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level of a shape, and how often to refine it for the grid asked for."""
     dim = len(asked.cells)
     _check_memory(asked.vertices * 2.0 ** (dim * refine), BYTES_PER_VERTEX[dim], "take fewer 'cells'")
     shape, halvings = asked, 0
-    while shape.coarser is not None:
+    while shape.coarser is not None and shape.cell in SIMPLICES:
         coarser = shape.coarser()
         if coarser.simplices < max(COARSEST, PER_RANK * comm.size):
             break
@@ -225,11 +259,16 @@ def _from_shape(asked: shapes.Shape, refine: int, comm: MPI.Comm) -> tuple[Level
             mesh = dmesh.create_interval(comm, shape.cells[0], [shape.lower[0], shape.upper[0]], **ghosts)
         elif dim == 2:
             kind = releases.diagonal({"union-jack": "right_left"}.get(shape.diagonal, shape.diagonal))
+            ghosts["cell_type"] = getattr(dmesh.CellType, shape.cell)
             mesh = dmesh.create_rectangle(comm, ends, list(shape.cells), diagonal=kind, **ghosts)
         else:
+            ghosts["cell_type"] = getattr(dmesh.CellType, shape.cell)
             mesh = dmesh.create_box(comm, ends, list(shape.cells), **ghosts)
         mesh = releases.settle(mesh)
-    return Level(mesh, shape.h, _named(mesh, shape), shape=asked), halvings
+    named = _named(mesh, shape)
+    if shape.perturb:
+        mesh.geometry.x[:] = shape.moved(mesh.geometry.x)
+    return Level(mesh, shape.h, named, shape=asked), halvings
 
 
 def _level(
@@ -237,8 +276,8 @@ def _level(
 ) -> Level:
     """A mesh that is not one of our shapes: h from the volumes of its cells."""
     dim, cell = mesh.topology.dim, releases.cell_name(mesh)
-    if cell not in ("interval", "triangle", "tetrahedron"):
-        raise InputError(f"the mesh has {cell} cells; P1 needs intervals, triangles or tetrahedra")
+    if cell not in SIMPLICES:
+        raise InputError(f"the mesh has {cell} cells; only shapes have others than intervals, triangles and tetrahedra")
     h = largest(mesh.comm, (factorial(dim) * volumes(corners(mesh))) ** (1 / dim))
     return Level(mesh, h, facets, groups)
 

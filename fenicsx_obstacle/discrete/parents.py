@@ -70,7 +70,7 @@ def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarr
     # points in the order of ranks, of each its vertices and then the middles of its edges
     first = before(comm, vertices.size_local + edges.size_local)
     number = np.hstack(
-        [_numbers(comm, vertices, dofs, first), _numbers(comm, edges, halves[:own], first + vertices.size_local)]
+        [numbers(comm, vertices, dofs, first), numbers(comm, edges, halves[:own], first + vertices.size_local)]
     )
     points = np.empty((vertices.size_local + edges.size_local, gdim))
     points[: vertices.size_local] = mesh.geometry.x[releases.dof_nodes(V)[: vertices.size_local], :gdim]
@@ -128,7 +128,7 @@ def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
     return np.argmin(score, axis=0)
 
 
-def _numbers(comm: MPI.Comm, entities: Any, local: np.ndarray, first: int) -> np.ndarray:
+def numbers(comm: MPI.Comm, entities: Any, local: np.ndarray, first: int) -> np.ndarray:
     """Global numbers of local entities where those of each rank begin at its `first` (collective)."""
     starts = np.array(comm.allgather((entities.local_range[0], first)), dtype=np.int64).reshape(-1, 2)
     place = np.asarray(entities.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64)

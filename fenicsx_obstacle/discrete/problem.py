@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.duality import point_cells
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
@@ -34,7 +35,9 @@ class Problem:
         reference: r, the heights from which w counts.
         affine: Whether the elastic residual is linear in u plus a constant.
         fixed: Whether u is given at a dof.
-        weights: D_i = I(phi_i, 1), the area that belongs to a node.
+        weights: D_i = I(phi_i, 1), the area that belongs to a point of I. These points are the owned dofs, or where
+            the pair is not nodal the owned dofs of Q_h.
+        touchable: Whether u can touch an obstacle at a point of I.
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
@@ -46,7 +49,8 @@ class Problem:
         self.data = data = Data(scene, level) if data is None else data
         data.check()
         self.affine = all(effect.affine for effect in scene.effects)
-        self.forms = forms = (Nodal if self.affine else Forms)(scene.effects, data)
+        nodal = level.pair.nodal
+        self.forms = forms = (Nodal if self.affine and nodal else Forms)(scene.effects, data)
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above
         self.constrained = self.below is not None or self.above is not None
@@ -55,6 +59,7 @@ class Problem:
         self.A = forms.create_matrix()
         self.elastic, self.reaction = forms.vector(), forms.vector()
         self.weights = forms.weights()
+        self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
         self.load = self._load()
         self.refer(self.cold_start())
 
@@ -127,15 +132,16 @@ class Problem:
             blunt: Count w of the other nodes from their present heights: w has become so large, because an obstacle
                 is far off, that its last digit is felt.
         """
-        if not self.constrained:
+        if not self.constrained or not self.level.pair.nodal:
             return False
         w, r = self.w.x.array, self.reference.x.array
+        points = self._at_all_dofs(self.weights > 0)
         lower, upper = self.obstacles()
         new_w, new_r, free = w.copy(), r.copy(), np.ones(len(w), dtype=bool)
         for gap, obstacle, sign in ((self.below, lower, -1), (self.above, upper, 1)):
             if gap is None:
                 continue
-            touching = sign * (w - gap.x.array) >= 0
+            touching = points & (sign * (w - gap.x.array) >= 0)
             wrong = touching & (gap.x.array != 0)
             # subtract distances, never heights: the excess keeps its digits
             new_w = np.where(wrong, w - gap.x.array, new_w)
@@ -214,12 +220,45 @@ class Problem:
         return self.forms.energy(penalised=self.constrained and penalised)
 
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distances u - lower and upper - u at owned dofs; inf where there is no obstacle."""
-        own, w = self.level.owned, self.w.x.array
-        none = np.full(own, np.inf)
-        lower = none if self.below is None else (w - self.below.x.array)[:own]
-        upper = none if self.above is None else (self.above.x.array - w)[:own]
+        """Signed distances u - lower and upper - u at the points of I; inf where there is no obstacle."""
+        w, none = self.w.x.array, np.full(len(self.weights), np.inf)
+        lower = none if self.below is None else self._at_points(w - self.below.x.array)
+        upper = none if self.above is None else self._at_points(self.above.x.array - w)
         return lower, upper
+
+    def pressed_gaps(self) -> tuple[np.ndarray, np.ndarray]:
+        """The distances that the penalty sees: those of the augmented obstacles, where there is a multiplier."""
+        lower, upper = self.gaps()
+        if self.forms.multiplier is not None:
+            shift = float(self.eps.value) * self.forms.multiplier.x.array[: len(self.weights)]
+            lower, upper = lower - shift, upper + shift
+        return lower, upper
+
+    def bearing(self, active: np.ndarray) -> np.ndarray:
+        """Owned dofs on which contact at these points of I bears (collective)."""
+        if self.level.pair.nodal:
+            return active
+        bears = fem.Function(self.level.V)
+        bears.x.array[releases.cell_dofs(self.level.V)[: len(active)][active[point_cells(self.level)]]] = 1.0
+        releases.add_ghosts(bears)
+        return bears.x.array[: self.level.owned] > 0
+
+    def _at_points(self, values: np.ndarray) -> np.ndarray:
+        """A function of V_h, ghosts included, at the points of I; inf at dofs that are none."""
+        if self.level.pair.nodal:
+            return np.where(self.weights > 0, values[: self.level.owned], np.inf)
+        means = np.empty(len(self.weights))
+        means[point_cells(self.level)] = values[releases.cell_dofs(self.level.V)[: len(means)]].mean(axis=1)
+        return means
+
+    def _at_all_dofs(self, owned: np.ndarray) -> np.ndarray:
+        """Flags of owned dofs at all local ones (collective)."""
+        if self.level.pair.degree == 1:
+            return np.ones(len(self.w.x.array), dtype=bool)
+        flags = fem.Function(self.level.V)
+        flags.x.array[: len(owned)] = owned
+        flags.x.scatter_forward()
+        return flags.x.array > 0.5
 
     def _load(self) -> float:
         """Sum of |f_i| over free dofs: the elastic residual of u = 0, as long as w and r are 0."""

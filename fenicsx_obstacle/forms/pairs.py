@@ -47,6 +47,11 @@ class Pair:
         return self.rules[cell]
 
     @property
+    def nests(self) -> bool:
+        """Whether V_h on a mesh is part of V_h on the mesh with its edges halved, with nodes at the same places."""
+        return self.degree == 1 and all(cell in SIMPLICES for cell in self.rules)
+
+    @property
     def nodal(self) -> bool:
         """Whether the points of I are nodes of V_h, so that u may touch the obstacle node by node."""
         return self.pressure[0] != "DG"
@@ -73,15 +78,20 @@ def pairs() -> Mapping[str, Pair]:
     return MappingProxyType(_register)
 
 
-register(Pair("P1", 1, {cell: nodal_rule(cell) for cell in SIMPLICES}, ("Lagrange", 1),
-              words="vertex rule (Examples 1, 2)"))  # fmt: skip
+def pair_for(cell: str) -> str:
+    """Name of the pair that such cells have by default."""
+    return "Q1" if cell in TENSORS else "P1"
+
+
+P1 = register(Pair("P1", 1, {cell: nodal_rule(cell) for cell in SIMPLICES}, ("Lagrange", 1),
+              words="vertex rule, the weights |T|/(dim + 1) at the vertices of each cell T"))  # fmt: skip
 register(Pair("Q1", 1, {cell: nodal_rule(cell) for cell in TENSORS}, ("Lagrange", 1),
-              words="trapezoid rule (Examples 1, 3)"))  # fmt: skip
+              words="trapezoid rule, weights detJ(x_i)/2^dim at the vertices of each cell"))  # fmt: skip
 register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in TENSORS}, ("Lagrange", 2),
-              words="Simpson's rule (Example 1)"))  # fmt: skip
+              words="Simpson's rule in each direction"))  # fmt: skip
 register(Pair("P2", 2, {"triangle": midpoint_rule("triangle")}, ("CR", 1),
               words="rule at edge midpoints, obstacle and pressure there"))  # fmt: skip
 register(Pair("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1), voronoi=True,
               words="vertex rule with Voronoi areas: consistent on any Delaunay mesh"))  # fmt: skip
 register(Pair("Q1-gauss", 1, {"quadrilateral": midpoint_rule("quadrilateral")}, ("DG", 0),
-              words="one-point Gauss rule (Example 3): unstable, p_h shows a chessboard"))  # fmt: skip
+              words="one-point Gauss rule: unstable, p_h shows a chessboard"))  # fmt: skip

@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
-
-import ufl
+from typing import TYPE_CHECKING
 
 from fenicsx_obstacle.errors import InputError
+
+if TYPE_CHECKING:  # reading a scene imports no finite elements
+    import ufl
 
 _VERTICES = {
     "vertex": ((),),

@@ -14,6 +14,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.effect import Effect, registered
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
 from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
@@ -44,6 +45,7 @@ class Scene(Vocabulary):
         name: Short name, for files.
         tables: The scene as it stands in TOML.
         effects: One object per effect that the scene names.
+        pair: V_h, the rule I and Q_h.
         report: Figures of the solution, in order.
         mesh: A DOLFINx mesh of the caller's own, or None.
         folder: Where relative file names start.
@@ -53,6 +55,7 @@ class Scene(Vocabulary):
     source: str
     tables: tables.Tables
     effects: tuple[Effect, ...]
+    pair: Pair
     define: Mapping[str, Formula]
     report: Mapping[str, Formula]
     mesh: Any = None
@@ -154,6 +157,7 @@ class Scene(Vocabulary):
         set_("mesh", mesh)
         set_("define", self._definitions())
         set_("effects", self._effects())
+        set_("pair", self._pair())
         if mesh is None and (typed.mesh.shape is None) == (typed.mesh.file is None):
             raise InputError(f"{source}: [mesh] needs either a 'shape' or a 'file'")
         for formula in self._formulas():
@@ -190,6 +194,12 @@ class Scene(Vocabulary):
             formula.check_names({*definitions, *CONSTANTS, *COORDINATES, "distance"})
             definitions[key] = formula
         return definitions
+
+    def _pair(self) -> Pair:
+        name, known = self.tables.solve.element or pair_for(self.tables.mesh.cell or ""), pairs()
+        if name not in known:
+            raise InputError(f"{self.source}: [solve] element = {name!r} is not known" + nearest(name, known))
+        return known[name]
 
     def _effects(self) -> tuple[Effect, ...]:
         known = registered()

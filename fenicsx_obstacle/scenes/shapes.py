@@ -21,6 +21,7 @@ class Shape:
         upper: Upper corner.
         cells: Cells along the first side; along the others in proportion, so that cells are about square.
         diagonal: How rectangles are cut into triangles.
+        perturb: How far at most inner vertices are moved at random along each axis, in parts of h.
         sides: Marks the points, shape (3, n), of each named side.
         h: Side of the grid.
         arrays: Makes (points, cells) where DOLFINx has no builder for the shape.
@@ -35,6 +36,7 @@ class Shape:
     sides: Sides
     h: float
     diagonal: str = "right"
+    perturb: float = 0.0
     arrays: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None
     project: Callable[[np.ndarray], np.ndarray] | None = field(default=None, compare=False)
     coarser: Callable[[], Shape] | None = field(default=None, compare=False)
@@ -46,11 +48,25 @@ class Shape:
 
     @property
     def simplices(self) -> float:
-        """About how many cells the mesh will have."""
+        """About how many cells the mesh will have, if they are simplices."""
         return factorial(len(self.cells)) * float(np.prod(self.cells))
 
+    def moved(self, x: np.ndarray) -> np.ndarray:
+        """Inner vertices, shape (n, 3), moved at random: the same for a place whatever the order or the rank."""
+        moved, dim = x.copy(), len(self.cells)
+        lower, upper = np.add(self.lower, self.h / 4), np.subtract(self.upper, self.h / 4)
+        inside = np.all((x[:, :dim] > lower) & (x[:, :dim] < upper), axis=1)
+        place = np.rint((x[inside, :dim] - self.lower) / self.h * 2).astype(np.int64)
+        for axis in range(dim):
+            # a hash of the place: a generator would depend on the order of the vertices
+            mixed = np.sin(place @ np.array([12.9898, 78.233, 37.719])[:dim] + 1.7 * axis) * 43758.5453
+            moved[inside, axis] += self.perturb * self.h * (2 * (mixed - np.floor(mixed)) - 1)
+        return moved
 
-def box(cell: str, corners: list[tuple[float, float]], cells: int, diagonal: str = "right") -> Shape:
+
+def box(
+    cell: str, corners: list[tuple[float, float]], cells: int, diagonal: str = "right", perturb: float = 0.0
+) -> Shape:
     """Interval, rectangle or box between corners, `cells` along x."""
     lower, upper = zip(*corners, strict=True)
     h = (upper[0] - lower[0]) / cells
@@ -62,9 +78,9 @@ def box(cell: str, corners: list[tuple[float, float]], cells: int, diagonal: str
         for axis, (pair, ends) in enumerate(zip(names, corners, strict=True))
         for name, at in zip(pair, ends, strict=True)
     }
-    shape = Shape(cell, lower, upper, along, sides, h, diagonal)
+    shape = Shape(cell, lower, upper, along, sides, h, diagonal, perturb)
     # halving every edge keeps one direction of the diagonal, but not a pattern of several
-    return _halving(shape) if diagonal in ("right", "left") else shape
+    return _halving(shape) if diagonal in ("right", "left") and not perturb else shape
 
 
 def _halving(shape: Shape) -> Shape:

@@ -28,7 +28,9 @@ class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     radius: Value = 1.0
     cells: Positive = 32
     refine: Annotated[int, Meta(ge=0, le=20)] = 0
+    cell: Literal["triangle", "quadrilateral", "tetrahedron", "hexahedron"] | None = None
     diagonal: Literal["right", "left", "crossed", "union-jack"] = "right"
+    perturb: Annotated[float, Meta(ge=0, lt=0.5)] = 0.0
 
 
 class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -55,7 +57,7 @@ class ExactTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[solve]: how to solve; the command line wins."""
 
-    element: Literal["P1"] = "P1"
+    element: str | None = None
     method: Literal["penalty", "successive", "vi"] = "penalty"
     start: Literal["nested", "cold"] = "nested"
     eps: Value = "h^2"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from textwrap import fill
 
-from fenicsx_obstacle.answers.choose import LINEAR_SOLVER, METHODS, NESTED, nested
+from fenicsx_obstacle.answers.choose import AUGMENTED, DIRECT_SOLVER, LINEAR_SOLVER, METHODS, NESTED, nested
 from fenicsx_obstacle.effects.effect import registered
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.words import counted, plain
@@ -99,19 +99,20 @@ def _discrete(scene: Scene) -> list[str]:
         terms.append("+ (1/eps) I((u - upper)^+, v)")
     if penalised and "lower" in sides:
         terms.append("- (1/eps) I((lower - u)^+, v)")
-    lines = [
-        f"{' '.join(terms)} = f(v) for all v in V_h, continuous P1, v = 0 where u is given" + "   (3.4)" * bool(sides)
-    ]
+    space = f"V_h, continuous {scene.pair.name.partition('-')[0]}"
+    lines = [f"{' '.join(terms)} = f(v) for all v in {space}, v = 0 where u is given" + "   (3.4)" * bool(sides)]
     if not penalised and sides:
         lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]
     lines.append(
         "a(u, v) = int tension grad u . grad v" + "; f(v) = int load v" * any(e.key == "load" for e in scene.effects)
     )
     if sides:
-        lines.append("I: vertex rule, the weights |T|/(dim + 1) at the vertices of each cell T   (3.5), (3.6)")
+        lines.append(f"I: {scene.pair.words}   (3.5), (3.6)")
         signs = {"upper": "-(u - upper)^+ / eps", "lower": "(lower - u)^+ / eps"}
         pressure = " + ".join(signs[side] for side in sides) if penalised else "(a(u, phi_i) - f(phi_i)) / I(phi_i, 1)"
-        lines.append(f"p = {pressure} at the vertices" + "   (3.7), (3.8)" * penalised)
+        if not penalised and not scene.pair.nodal:
+            pressure = "the multiplier"
+        lines.append(f"p = {pressure} at the points of I" + "   (3.7), (3.8)" * penalised)
     if penalised and sides:
         lines.append(f"eps = {plain(scene.tables.solve.eps)}" + _eps_rule(scene))
     return lines
@@ -138,13 +139,14 @@ def _mesh(scene: Scene) -> str:
 def _solver(scene: Scene) -> list[str]:
     if not _sides(scene):
         return [f"PETSc SNES, one linear solve: {LINEAR_SOLVER}"]
-    prefix = "vi" if scene.tables.solve.method == "vi" else "penalty"
+    method, pair = scene.tables.solve.method, scene.pair
+    prefix = "vi" if method == "vi" and pair.nodal else "penalty"
     return [
-        METHODS[scene.tables.solve.method],
+        AUGMENTED if method == "vi" and not pair.nodal else METHODS[method],
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
         f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
         if nested(scene)
-        else f"each step: {LINEAR_SOLVER}, on the finest level alone",
+        else f"each step: {LINEAR_SOLVER if pair.nodal else DIRECT_SOLVER}, on the finest level alone",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
 

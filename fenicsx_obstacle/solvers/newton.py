@@ -102,7 +102,7 @@ def joined(first: Outcome, second: Outcome) -> Outcome:
 
 
 def penalty_pressure(problem: Problem) -> np.ndarray:
-    """(3.7)-(3.8) in the gap form: p_i = -(w - gap)^+ / eps, at free owned dofs."""
-    lower, upper = problem.gaps()
+    """(3.7)-(3.8) in the gap form: p_i = -(w - gap)^+ / eps, at the owned points of I."""
+    lower, upper = problem.pressed_gaps()
     p = (np.maximum(-lower, 0.0) - np.maximum(-upper, 0.0)) / float(problem.eps.value)
-    return np.where(problem.fixed, 0.0, p)
+    return np.where(problem.touchable, p, 0.0)

@@ -22,6 +22,7 @@ LINEAR = {
     "pc_type": "hypre",
     "pc_hypre_type": "boomeramg",
 }
+DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_norm_type": "preconditioned"}  # without symmetry
 INEXACT = {
     "ksp_type": "cg",
@@ -85,7 +86,9 @@ def run(
     start = time.perf_counter()
     if multigrid is not None and user_has_set(f"{name}_pc_type"):
         multigrid = None
-    linear = LINEAR if problem.symmetric else GENERAL
+    linear: Mapping[str, Any] = LINEAR if problem.symmetric else GENERAL
+    if not problem.level.pair.nodal:
+        linear = DIRECT  # stiff springs that couple nodes defeat algebraic multigrid
     options = {**options, **(linear if multigrid is None else INEXACT)}
     snes = PETSc.SNES().create(problem.level.comm)
     x = problem.state()

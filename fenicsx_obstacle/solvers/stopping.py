@@ -86,7 +86,7 @@ class Stopping:
         elastic = problem.elastic.array_r
         active, residual = self._active(elastic)
         changed = active != self._last if self._last is not None else active != 0
-        forces = problem.load + total(comm, np.abs(elastic[problem.fixed | (active != 0)]))
+        forces = problem.load + total(comm, np.abs(elastic[problem.fixed | problem.bearing(active != 0)]))
         unbalanced = total(comm, np.abs(residual))
         krylov = snes.getLinearSolveIterations()
         step = Step(
@@ -134,7 +134,7 @@ class Stopping:
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
         problem = self.problem
-        lower, upper = problem.gaps()
+        lower, upper = problem.gaps() if self.exact_bounds else problem.pressed_gaps()
         if self.exact_bounds:
             # complementarity: at the lower bound the support may only push up, a(u, phi) - f >= 0
             below, above = (lower <= self.touching) & (elastic > 0), (upper <= self.touching) & (elastic < 0)
@@ -144,7 +144,7 @@ class Stopping:
             residual = elastic + problem.reaction.array_r if problem.constrained else elastic.copy()
         residual[problem.fixed] = 0.0
         active = above.astype(np.int8) - below.astype(np.int8)
-        active[problem.fixed] = 0
+        active[~problem.touchable] = 0
         return active, residual
 
     def _round_off(self, snes: PETSc.SNES) -> float:

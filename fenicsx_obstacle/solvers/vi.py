@@ -49,7 +49,7 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
     lower.array[:] = -INFINITE if problem.below is None else problem.below.x.array[:own]
     upper.array[:] = INFINITE if problem.above is None else problem.above.x.array[:own]
     # fixed dofs are no contact, even where the boundary value touches the obstacle
-    lower.array[problem.fixed], upper.array[problem.fixed] = -INFINITE, INFINITE
+    lower.array[~problem.touchable], upper.array[~problem.touchable] = -INFINITE, INFINITE
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
     problem.take(x)
     touching = 1e-12 * _height(problem)
@@ -69,12 +69,12 @@ def _height(problem: Problem) -> float:
 
 
 def residual_pressure(problem: Problem) -> np.ndarray:
-    """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned dofs that touch an obstacle, 0 elsewhere (collective).
+    """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned points of I that touch an obstacle, 0 elsewhere (collective).
 
     The last residual must be the one of the solution.
     """
     lower, upper = problem.gaps()
-    p = problem.elastic.array_r / problem.weights
+    p = np.where(problem.touchable, problem.elastic.array_r, 0.0) / np.where(problem.touchable, problem.weights, 1.0)
     tolerance = 1e-12 * _height(problem)
     held = ((lower <= tolerance) & (p > 0)) | ((upper <= tolerance) & (p < 0))
-    return np.where(held & ~problem.fixed, p, 0.0)
+    return np.where(held, p, 0.0)

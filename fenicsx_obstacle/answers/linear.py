@@ -1,0 +1,105 @@
+"""An answer of any element as one on P1 simplices: what is drawn, saved, compared and looked up.
+
+Cells are cut along the lattice of their nodes, so that u keeps all its nodal values. Where pressures are constant on
+cells the centres become nodes too, or a mean at the vertices would hide what differs from cell to cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.duality import at_nodes
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.parents import numbers
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import before
+
+_SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}
+
+
+def linear(answer: Answer) -> Answer:
+    """The answer itself if it is P1 on simplices, otherwise its interpolant on the cut cells (collective)."""
+    level = answer.level
+    mesh, comm = level.mesh, level.comm
+    cell, dim, gdim = releases.cell_name(mesh), mesh.topology.dim, mesh.geometry.dim
+    if level.pair.degree == 1 and cell in SIMPLICES:
+        return answer
+    V, own, count = level.V, own_cells(mesh), level.owned
+    centres = 0 if level.pair.nodal else own
+    dofs = releases.cell_dofs(V)[:own]
+    # points in the order of ranks, of each its nodes and then the centres of its cells
+    first = before(comm, count + centres)
+    nodes = numbers(comm, V.dofmap.index_map, dofs, first)
+    points = level.points.T[:count, :gdim]
+    if centres:
+        nodes = np.column_stack([nodes, first + count + np.arange(own)])
+        points = np.vstack([points, level.points.T[dofs, :gdim].mean(axis=1)])
+    pieces = _fan(dim) if centres else _lattice(V, cell)
+    new = releases.create_mesh(comm, nodes[:, pieces].reshape(-1, dim + 1), points, _SIMPLEX[dim], stay=True)
+    cut = Level(new, level.h)
+    start = before(comm, own * len(pieces))
+    kept = np.asarray(new.topology.original_cell_index)[: own_cells(new)] - start
+    corners, targets = pieces[kept % len(pieces)], releases.cell_dofs(cut.V)[: len(kept)]
+    table = at_nodes(level)
+
+    def moved(function: fem.Function) -> fem.Function:
+        result, space = fem.Function(cut.V), function.function_space
+        values = function.x.array[releases.cell_dofs(space)[:own]]
+        if space != V:
+            values = _continuous(level, values @ table.T)
+        if centres:
+            middle = function.x.array[releases.cell_dofs(space)[:own]].mean(axis=1)
+            values = np.column_stack([values, middle])
+        result.x.array[targets.ravel()] = np.take_along_axis(values[kept // len(pieces)], corners, axis=1).ravel()
+        result.x.scatter_forward()
+        return result
+
+    fields: dict[str, Any] = {name: moved(function) for name, function in answer.functions().items()}
+    return replace(answer, level=cut, **fields)
+
+
+def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
+    """At each node the mean of what the owned cells beside it say, shape as `values` (cells, nodes) (collective)."""
+    dofs = releases.cell_dofs(level.V)[: len(values)].ravel()
+    sums, counts = fem.Function(level.V), fem.Function(level.V)
+    for function, part in ((sums, values.ravel()), (counts, np.ones(values.size))):
+        np.add.at(function.x.array, dofs, part)
+        releases.add_ghosts(function)
+        function.x.scatter_forward()
+    return (sums.x.array / counts.x.array)[dofs].reshape(values.shape)
+
+
+def _fan(dim: int) -> np.ndarray:
+    """A quadrilateral's triangles around its centre, node 4."""
+    assert dim == 2
+    return np.array([(0, 1, 4), (1, 3, 4), (3, 2, 4), (2, 0, 4)])
+
+
+def _lattice(V: fem.FunctionSpace, cell: str) -> np.ndarray:
+    """Simplices between the nodes of the reference cell, shape (simplices, dim + 1)."""
+    degree = int(releases.called(V.ufl_element().degree))
+    places = np.rint(np.asarray(releases.called(V.element.interpolation_points)) * degree).astype(int)
+    node = {tuple(place): number for number, place in enumerate(places.tolist())}
+    dim = places.shape[1]
+    found = []
+    # each small cube is cut along the paths from its lowest to its highest corner
+    for corner, order in product(product(range(degree), repeat=dim), permutations(range(dim))):
+        path = [corner]
+        for axis in order:
+            path.append(tuple(x + (k == axis) for k, x in enumerate(path[-1])))
+        if all(place in node for place in path):
+            found.append([node[place] for place in path])
+    if cell == "triangle":  # paths run along a diagonal that half a cube does not have
+        steps = [(i, j) for i in range(degree) for j in range(degree - i)]
+        up = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in steps]
+        down = [[(i + 1, j), (i, j + 1), (i + 1, j + 1)] for i, j in steps if i + j < degree - 1]
+        found = [[node[place] for place in triangle] for triangle in up + down]
+    return np.array(found)

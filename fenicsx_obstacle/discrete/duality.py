@@ -1,0 +1,46 @@
+"""Between V_h and Q_h: values at the points of I as functions, and functions of Q_h at the nodes of V_h."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.levels import Level
+
+
+def point_cells(level: Level) -> np.ndarray:
+    """The owned dof of Q_h of each owned cell, where pressures are constant on cells."""
+    return releases.cell_dofs(level.Q)[: own_cells(level.mesh), 0]
+
+
+def in_q(level: Level, values: np.ndarray) -> fem.Function:
+    """The function of Q_h with these values at the owned points of I (collective).
+
+    Args:
+        level: Mesh and spaces.
+        values: One for each owned dof of V_h, or of Q_h where the pair is not nodal.
+    """
+    q = fem.Function(level.Q)
+    if level.Q is level.V or not level.pair.nodal:
+        q.x.array[: len(values)] = values
+    else:  # midpoints of edges: the dofs of V_h there follow those of the vertices
+        everywhere = fem.Function(level.V)
+        everywhere.x.array[: len(values)] = values
+        everywhere.x.scatter_forward()
+        middles = releases.cell_dofs(level.V)[:, -releases.cell_dofs(level.Q).shape[1] :]
+        q.x.array[releases.cell_dofs(level.Q).ravel()] = everywhere.x.array[middles.ravel()]
+    q.x.scatter_forward()
+    return q
+
+
+def at_nodes(level: Level) -> np.ndarray:
+    """What each node of V_h in a cell sees of the dofs of Q_h there, shape (nodes, dofs of Q_h); rows sum to 1."""
+    nodes, points = releases.cell_dofs(level.V).shape[1], releases.cell_dofs(level.Q).shape[1]
+    if level.Q is level.V:
+        return np.eye(nodes)
+    if not level.pair.nodal:
+        return np.ones((nodes, 1))
+    # a vertex lies between the two edges that are not opposite to it
+    return np.vstack([(1 - np.eye(points)) / (points - 1), np.eye(points)])

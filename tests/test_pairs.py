@@ -1,0 +1,192 @@
+"""The pairs of Examples 1-3: weights, duality, answers of each element, and what is made of them."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, DEMOS
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, study
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.linear import linear
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.forms.pairs import Pair, pairs, register
+from fenicsx_obstacle.forms.rules import Rule, nodal_rule
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.studies.orders import order
+
+DISK = Scene.read(DEMOS / "disk.toml")
+SQUARE = {"shape": "rectangle", "cells": 6}
+BOX = {"shape": "box", "cells": 3}
+LINE = {"shape": "interval", "cells": 9}
+CASES = [(name, {**mesh, "cell": cell}) for name, pair in pairs().items() for cell, mesh in
+         {"triangle": SQUARE, "quadrilateral": SQUARE, "tetrahedron": BOX, "hexahedron": BOX}.items()
+         if cell in pair.rules] + [("P1", LINE)]  # fmt: skip
+
+
+def level_of(name, mesh, **more):
+    scene = Scene(mesh={**mesh, **more}, tension=1, upper=1).change({"solve.element": name})
+    return levels.build(scene, COMM)
+
+
+@pytest.mark.parametrize("name, mesh", CASES)
+def test_lumped_mass_is_diagonal_and_sums_to_the_volume(name, mesh):
+    """Invariant (a), (3.5)-(3.6): I(q, r) is diagonal in Q_h with positive entries that sum to |Omega|."""
+    level = level_of(name, mesh, perturb=0.2)
+    Q, rule = level.Q, level.pair.rule(releases.cell_name(level.mesh))
+    q, r = ufl.TrialFunction(Q), ufl.TestFunction(Q)
+    form = releases.form(q * r * rule.on(ufl.Measure("dx", domain=level.mesh)))
+    M = releases.create_matrix(form)
+    from dolfinx import fem
+
+    fem.petsc.assemble_matrix(M, form)
+    M.assemble()
+    diagonal = M.getDiagonal()
+    assert smallest(COMM, diagonal.array) > 0
+    assert np.isclose(total(COMM, diagonal.array), 1.0)
+    M.setDiagonal(PETSc.Vec().createWithArray(np.zeros(len(diagonal.array)), comm=COMM))
+    assert M.norm(PETSc.NormType.FROBENIUS) < 1e-12
+
+
+@pytest.mark.parametrize("name", pairs())
+def test_weights_of_a_problem(name):
+    """D_i = I(phi_i, 1) of the problem sums to |Omega|, Voronoi areas included."""
+    bench = Workbench(Scene(mesh={**SQUARE, "perturb": 0.1}, tension=1, upper=1).change({"solve.element": name}))
+    assert np.isclose(total(COMM, bench.problem.weights), 1.0)
+    bench.close()
+
+
+@pytest.mark.parametrize("name", pairs())
+def test_orders_of_each_pair(name):
+    """(5.6), (5.8), (5.9) with eps = h^2: order 1 in H1 at least, 2 in L2, 1 for the pressure in the dual norm."""
+    rows = study(DISK, {"cells": [16, 32]}, element=name, eps="h^2")
+    assert order("errors.h1", rows[1], rows[0], "h") > 0.95
+    assert order("errors.l2", rows[1], rows[0], "h") > 1.7
+    assert order("errors.pressure_dual", rows[1], rows[0], "h") > 1
+
+
+@pytest.mark.parametrize("name", pairs())
+def test_reference_of_each_pair(name):
+    """Theorem 3.1: u_eps tends to the solution of the inequality, whose constraints hold at the points of I alone."""
+    bench = Workbench(DISK.change({"mesh.cells": 12, "solve.element": name}))
+    scene = bench.problem.scene
+    reference = bench.answer(scene.change({"solve.method": "vi"}))
+    distance = []
+    for eps in (1e-5, 1e-7):
+        answer = bench.answer(scene.change({"solve.eps": eps}))
+        distance.append(largest(COMM, np.abs(answer.u.x.array - reference.u.x.array)))
+    assert distance[0] < 1e-3 and abs(np.log10(distance[0] / distance[1]) / 2 - 1) < 0.1
+    assert reference.record["penetration"] < 1e-9
+    assert np.isclose(
+        reference.record["contact"]["upper"]["force"], answer.record["contact"]["upper"]["force"], rtol=1e-4
+    )
+    bench.close()
+
+
+@pytest.mark.parametrize("name", ["Q1", "Q2", "P2", "P1-voronoi"])
+def test_pressure_balances_the_load(name):
+    """a(u, v) = f(v) + I(p, v) at free nodes: p in Q_h is what (3.7) says, for each nodal pair."""
+    bench = Workbench(DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "solve.element": name}))
+    problem, answer = bench.problem, bench.answer()
+    x = problem.state()
+    out = x.duplicate()
+    problem.residual(x, out)
+    assert largest(COMM, np.abs(out.array)) < 1e-9
+    if problem.level.Q is problem.level.V:
+        p = answer.pressure.x.array[: problem.level.owned]
+        assert largest(COMM, np.abs(problem.elastic.array_r - problem.weights * p)[~problem.fixed]) < 1e-9
+
+
+def test_p2_touches_at_midpoints_alone():
+    """P2: the rule has no weight at vertices, so nothing holds u there; p lives at the midpoints of edges."""
+    bench = Workbench(DISK.change({"mesh.cells": 8, "solve.element": "P2", "solve.method": "vi"}))
+    problem, answer = bench.problem, bench.answer()
+    vertices = problem.weights == 0
+    assert total(COMM, np.count_nonzero(vertices)) == 81
+    assert largest(COMM, answer.u.x.array[: problem.level.owned][~vertices]) <= 0.3 + 1e-12
+    assert answer.pressure.function_space == problem.level.Q and largest(COMM, answer.pressure.x.array) <= 0
+
+
+def test_one_point_gauss_leaves_a_chessboard():
+    """Example 3: u is as good as with Q1, but p_h jumps between neighbours and leaves its true range [-4, 0]."""
+    scene = DISK.change({"mesh.cells": 16, "solve.element": "Q1-gauss", "solve.method": "vi"})
+    gauss, good = solve(scene), solve(scene, element="Q1")
+    assert gauss.record["errors"]["l2"] < 1.05 * good.record["errors"]["l2"]
+    assert smallest(COMM, gauss.pressure.x.array) < 1.5 * smallest(COMM, good.pressure.x.array) < -4
+    assert gauss.pressure.function_space.dofmap.index_map.size_global == 256
+
+
+def test_voronoi_areas_are_consistent():
+    """(5.7) and its cure: for w = |x|^2 the lumped Laplacian (A w)_i / D_i is -4 at each inner node, on any mesh."""
+    for mesh in ({"diagonal": "crossed"}, {"diagonal": "union-jack"}, {"perturb": 0.1}):
+        scene = Scene(mesh={**SQUARE, **mesh}, tension=1, upper=9).change({"solve.element": "P1-voronoi"})
+        problem = Workbench(scene).problem
+        x = releases.vec(problem.w).duplicate()
+        x.array[:] = (problem.level.points[:, : problem.level.owned] ** 2).sum(axis=0)
+        out = x.duplicate()
+        problem.nodal.stiffness.mult(x, out)
+        inner = ~problem.fixed
+        lumped = out.array[inner] / problem.weights[inner]
+        assert largest(COMM, np.abs(lumped + 4)) < 1e-9
+
+
+def test_obtuse_meshes_have_no_voronoi_areas():
+    """(3.6): weights must be positive; a mesh that is not Delaunay is refused."""
+    mesh = level_of("P1", SQUARE).mesh
+    mesh.geometry.x[:, 0] += 2 * mesh.geometry.x[:, 1]
+    scene = Scene(mesh=mesh, tension=1, upper=9).change({"solve.element": "P1-voronoi"})
+    with pytest.raises(InputError, match="not Delaunay"):
+        Workbench(scene)
+
+
+def test_mistakes():
+    """A pair that does not exist, or is for other cells: one message with the remedy."""
+    with pytest.raises(InputError, match=r"element = 'P3' is not known .*P1.*Q2"):
+        solve(DISK, element="P3")
+    with pytest.raises(InputError, match="element Q1 is for quadrilateral, hexahedron cells, not for a triangle"):
+        solve(DISK.change({"mesh.cell": "triangle"}), element="Q1")
+    with pytest.raises(InputError, match="this shape has triangle or quadrilateral cells"):
+        solve(DISK.change({"mesh.cell": "hexahedron"}))
+    with pytest.raises(InputError, match="not positive"):
+        register(Pair("bad", 1, {"triangle": Rule(((0.0, 0.0), (1.0, 0.0)), (0.5, 0.0))}, ("Lagrange", 1)))
+
+
+def test_quadrilaterals_are_q1_by_default():
+    """[mesh] cell and [solve] element choose each other."""
+    assert solve(DISK.change({"mesh.cells": 8, "mesh.cell": "quadrilateral"})).record["element"] == "Q1"
+    assert solve(DISK, cells=8, element="Q2").record["dofs"] == 17**2
+
+
+def test_a_pair_of_ones_own():
+    """Adding a pair is adding a row, from outside the package too."""
+    register(Pair("mine", 1, {"triangle": nodal_rule("triangle")}, ("Lagrange", 1), words="vertex rule"))
+    mine, theirs = (solve(DISK, cells=8, element=name).record for name in ("mine", "P1"))
+    assert mine["energy"] == theirs["energy"] and mine["element"] == "mine"
+
+
+@pytest.mark.parametrize("name", ["Q1", "Q2", "P2", "Q1-gauss"])
+def test_linear_view(name, tmp_path):
+    """What is saved and drawn keeps all nodal values, and a chessboard stays one; read again on any number of ranks."""
+    answer = solve(DISK, cells=8, element=name, eps=1e-4)
+    plain = linear(answer)
+    for key in ("u", "upper", "error"):
+        mine, theirs = answer.functions()[key].x.array, plain.functions()[key].x.array
+        assert np.isclose(largest(COMM, mine), largest(COMM, theirs), atol=1e-14)
+    assert np.isclose(smallest(COMM, answer.pressure.x.array), smallest(COMM, plain.pressure.x.array))
+    folder = COMM.bcast(tmp_path)
+    answer.save(folder)
+    again = Answer.read(folder)
+    assert compare(answer, again)["u"]["max"] < 1e-12
+    assert np.isclose(answer.at([0.0, 0.0]), again.at([0.0, 0.0]))
+
+
+def test_perturbed_meshes_are_the_same_on_all_ranks():
+    """The random shift of a vertex is a function of its place."""
+    level = level_of("P1", SQUARE, perturb=0.25)
+    scene = Scene(mesh={**SQUARE, "perturb": 0.25}, tension=1, upper=1)
+    alone = levels.build(scene, MPI.COMM_SELF)
+    points = {tuple(x) for x in np.round(alone.points.T, 12)}
+    assert all(tuple(x) in points for x in np.round(level.points.T, 12))
+    grid = levels.build(Scene(mesh=SQUARE, tension=1, upper=1), MPI.COMM_SELF)
+    assert 0.15 / 6 < np.abs(alone.points - grid.points).max() <= 0.25 / 6
