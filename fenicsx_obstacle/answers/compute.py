@@ -107,8 +107,21 @@ class Workbench:
         problem: The discrete problem.
     """
 
-    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, level: levels.Level | None = None):
-        """Assemble (collective); `level` is the scene's mesh where it is made already."""
+    def __init__(
+        self,
+        scene: Scene,
+        comm: MPI.Comm = MPI.COMM_WORLD,
+        level: levels.Level | None = None,
+        before: Workbench | None = None,
+    ):
+        """Assemble (collective).
+
+        Args:
+            scene: What to solve.
+            comm: Communicator; a mesh of the scene's own brings its own.
+            level: The scene's mesh, where it is made already.
+            before: A workbench on the level below, whose solution is the start.
+        """
         self.started = time.perf_counter()
         if level is None:
             level = levels.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
@@ -116,6 +129,10 @@ class Workbench:
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(scene, level)
         self._grids: list[Multigrid] | None = None
+        self._solved_below = before is not None and nested(scene)
+        if before is not None and self._solved_below:
+            below = before._hierarchy()
+            self._grids = [*below, Multigrid(self.problem, below[-1])]
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
         if scene.report:
@@ -134,6 +151,15 @@ class Workbench:
         del self.problem
         self._grids = self._report = self._exact = None
         releases.free(level.comm for level in meshes)
+
+    def refined(self, marked: np.ndarray) -> Workbench:
+        """A workbench on the mesh with marked owned cells refined, which starts from the solution here (collective).
+
+        Raises:
+            InputError: For other cells than intervals and triangles.
+        """
+        level = self.problem.level
+        return Workbench(self.problem.scene, level.comm, levels.refined_where(level, marked), self)
 
     @property
     def exact(self) -> Exact | None:
@@ -169,7 +195,11 @@ class Workbench:
             eps = penalty_parameter(problem, scene.tables.solve.eps)
             solver = partial(solve_penalty, eps=eps, successive=method == "successive")
         if grids:
-            outcomes = solve_nested(grids, solver, np.inf if eps is None else 1.0 / eps)
+            stiffness = np.inf if eps is None else 1.0 / eps
+            if self._solved_below:
+                outcomes = solve_nested(grids[-1:], solver, stiffness, grids[-2].problem)
+            else:
+                outcomes = solve_nested(grids, solver, stiffness)
         else:
             problem.refer(problem.cold_start())
             outcomes = [solver(problem)]

@@ -13,7 +13,7 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import files, parents
+from fenicsx_obstacle.discrete import bisection, files, parents
 from fenicsx_obstacle.discrete.cells import corners, volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair
@@ -195,6 +195,21 @@ def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
     new, cells, places = parents.halved(level.mesh, level.V)
     fine = Level(new, level.h / 2, shape=level.shape, coarse=level, parents=cells, places=places)
+    if level.shape is not None and level.shape.project is not None:
+        parents.snap(fine.V, fine.boundary_facets, level.shape.project)
+    return fine
+
+
+def refined_where(level: Level, marked: np.ndarray) -> Level:
+    """The level with marked owned cells refined, and a few neighbours so that cells fit (collective).
+
+    Raises:
+        InputError: For other cells than intervals and triangles.
+    """
+    new, cells, places = bisection.refined_where(level.V, marked)
+    dim = new.topology.dim
+    h = largest(new.comm, (factorial(dim) * volumes(corners(new))) ** (1 / dim))
+    fine = Level(new, h, shape=level.shape, pair=level.pair, coarse=level, parents=cells, places=places)
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
     return fine

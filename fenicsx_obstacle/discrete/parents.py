@@ -28,7 +28,7 @@ def ends_of(V: fem.FunctionSpace, coarse: fem.FunctionSpace, parents: np.ndarray
     one = one[:owned]
     rows = releases.cell_dofs(coarse)[parents[one // dofs.shape[1]]]
     dim = V.mesh.topology.dim
-    of = np.array([(i, i) for i in range(dim + 1)] + _EDGES[dim])[places.ravel()[one]]
+    of = np.array([(i, i) for i in range(dim + 1)] + EDGES[dim])[places.ravel()[one]]
     return np.take_along_axis(rows, of, axis=1)
 
 
@@ -62,7 +62,7 @@ def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarr
     vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
     own = mesh.topology.index_map(dim).size_local
     dofs = releases.cell_dofs(V)[:own]
-    sides = _EDGES[dim]
+    sides = EDGES[dim]
     if dim == 1:
         halves = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
     else:
@@ -90,7 +90,7 @@ def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarr
 
 
 # a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
-_EDGES = {
+EDGES = {
     1: [(0, 1)],
     2: [(1, 2), (0, 2), (0, 1)],
     3: [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)],
@@ -118,8 +118,8 @@ def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
     The shortest; of two alike the one along the longest edge: then the six tetrahedra of a cube become those of its
     eight parts.
     """
-    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (_EDGES[3][m - 4] for m in pair)] for pair in _RING[3]]
-    edges = np.stack([corner[:, j] - corner[:, i] for i, j in _EDGES[3]], axis=1)
+    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (EDGES[3][m - 4] for m in pair)] for pair in _RING[3]]
+    edges = np.stack([corner[:, j] - corner[:, i] for i, j in EDGES[3]], axis=1)
     longest = edges[np.arange(len(edges)), (edges**2).sum(axis=2).argmax(axis=1)]
     score = []
     for a, b in ends:

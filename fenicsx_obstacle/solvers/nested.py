@@ -18,13 +18,16 @@ from fenicsx_obstacle.solvers.snes import Outcome
 ON_THE_WAY = {"least": 1, "tolerance": 1e-2}
 
 
-def solve_nested(grids: Sequence[Multigrid], solve: Callable[..., Outcome], stiffness: float) -> list[Outcome]:
+def solve_nested(
+    grids: Sequence[Multigrid], solve: Callable[..., Outcome], stiffness: float, before: Problem | None = None
+) -> list[Outcome]:
     """Solve on each level from the coarsest on (collective).
 
     Args:
         grids: The multigrid of each level; the problem of the last holds the solution afterwards.
         solve: Solves a problem from its present state, given `multigrid`, and `ON_THE_WAY`.
         stiffness: Of the obstacle, 1/eps or infinite.
+        before: The problem of the level below the first of these, holding its solution; by default there is none.
 
     Returns:
         The outcome of each level, the finest last.
@@ -33,7 +36,6 @@ def solve_nested(grids: Sequence[Multigrid], solve: Callable[..., Outcome], stif
         NotConverged: On the finest level. A coarse state is a start, converged or not.
     """
     outcomes: list[Outcome] = []
-    before: Problem | None = None
     for grid in grids:
         problem = grid.problem
         if before is None:
