@@ -84,6 +84,16 @@ class Stability:
         zero = values <= ZERO * values[-1]
         return int(zero.sum()), float(values[~zero][0])
 
+    def consistency(self) -> float:
+        """How far I is from exact on V_h: largest |I(1, v) - (1, v)| of basis functions over the largest (1, v)."""
+        one, lumped, true = self._I.createVecLeft(), self._I.createVecRight(), self._duality.createVecRight()
+        one.set(1.0)
+        self._I.multTranspose(one, lumped)
+        self._duality.multTranspose(one, true)
+        scale = true.norm(PETSc.NormType.INFINITY)
+        lumped.axpy(-1.0, true)
+        return float(lumped.norm(PETSc.NormType.INFINITY) / scale)
+
     @cached_property
     def _H(self) -> PETSc.Mat:
         return _gram(self.V, self._free)
