@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy import singular
+from fenicsx_obstacle.discrete.voronoi import voronoi_areas
 from fenicsx_obstacle.forms.pairs import Pair
 
 RICHER = 2  # degrees above V_h of the space that stands for H^1_0
@@ -132,19 +133,6 @@ class Stability:
     def _seen(self, A: PETSc.Mat) -> PETSc.Mat:
         """Rows of the nodes inside: those on the boundary V_h does not see."""
         return _part(A, self._inside)
-
-
-def voronoi_areas(V: fem.FunctionSpace) -> np.ndarray:
-    """D_i = -(1/4) sum_j A_ij |x_i - x_j|^2 at owned dofs of P1, A of the Laplacian (collective)."""
-    A = _matrix(ufl.inner(ufl.grad(ufl.TestFunction(V)), ufl.grad(ufl.TrialFunction(V))) * ufl.dx)
-    points = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
-    areas, (x, y) = np.zeros(len(points)), A.createVecs()
-    # rows of A sum to zero, so that the sum is A|x|^2 - 2 x.(Ax)
-    for values, factor in [((points**2).sum(axis=1), 1.0), *((axis, -2 * axis) for axis in points.T)]:
-        x.array[:] = values
-        A.mult(x, y)
-        areas -= factor * y.array / 4
-    return areas
 
 
 def _matrix(form: ufl.Form) -> PETSc.Mat:

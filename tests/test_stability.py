@@ -1,0 +1,146 @@
+"""How stable the pairs are: (3.18), (4.7), Example 3, the dual norm."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import COMM
+
+from fenicsx_obstacle import Scene
+from fenicsx_obstacle.accuracy.stability import Stability
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.forms.pairs import pairs
+from fenicsx_obstacle.studies.theory.statement import slope
+
+RIGHT, CROSSED, SQUARES = {}, {"diagonal": "crossed"}, {"cell": "quadrilateral"}
+FAMILIES = {
+    "P1": ("P1", RIGHT), "P1 crossed": ("P1", CROSSED), "P1 perturbed": ("P1", {"perturb": 0.25}),
+    "Q1": ("Q1", SQUARES), "Q1 perturbed": ("Q1", {**SQUARES, "perturb": 0.25}), "Q2": ("Q2", SQUARES),
+    "P2": ("P2", RIGHT),
+    "voronoi": ("P1-voronoi", CROSSED), "gauss": ("Q1-gauss", SQUARES),
+}  # fmt: skip
+
+
+@cache
+def stability(family: str, n: int) -> Stability:
+    name, mesh = FAMILIES[family]
+    scene = Scene(mesh={"shape": "rectangle", "cells": n, **mesh}, tension=1)
+    return Stability(levels.build(scene, COMM).mesh, pairs()[name])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget():
+    yield
+    stability.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("family", "expected"),
+    [("P1", (0.1581, 0.0745, 0.0364)), ("P1 crossed", (0.1019, 0.0510, 0.0255)), ("Q1", (0.2157, 0.1033, 0.0512)),
+     ("Q2", (0.0552, 0.0260, 0.0128))],
+)  # fmt: skip
+def test_alpha(family, expected):
+    """(3.18), Examples 2 and 3: alpha_h at h = 1/4, 1/8, 1/16, of order 1."""
+    found = [stability(family, n).alpha() for n in (4, 8, 16)]
+    assert np.allclose(found, expected, rtol=5e-3)
+    assert abs(slope([1 / 4, 1 / 8, 1 / 16], found) - 1) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("family", "alpha", "hat"),
+    [("P1", 1 / math.sqrt(3), 1 / math.sqrt(12 + 8 * math.sqrt(3))),
+     ("P1 crossed", 1 / math.sqrt(6), 1 / math.sqrt(72)), ("Q1", math.sqrt(2 / 3), 1 / math.sqrt(24)),
+     ("Q2", 1 / math.sqrt(24), 1 / math.sqrt(120)), ("P2", 1 / math.sqrt(24), None),
+     ("voronoi", math.sqrt(3) / 4, None)],
+)  # fmt: skip
+def test_constants(family, alpha, hat):
+    """(3.18), (4.7): alpha_h/h and hat alpha_h/h at h = 1/16 within 5 % of those of the infinite mesh."""
+    one = stability(family, 16)
+    assert one.alpha() * 16 == pytest.approx(alpha, rel=0.05)
+    if hat is not None:
+        assert one.alpha_hat() * 16 == pytest.approx(hat, rel=0.05)
+
+
+@pytest.mark.parametrize("family", ["P1", "P1 crossed", "P1 perturbed", "Q1", "Q2", "P2"])
+def test_alpha_is_not_below_alpha_hat(family):
+    """(4.7) gives (3.18): alpha_h >= hat alpha_h wherever I(q, q) >= ||q||_0^2, (3.28)."""
+    one = stability(family, 8)
+    assert one.equivalence()[0] > 1 - 1e-12
+    assert one.alpha() >= one.alpha_hat()
+
+
+@pytest.mark.parametrize("family", ["P1", "P1 crossed", "Q1", "Q2", "P2", "voronoi"])
+def test_literal_alpha_is_zero(family):
+    """(3.18) to the letter: V_h does not see the nodes on the boundary, so that alpha_h = 0 on all of Q_h."""
+    values = stability(family, 4).spectrum()
+    assert values[0] < 1e-15
+    assert len(values) == stability(family, 4).Q.dofmap.index_map.size_global
+
+
+@pytest.mark.parametrize(
+    ("family", "ends"), [("P1", (1, 4)), ("P1 perturbed", (1, 4)), ("Q1", (1, 9)), ("Q2", (1, 6.25)), ("P2", (1, 1))]
+)
+def test_equivalence(family, ends):
+    """(3.21), (3.28): I(q, q)/||q||_0^2 between 1 and the largest ratio on one element."""
+    assert np.allclose(stability(family, 8).equivalence(), ends, rtol=1e-10)
+
+
+def test_equivalence_needs_parallelograms():
+    """(3.33): on perturbed quadrilaterals I(q, q) >= ||q||_0^2 fails."""
+    assert stability("Q1 perturbed", 8).equivalence()[0] < 0.999
+
+
+def test_kernel_of_one_point_gauss():
+    """Example 3: 2n - 1 pressures are not seen, and the smallest constant beside them is of order 3."""
+    sizes = (4, 8, 16)
+    found = [stability("gauss", n).kernel() for n in sizes]
+    assert [dim for dim, _ in found] == [2 * n - 1 for n in sizes]
+    left = [value for _, value in found]
+    assert np.allclose(left, (0.0213, 0.00286, 0.000366), rtol=5e-3)
+    assert abs(slope([1 / n for n in sizes], left) - 3) < 0.15
+
+
+@pytest.mark.parametrize("family", ["P1", "P1 crossed", "P1 perturbed", "Q1", "Q2", "P2"])
+def test_dual_norm(family):
+    """The constant with ||q||_1* in place of ||q||_0 does not depend on h where I(1, v) = (1, v)."""
+    for n in (4, 8) if family in ("Q2", "P2") else (4, 8, 16):
+        one = stability(family, n)
+        assert one.consistency() < 1e-12
+        beta, rich = one.beta(), one.beta(rich=True)
+        assert 0.85 < rich <= beta < 1.3
+
+
+def test_dual_norm_by_figures():
+    """P1 on right diagonals: 1.209, 1.048, 1.012 over V_h; 1.14, 1.03, 1.008 over H^1_0."""
+    ones = [stability("P1", n) for n in (4, 8, 16)]
+    assert np.allclose([one.beta() for one in ones], (1.209, 1.048, 1.012), atol=1e-3)
+    assert np.allclose([one.beta(rich=True) for one in ones], (1.14, 1.03, 1.008), atol=5e-3)
+
+
+def test_dual_norm_needs_a_rule_exact_on_V():
+    """Voronoi areas on criss-cross meshes: I(1, v) is not the integral of v, and beta_h falls like h."""
+    ones = [stability("voronoi", n) for n in (4, 8, 16)]
+    assert min(one.consistency() for one in ones) > 0.1
+    assert slope([1 / 8, 1 / 16], [one.beta() for one in ones[1:]]) > 0.9
+    assert stability("Q1 perturbed", 8).consistency() > 0.01
+
+
+@pytest.mark.parametrize("family", ["P1 perturbed", "Q2", "P2", "voronoi"])
+def test_slepc_and_lapack(family):
+    """Both find the same constants."""
+    one = stability(family, 4)
+    for constant in (one.alpha, one.alpha_hat, one.beta, lambda dense: one.beta(dense, rich=True), one.equivalence):
+        assert np.allclose(constant(True), constant(False), rtol=1e-8)
+
+
+def test_ranks():
+    """1, 2 and 3 ranks find what one rank finds on its own."""
+    from mpi4py import MPI
+
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8, "perturb": 0.25}, tension=1)
+    alone = Stability(levels.build(scene, MPI.COMM_SELF).mesh, pairs()["P1"])
+    one = stability("P1 perturbed", 8)
+    for dense in (True, False):
+        assert one.alpha(dense) == pytest.approx(alone.alpha(dense), rel=1e-9)
+        assert one.beta(dense) == pytest.approx(alone.beta(dense), rel=1e-9)
