@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import textwrap
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -75,7 +76,7 @@ def drawing(found: Found, title: str) -> Any:
         part.set_axis_off()
     for part, panel in zip(flat, found.panels, strict=False):
         _panel(part, panel)
-    page.suptitle(title, fontsize=11)
+    page.suptitle(textwrap.fill(title, 55 * columns), fontsize=11)
     return page
 
 
@@ -96,6 +97,7 @@ def _panel(axes: Any, panel: Panel) -> None:
     axes.set_title(panel.title, fontsize=9)
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)
+    axes.tick_params(which="minor", labelsize=6)
     axes.grid(True, which="major", color="0.9")
     axes.legend(fontsize=7)
 
