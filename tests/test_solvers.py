@@ -1,19 +1,15 @@
 """The Newton loop, its stopping test and SNES VI: right answers at every eps, in every unit, or none."""
 
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import BENCHMARKS, COMM, DEMOS, membrane
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene, solve
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.forms.pairs import P1
-from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.solvers.newton import solve_penalty
+from fenicsx_obstacle.parallel import largest
 
 sys.path.insert(0, str(DEMOS))
 TRUE_MAXIMUM = 6.0e-4  # nodal error of the discrete solution on 64 cells; what is more is the solver's
@@ -86,18 +82,6 @@ def test_stiffness_does_not_matter(disk, factor):
     assert np.isclose(stiff["contact"]["upper"]["force"], factor * plain["contact"]["upper"]["force"], rtol=1e-8)
 
 
-def test_successive_iteration_is_the_same_loop(disk):
-    """(3.4)*: from no contact until the active set is the same; the first step is the unconstrained solution."""
-    answer = solve(disk, method="successive", eps=1e-6)
-    assert answer.history[0].active == 0
-    assert answer.history[-1].changed == 0
-    unconstrained = solve(disk.change({"obstacle.upper": 10.0}))
-    violated = total(COMM, np.count_nonzero(unconstrained.u.x.array[: unconstrained.level.owned] > 0.3 + 1e-12))
-    assert answer.history[1].active == violated
-    newton = solve(disk, eps=1e-6)
-    assert np.isclose(newton.record["energy"], answer.record["energy"], rtol=1e-10)
-
-
 @pytest.mark.parametrize("gap", [1e-2, 1e-4, 1e-8])
 def test_narrow_gap_between_two_obstacles(gap):
     """|u| <= gap under an alternating load: both methods stay inside and agree."""
@@ -154,85 +138,6 @@ def test_state_of_an_eps_ladder_is_independent_of_its_order(ball):
     again = bench.answer(ball.change({"solve.eps": 1e-3})).record
     assert first["newton_iterations"] == again["newton_iterations"]
     assert np.isclose(first["energy"], again["energy"], rtol=1e-12)
-
-
-class Tiny:
-    """A dense problem A w + D w^+ / eps = b with the interface of `Problem`, on one rank."""
-
-    def __init__(self, A, b):
-        self.matrix, self.b, n = np.array(A), np.array(b), len(b)
-        self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0, pair=P1)
-        self.w = SimpleNamespace(x=SimpleNamespace(array=np.zeros(n)))
-        self.eps = SimpleNamespace(value=1.0)
-        self.fixed, self.constrained, self.affine = np.zeros(n, bool), True, True
-        self.touchable = ~self.fixed
-        self.has_energy, self.symmetric = True, True
-        self.A = PETSc.Mat().createDense(n, comm=MPI.COMM_SELF)
-        self.A.setUp()
-        self.elastic, self.reaction = self.A.createVecLeft(), self.A.createVecLeft()
-        self.load = np.abs(self.b).sum()
-
-    def state(self):
-        x = self.A.createVecLeft()
-        x.array[:] = self.w.x.array
-        return x
-
-    def take(self, x):
-        self.w.x.array[:] = x.array_r
-
-    def gaps(self):
-        return np.full(len(self.b), np.inf), -self.w.x.array
-
-    pressed_gaps = gaps
-
-    def bearing(self, active):
-        return active
-
-    def refer_to_contact(self, *, blunt=False):
-        return False
-
-    def residual(self, x, out, *, penalised=True):
-        self.take(x)
-        w = self.w.x.array
-        self.elastic.array[:] = self.matrix @ w - self.b
-        self.reaction.array[:] = np.maximum(w, 0) / self.eps.value
-        out.array[:] = self.elastic.array_r + self.reaction.array_r
-
-    def jacobian(self, x, *, penalised=True):
-        self.take(x)
-        n = len(self.b)
-        J = self.matrix + np.diag((self.w.x.array > 0) / self.eps.value)
-        self.A.setValues(range(n), range(n), J.ravel())
-        self.A.assemble()
-        return self.A
-
-    def energy(self, x, *, penalised=True):
-        w = x.array_r
-        return w @ self.matrix @ w / 2 - self.b @ w + (np.maximum(w, 0) ** 2).sum() / (2 * self.eps.value)
-
-
-def test_line_search_breaks_a_cycle():
-    """Without an M-matrix (3.4)* can cycle: here with period 3; Newton with a line search on the energy cannot."""
-    A = [[1.1125, -1.3018, -2.5507], [-1.3018, 3.4936, 6.2215], [-2.5507, 6.2215, 11.2719]]
-    b = np.array([-1.0507, 0.0167, 1.0774])
-    problem = Tiny(A, b)
-    active, met = np.zeros(3, bool), []
-    for _ in range(9):
-        met.append(tuple(active))
-        active = np.linalg.solve(np.array(A) + np.diag(active / 1e-3), b) > 0
-    assert met[1:4] == met[4:7] == met[7:9] + met[6:7]  # the example does cycle
-    options = PETSc.Options()
-    direct = {"penalty_ksp_type": "preonly", "penalty_pc_type": "lu"}
-    for key, value in direct.items():
-        options[key] = value
-    try:
-        outcome = solve_penalty(problem, 1e-3)
-    finally:
-        for key in direct:
-            options.delValue(key)
-    w = problem.w.x.array
-    assert outcome.converged
-    assert np.abs(np.array(A) @ w + np.maximum(w, 0) / 1e-3 - b).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", ["ball", "disk", "two_sided", "string"])

@@ -231,9 +231,11 @@ class Workbench:
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
         seconds += self.setup_seconds
+        method = scene.tables.solve.method
         sides = {"lower": (problem.below, contact.lower_force), "upper": (problem.above, contact.upper_force)}
         record = {
-            "scene": scene.name, "title": scene.tables.title, "method": scene.tables.solve.method,
+            "scene": scene.name, "title": scene.tables.title, "method": method,
+            **({"m_matrix": problem.m_matrix} if method == "successive" else {}),
             "element": scene.pair.name, "ranks": level.comm.size,
             "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
             "cells_total": level.cells, "dofs": level.dofs,

@@ -7,6 +7,8 @@ round-off for eps < 1e-12.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
@@ -16,6 +18,7 @@ from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.signs import is_m_matrix
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -213,6 +216,16 @@ class Problem:
         """Whether the residual is the derivative of a convex energy."""
         energies = [effect.energy(self.forms.w, self.data) for effect in self.scene.effects]
         return None not in energies and all(effect.convex for effect in self.scene.effects)
+
+    @cached_property
+    def m_matrix(self) -> bool:
+        """Whether the stiffness between free dofs is an M-matrix (first use is collective)."""
+        return self.affine and self.has_energy and is_m_matrix(self.A, self.nodal.diagonal, self.level.comm)
+
+    @property
+    def shrinks(self) -> bool:
+        """Whether active sets of (3.4)* must shrink after its first step: one obstacle, on an M-matrix."""
+        return (self.below is None) != (self.above is None) and self.m_matrix
 
     def energy(self, x: PETSc.Vec, *, penalised: bool = True) -> float:
         """a(u, u)/2 - f(u) + I((u - g)^+ ^2, 1)/(2 eps) at w = x."""

@@ -12,8 +12,9 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.solvers.multigrid import Multigrid
+from fenicsx_obstacle.solvers.shrinking import Shrinking
 from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
-from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
+from fenicsx_obstacle.solvers.stopping import GREW, TOLERANCE, Stopping
 
 NEWTON = {
     "snes_type": "newtonls",
@@ -40,8 +41,8 @@ def solve_penalty(
     """Solve (3.4) from the problem's present state (collective).
 
     Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
-    finite. Should they repeat, a line search on the convex energy breaks the cycle. A residual that is not linear has
-    the line search from the start.
+    finite; (3.4)* checks that they do. Should they repeat, a line search on the convex energy breaks the cycle. A
+    residual that is not linear has the line search from the start.
 
     Args:
         problem: Holds the start, then the solution.
@@ -79,7 +80,7 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
     searches = ("basic", "bt", "basic") if problem.affine else ("bt", "basic")
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
-        if not outcome.converged:
+        if not outcome.converged and outcome.reason != GREW:
             outcome = joined(outcome, _attempt(problem, search, how, multigrid))
     return outcome
 
@@ -87,7 +88,10 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
 def _attempt(
     problem: Problem, search: str, how: dict[str, Any], multigrid: Multigrid | None, *, objective: bool = False
 ) -> Outcome:
-    stopping = Stopping(problem, watch_cycles=search == "basic" and not objective, **how)
+    full = search == "basic" and not objective
+    must_shrink = full and how["unchanged"] and problem.shrinks
+    shrinking = Shrinking(problem) if must_shrink else None
+    stopping = Stopping(problem, watch_cycles=full, shrinking=shrinking, **how)
     options = {**NEWTON, "snes_linesearch_type": search}
     return run(problem, "penalty", options, stopping, objective=objective or search == "bt", multigrid=multigrid)
 

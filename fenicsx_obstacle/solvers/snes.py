@@ -109,7 +109,7 @@ def run(
     if objective:
         snes.setObjective(lambda _, x: problem.energy(x, penalised=penalised))
     snes.setOptionsPrefix(f"{name}_")
-    with _defaults(f"{name}_", options):
+    with defaults(f"{name}_", options):
         if multigrid is not None and penalised:
             multigrid.install(snes.ksp.pc)
         snes.setFromOptions()
@@ -141,7 +141,7 @@ def require(outcome: Outcome, problem: Problem, eps: float | None) -> Outcome:
     return outcome
 
 
-class _defaults:
+class defaults:
     """Options that hold unless the user has set them, and are gone afterwards."""
 
     def __init__(self, prefix: str, options: Mapping[str, Any]):

@@ -16,6 +16,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import smallest, total
+from fenicsx_obstacle.solvers.shrinking import Shrinking
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
@@ -27,6 +28,7 @@ EXACT = 1e-10
 NOTHING = 1e-30
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
+GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
 
 
@@ -61,6 +63,7 @@ class Stopping:
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces.
         touching: How near to a bound a node touches it (bounds only).
+        shrinking: Checks that active sets shrink, where they must.
         blunt: Balance was only reached up to the round-off of w.
         history: One `Step` per evaluation.
     """
@@ -72,6 +75,7 @@ class Stopping:
     least: int = 0
     tolerance: float = TOLERANCE
     touching: float = 0.0
+    shrinking: Shrinking | None = None
     blunt: bool = False
     history: list[Step] = field(default_factory=list)
     _last: np.ndarray | None = None
@@ -100,6 +104,8 @@ class Stopping:
         _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
                   iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
         self._last, self._krylov = active, krylov
+        if self.shrinking is not None and self.shrinking.broken(snes.ksp, active != 0, elastic):
+            return GREW
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
         far = step.changed > 0 and unbalanced > FAR * forces
@@ -182,6 +188,7 @@ def in_words(reason: int) -> str:
         "DIVERGED_LINE_SEARCH": "the line search found no descent",
         "DIVERGED_FNORM_NAN": "the residual became infinite or not a number",
         "DIVERGED_LOCAL_MIN": "the active sets repeat themselves",
+        "DIVERGED_INNER": "an active set grew on an M-matrix, which shows an error in this program or its libraries",
     }
     name = names.get(reason, str(reason))
     return f"{words.get(name, 'the nonlinear solver gave up')} ({name})"

@@ -1,0 +1,27 @@
+"""The signs of a stiffness matrix: with none positive off the diagonal it obeys the maximum principle."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle.parallel import largest
+
+ROUND_OFF = 1e-12  # of the diagonal: the legs of a right angle give zero up to this
+
+
+def is_m_matrix(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
+    """Whether a symmetric positive definite matrix has no positive off-diagonal entry: its inverse has none negative.
+
+    Of P1 triangles with one tension: wherever the two angles opposite to an edge sum to 180 degrees at most.
+
+    Args:
+        A: The matrix; rows of fixed dofs and their columns are those of the identity.
+        diagonal: Of its owned rows, without what springs add: the scale of round-off.
+        comm: Of the matrix (collective).
+    """
+    starts, columns, values = A.getValuesCSR()
+    rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    beside = columns != rows + A.getOwnershipRange()[0]
+    return largest(comm, (values / diagonal[rows])[beside]) <= ROUND_OFF

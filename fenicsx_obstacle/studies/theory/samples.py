@@ -1,0 +1,94 @@
+"""What the statements are measured on: the scenes of demos/, and problems of a few unknowns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import ArrayLike
+from petsc4py import PETSc
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.scene import Scene
+
+DEMOS = Path(__file__).parents[3] / "demos"
+
+
+def sample(name: str, cells: int) -> Scene:
+    """A scene of demos/ with so many cells a side.
+
+    Raises:
+        InputError: Without a checkout of the project.
+    """
+    if not DEMOS.is_dir():
+        raise InputError("theory runs from a checkout of the project, where demos/ is")
+    return Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": cells})
+
+
+class Small:
+    """A u + D (u - g)^+ / eps = b of a few unknowns, with g = 0 and D = 1: what the solvers ask of a `Problem`.
+
+    No mesh lies behind it, and every rank solves the whole of it.
+
+    Attributes:
+        met: The active sets for which a linear system was asked for, in their order.
+        shrinks: Whether the matrix has no positive off-diagonal entry, so that active sets must shrink.
+    """
+
+    def __init__(self, A: ArrayLike, b: ArrayLike):
+        self.matrix, self.b = np.array(A, dtype=float), np.array(b, dtype=float)
+        n = len(self.b)
+        self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0)
+        self.w = SimpleNamespace(x=SimpleNamespace(array=np.zeros(n)))
+        self.eps = SimpleNamespace(value=1.0)
+        self.fixed, self.weights = np.zeros(n, dtype=bool), np.ones(n)
+        self.below, self.above = None, np.zeros(n)
+        self.constrained = self.affine = self.has_energy = self.symmetric = True
+        self.shrinks = bool(np.all(self.matrix - np.diag(np.diag(self.matrix)) <= 0))
+        self.A = PETSc.Mat().createDense(n, comm=MPI.COMM_SELF)
+        self.A.setUp()
+        self.elastic, self.reaction = self.A.createVecs()
+        self.load = float(np.abs(self.b).sum())
+        self.met: list[tuple[bool, ...]] = []
+
+    def cold_start(self) -> np.ndarray:
+        return np.zeros(len(self.b))
+
+    def refer(self, heights: np.ndarray) -> None:
+        self.w.x.array[:] = heights
+
+    def refer_to_contact(self, *, blunt: bool = False) -> bool:
+        return False
+
+    def state(self) -> PETSc.Vec:
+        x = self.A.createVecLeft()
+        x.array[:] = self.w.x.array
+        return x
+
+    def take(self, x: PETSc.Vec) -> None:
+        self.w.x.array[:] = x.array_r
+
+    def gaps(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.full(len(self.b), np.inf), -self.w.x.array
+
+    def residual(self, x: PETSc.Vec, out: PETSc.Vec, *, penalised: bool = True) -> None:
+        self.take(x)
+        w = self.w.x.array
+        self.elastic.array[:] = self.matrix @ w - self.b
+        self.reaction.array[:] = np.maximum(w, 0) / self.eps.value
+        out.array[:] = self.elastic.array_r + self.reaction.array_r
+
+    def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
+        self.take(x)
+        n, active = range(len(self.b)), self.w.x.array > 0
+        self.met.append(tuple(active.tolist()))
+        self.A.setValues(n, n, (self.matrix + np.diag(active / self.eps.value)).ravel())
+        self.A.assemble()
+        return self.A
+
+    def energy(self, x: PETSc.Vec, *, penalised: bool = True) -> float:
+        w: Any = x.array_r
+        return float(w @ self.matrix @ w / 2 - self.b @ w + (np.maximum(w, 0) ** 2).sum() / (2 * self.eps.value))

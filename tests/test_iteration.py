@@ -1,0 +1,120 @@
+"""The successive iteration (3.4)*: nested active sets, their check at run time, cycles and counts."""
+
+import numpy as np
+import pytest
+from conftest import COMM, DEMOS, membrane
+
+from fenicsx_obstacle import NotConverged, Scene, solve
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.solvers.newton import solve_penalty
+from fenicsx_obstacle.solvers.snes import defaults
+from fenicsx_obstacle.studies.theory.iteration import CYCLE, CYCLE_EPS, CYCLE_LOAD, DIRECT, entered, successive
+from fenicsx_obstacle.studies.theory.samples import Small
+
+
+def sheared(by):
+    """The mesh of `membrane` with x moved by so many y; its diagonals go up to the right."""
+    mesh = levels.build(membrane(), COMM).mesh
+    mesh.geometry.x[:, 0] += by * mesh.geometry.x[:, 1]
+    return mesh
+
+
+def test_statement():
+    """(3.4)*: all rows of the statement hold, and steps from the coarser levels and from larger eps stay few."""
+    found = successive(COMM)
+    assert {finding.verdict for finding in found.findings} == {
+        "holds", "holds with room", "sharp", "misprint", "needs hypothesis"
+    }  # fmt: skip
+    steps = {curve.label: list(curve.y) for curve in found.panels[0].curves}
+    assert max(steps["nested, small eps"] + steps["nested, eps = h^2"]) <= 4
+    assert max(steps["continued, in all"]) <= 23
+    assert steps["cold, small eps"][-1] > 5 * steps["cold, small eps"][0]
+
+
+def test_successive_iteration_is_the_same_loop(disk):
+    """(3.4)*: from no contact until the active set is the same; the first step is the unconstrained solution."""
+    answer = solve(disk, method="successive", eps=1e-6)
+    assert answer.history[0].active == 0
+    assert answer.history[-1].changed == 0
+    unconstrained = solve(disk.change({"obstacle.upper": 10.0}))
+    violated = total(COMM, np.count_nonzero(unconstrained.u.x.array[: unconstrained.level.owned] > 0.3 + 1e-12))
+    assert answer.history[1].active == violated
+    newton = solve(disk, eps=1e-6)
+    assert np.isclose(newton.record["energy"], answer.record["energy"], rtol=1e-10)
+
+
+@pytest.mark.parametrize("eps", [1e-2, 1e-6, 1e-10])
+@pytest.mark.parametrize("name", ["disk", "ball", "string"])
+def test_active_sets_shrink(name, eps):
+    """(3.4)* on an M-matrix, above and below: after the first step active sets only shrink, and it is finite."""
+    answer = solve(Scene.read(DEMOS / f"{name}.toml"), cells=32, eps=eps, method="successive")
+    history = answer.history
+    assert answer.record["m_matrix"]
+    assert entered(history) == 0
+    assert history[1].active > history[-1].active > 0 == history[-1].changed
+    assert len(history) - 1 <= answer.record["free"] + 1
+
+
+@pytest.mark.parametrize(
+    ("scene", "holds"),
+    [
+        (lambda: membrane(upper=1), True),
+        (lambda: membrane(upper=1, mesh={"shape": "rectangle", "y": [0, 50], "diagonal": "crossed", "cells": 8}), True),
+        (lambda: membrane(upper=1, mesh=sheared(-0.5)), True),
+        (lambda: membrane(upper=1, mesh=sheared(0.5)), False),
+        (lambda: membrane(upper=1, mesh={"shape": "box", "cells": 4}), True),
+        (lambda: membrane(upper=1, mesh={"shape": "interval"}, tension="1 + 1e6*x"), True),
+    ],
+    ids=["right angles", "crossed, stretched", "acute", "obtuse", "box", "interval"],
+)
+def test_m_matrix(scene, holds):
+    """Off-diagonals are not positive iff the angles opposite to each edge sum to 180 degrees at most."""
+    bench = Workbench(scene().change({"boundary": [{"value": 0}]}))
+    assert bench.problem.m_matrix is holds
+    assert bench.problem.shrinks is holds
+    bench.answer()
+    del bench.problem.m_matrix
+    assert bench.problem.m_matrix is holds  # springs are on the diagonal
+
+
+def test_two_obstacles_promise_no_shrinking():
+    """Between two obstacles the sets of (3.4)* need not be nested: nothing is checked there."""
+    problem = Workbench(membrane(upper=1, lower=-1)).problem
+    assert problem.m_matrix and not problem.shrinks
+
+
+def test_cycle_is_broken_by_the_line_search():
+    """Without an M-matrix (3.4)* can cycle: here with period 3; Newton with a line search on the energy cannot."""
+    active, met = np.zeros(3, bool), []
+    for _ in range(9):
+        met.append(tuple(active.tolist()))
+        active = np.linalg.solve(np.array(CYCLE) + np.diag(active / CYCLE_EPS), CYCLE_LOAD) > 0
+    assert met[0:3] == met[3:6] == met[6:9]
+    problem = Small(CYCLE, CYCLE_LOAD)
+    with defaults("penalty_", DIRECT):
+        outcome = solve_penalty(problem, CYCLE_EPS)
+    assert outcome.converged and problem.met[:6] == met[:6]
+    w = problem.w.x.array
+    assert np.abs(problem.matrix @ w + np.maximum(w, 0) / CYCLE_EPS - problem.b).max() < 1e-9
+
+
+def test_sets_that_grow_where_they_must_not_are_refused():
+    """Told that its matrix is an M-matrix, the example that cycles shows what an error in the program would."""
+    problem = Small(CYCLE, CYCLE_LOAD)
+    assert not problem.shrinks
+    problem.shrinks = True
+    with defaults("penalty_", DIRECT), pytest.raises(NotConverged, match="grew on an M-matrix") as error:
+        solve_penalty(problem, CYCLE_EPS, successive=True)
+    assert error.value.iterations == 2
+
+
+@pytest.mark.parametrize("eps", [1e-3, 1e-10])
+def test_inexact_systems_are_no_error(disk, eps):
+    """A node may enter by as much as the remainders of the linear systems lift it: the answer is the same."""
+    scene = disk.change({"mesh.cells": 32, "solve.method": "successive", "solve.eps": eps})
+    with defaults("penalty_", {"ksp_rtol": 0.3, "pc_type": "jacobi"}):
+        rough = solve(scene)
+    assert entered(rough.history) > 0
+    assert np.isclose(rough.record["energy"], solve(scene).record["energy"], rtol=1e-10)
