@@ -10,7 +10,20 @@ from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.solvers.newton import solve_penalty
 from fenicsx_obstacle.solvers.snes import defaults
-from fenicsx_obstacle.studies.theory.iteration import CYCLE, CYCLE_EPS, CYCLE_LOAD, DIRECT, entered, successive
+from fenicsx_obstacle.studies.theory.iteration import (
+    COLD,
+    CYCLE,
+    CYCLE_EPS,
+    CYCLE_LOAD,
+    DIRECT,
+    FALLING,
+    NESTED,
+    counts,
+    cycle,
+    entered,
+    linear_step,
+    nesting,
+)  # fmt: skip
 from fenicsx_obstacle.studies.theory.samples import Small
 
 
@@ -22,15 +35,21 @@ def sheared(by):
 
 
 def test_statement():
-    """(3.4)*: all rows of the statement hold, and steps from the coarser levels and from larger eps stay few."""
-    found = successive(COMM)
-    assert {finding.verdict for finding in found.findings} == {
-        "holds", "holds with room", "sharp", "misprint", "needs hypothesis"
-    }  # fmt: skip
-    steps = {curve.label: list(curve.y) for curve in found.panels[0].curves}
-    assert max(steps["nested, small eps"] + steps["nested, eps = h^2"]) <= 4
-    assert max(steps["continued, in all"]) <= 23
-    assert steps["cold, small eps"][-1] > 5 * steps["cold, small eps"][0]
+    """(3.4)*: the step is linear, sets are nested, the example cycles."""
+    findings = [*linear_step(COMM), *nesting(COMM), *cycle()]
+    verdicts = [finding.verdict for finding in findings]
+    assert verdicts == ["holds", "misprint", "holds", "holds with room", "holds", "needs hypothesis", "holds"]
+
+
+def test_counts():
+    """Steps from no contact grow like 1/h; from the coarser levels, and with eps falling by tens, they stay few."""
+    findings, panels = counts(COMM, (16, 32, 64))
+    assert all(finding.verdict != "FAILS" for finding in findings)
+    steps = [{curve.label: list(curve.y) for curve in panel.curves} for panel in panels]
+    assert all(max(one[NESTED]) <= 4 for one in steps)
+    assert max(steps[0][FALLING]) <= 20
+    assert steps[0][COLD] == [4, 7, 12]
+    assert steps[1][COLD] == [3, 5, 7]
 
 
 def test_successive_iteration_is_the_same_loop(disk):

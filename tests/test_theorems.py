@@ -4,22 +4,21 @@ import itertools
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS
 
 from fenicsx_obstacle import Scene, study
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.studies.orders import order
 
 
 @pytest.fixture(scope="module")
 def ladder():
-    """disk.toml, 32 cells: the solution of the VI and eight of the penalty."""
+    """disk.toml, 32 cells: eight solutions of the penalty."""
     bench = Workbench(Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 32}))
     scene = bench.problem.scene
-    reference = bench.answer(scene.change({"solve.method": "vi"}))
     answers = {eps: bench.answer(scene.change({"solve.eps": eps})) for eps in [10.0**-k for k in range(1, 9)]}
-    return bench, reference, answers
+    return bench, answers
 
 
 def test_penalty_errors_are_of_order_eps():
@@ -30,34 +29,9 @@ def test_penalty_errors_are_of_order_eps():
             assert abs(order(key, row, before, "eps") - 1) < 0.1
 
 
-def test_nodal_bounds(ladder):
-    """On an M-matrix 0 <= u_eps - u_h <= eps max|p_h| at every node, hence penetration <= eps max|p_h|."""
-    _, reference, answers = ladder
-    for eps, answer in answers.items():
-        excess = answer.u.x.array - reference.u.x.array
-        bound = eps * largest(COMM, np.abs(reference.pressure.x.array))
-        assert smallest(COMM, excess) >= -1e-10
-        assert largest(COMM, excess) <= bound * (1 + 1e-9) + 1e-10
-        assert answer.record["penetration"] <= bound * (1 + 1e-9)
-
-
-def test_pressure_is_bounded_by_its_limit(ladder):
-    """From (3.23)-(3.24) without LBB: ||p_eps||_I <= ||p_h||_I and a(e, e) <= (eps/4) ||p_h||_I^2."""
-    bench, reference, answers = ladder
-    D, own = bench.problem.weights, bench.problem.level.owned
-    limit = total(COMM, D * reference.pressure.x.array[:own] ** 2)
-    from fenicsx_obstacle.accuracy.norms import Distance
-
-    distance = Distance(bench.problem)
-    for eps, answer in answers.items():
-        assert total(COMM, D * answer.pressure.x.array[:own] ** 2) <= limit * (1 + 1e-10)
-        e = answer.u.x.array - reference.u.x.array
-        assert distance.energy(e) ** 2 <= eps / 4 * limit
-
-
 def test_pressure_has_its_sign_and_balances_the_load(ladder):
     """p <= 0 against the upper obstacle, and a(u, v) = f(v) + I(p, v) at every free node."""
-    bench, _, answers = ladder
+    bench, answers = ladder
     problem = bench.problem
     for answer in answers.values():
         assert largest(COMM, answer.pressure.x.array) <= 0
@@ -86,17 +60,6 @@ def test_vi_orders_in_h(name):
     assert abs(order("errors.h1", rows[1], rows[0], "h") - 1) < 0.1
     assert order("errors.l2", rows[1], rows[0], "h") > 1.7
     assert order("errors.pressure_dual", rows[1], rows[0], "h") >= 1
-
-
-def test_full_contact_and_none():
-    """f = -1 on psi = 0 = g: u = 0 and p = 1; psi = -1: the Poisson solution after one linear solve, p = 0."""
-    full = Workbench(membrane(load=-1, lower=0)).answer(membrane(load=-1, lower=0).change({"solve.method": "vi"}))
-    assert largest(COMM, np.abs(full.u.x.array)) == 0
-    inside = full.contact.x.array > 0
-    assert np.allclose(full.pressure.x.array[inside], 1)
-    lake = Workbench(membrane(load=1, lower=-1)).answer()
-    assert lake.record["newton_iterations"] == 1
-    assert lake.record["contact"]["lower"]["force"] == 0
 
 
 def test_three_dimensions():

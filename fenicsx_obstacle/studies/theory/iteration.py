@@ -26,6 +26,7 @@ from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Pan
 WHERE = "(3.4)*"
 CELLS = (16, 32, 64, 128)
 SMALL = 1e-8  # eps so small that the solution is the one of the variational inequality
+COLD, NESTED, FALLING = "from no contact", "from coarser levels", "eps = 0.1 .. 1e-9, in all"
 CONTINUED = tuple(10.0**-k for k in range(1, 10))
 # symmetric and positive definite, but not an M-matrix; with it full steps come back to where they were
 CYCLE = ((1.1125, -1.3018, -2.5507), (-1.3018, 3.4936, 6.2215), (-2.5507, 6.2215, 11.2719))
@@ -33,11 +34,11 @@ CYCLE_LOAD, CYCLE_EPS = (-1.0507, 0.0167, 1.0774), 1e-3
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu"}
 
 
-@statement("3.4*", "The successive iteration: linear steps, nested active sets, cycles, counts", "(3.4)*", "3.4")
+@statement("3.4*", "The successive iteration: nested active sets, a cycle, counts", "(3.4)*", "3.4")
 def successive(comm: MPI.Comm) -> Found:
     """Measure (3.4)* with the package's own loop (collective)."""
-    counts, panel = _counts(comm)
-    return Found([*_linear_step(comm), *_nesting(comm), *_cycle(), *counts], [panel])
+    steps, panels = counts(comm)
+    return Found([*linear_step(comm), *nesting(comm), *cycle(), *steps], panels)
 
 
 def entered(history: Sequence[Step]) -> int:
@@ -45,7 +46,7 @@ def entered(history: Sequence[Step]) -> int:
     return sum((step.changed + step.active - last.active) // 2 for last, step in itertools.pairwise(history[1:]))
 
 
-def _linear_step(comm: MPI.Comm) -> list[Finding]:
+def linear_step(comm: MPI.Comm) -> list[Finding]:
     """The second step from no contact solves (A + chi D/eps) u = f + chi D g/eps, chi where the first is beyond g."""
     with closing(Workbench(sample("disk", 32), comm)) as bench:
         problem = bench.problem
@@ -92,7 +93,7 @@ def _excess(problem: Problem, x: PETSc.Vec) -> np.ndarray:
     return np.where(problem.fixed, 0.0, -problem.gaps()[1])
 
 
-def _nesting(comm: MPI.Comm) -> list[Finding]:
+def nesting(comm: MPI.Comm) -> list[Finding]:
     """Nodes that enter after the first step, in all runs on M-matrices; and a mesh that gives none."""
     right = sample("disk", 32)
     crossed, string = right.change({"mesh.diagonal": "crossed"}), sample("string", 64)
@@ -124,7 +125,7 @@ def _sheared(comm: MPI.Comm) -> Scene:
     return Scene(**{**shape, "mesh": mesh}, load=4, upper=0.05)
 
 
-def _cycle() -> list[Finding]:
+def cycle() -> list[Finding]:
     """Three unknowns for which full steps have period 3; the line search on the energy ends it."""
     problem: Any = Small(CYCLE, CYCLE_LOAD)
     with defaults("penalty_", DIRECT):
@@ -139,31 +140,35 @@ def _cycle() -> list[Finding]:
     ]  # fmt: skip
 
 
-def _counts(comm: MPI.Comm) -> tuple[list[Finding], Panel]:
+def counts(comm: MPI.Comm, sides: Sequence[int] = CELLS) -> tuple[list[Finding], list[Panel]]:
     """Steps from three starts, over N."""
-    rows = [_counted(sample("disk", cells), comm) for cells in CELLS]
-    steps = {name: [row[name] for row in rows] for name in rows[0]}
-    cold, continued, nested = steps["cold, small eps"], steps["continued, in all"], steps["nested, small eps"]
+    rows = [_counted(sample("disk", cells), comm) for cells in sides]
+    cold, nested, continued = ([row[start, SMALL] for row in rows] for start in (COLD, NESTED, FALLING))
     findings = [
         # the last step only finds that nothing changes
-        rate(WHERE, "steps from no contact, eps = 1e-8, over 1/h", 1, 1, CELLS, [n - 1 for n in cold]),
-        check(WHERE, "eps from 0.1 to 1e-9, each from the last: steps in all, N = 128", "", continued[-1],
-              continued[-1] <= 2 * continued[0]),
-        check(WHERE, "steps on the finest level from the coarser ones, eps = 1e-8, the most", "", max(nested),
-              max(nested) <= 4),
+        rate(WHERE, "steps from no contact, eps = 1e-8, over 1/h", 1, 1, sides, [n - 1 for n in cold]),
+        check(WHERE, "eps from 0.1 to 1e-9, each from the last: steps in all, finest", "no start is named",
+              continued[-1], continued[-1] <= 2 * continued[0]),
+        check(WHERE, "steps on the finest level from the coarser ones, eps = 1e-8, the most", "no start is named",
+              max(nested), max(nested) <= 4),
     ]  # fmt: skip
-    curves = [Curve(name, CELLS, values) for name, values in steps.items()]
-    return findings, Panel("flat ceiling, P1", "N", "steps", curves)
+    panels = [
+        Panel(f"flat ceiling, eps = {eps}", "N", "steps", [
+            Curve(start, sides, [row[start, at] for row in rows]) for start, at in rows[0] if at == eps
+        ], ("linear", "linear")) for eps in (SMALL, "h^2")
+    ]  # fmt: skip
+    return findings, panels
 
 
-def _counted(scene: Scene, comm: MPI.Comm) -> dict[str, int]:
+def _counted(scene: Scene, comm: MPI.Comm) -> dict[tuple[str, float | str], int]:
+    """Steps from each start at each eps."""
     with closing(Workbench(scene, comm)) as bench:
         counts = {}
-        for how, method in (("cold", "successive"), ("nested", "penalty")):
-            for word, eps in (("small eps", SMALL), ("eps = h^2", "h^2")):
+        for start, method in ((COLD, "successive"), (NESTED, "penalty")):
+            for eps in (SMALL, "h^2"):
                 asked = scene.change({"solve.method": method, "solve.eps": eps})
-                counts[f"{how}, {word}"] = bench.answer(asked).record["newton_iterations"]
+                counts[start, eps] = bench.answer(asked).record["newton_iterations"]
         problem = bench.problem
         problem.refer(problem.cold_start())
-        counts["continued, in all"] = sum(solve_penalty(problem, eps).iterations for eps in CONTINUED)
+        counts[FALLING, SMALL] = sum(solve_penalty(problem, eps).iterations for eps in CONTINUED)
     return counts

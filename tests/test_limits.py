@@ -1,0 +1,81 @@
+"""Theorems 3.1 and 3.2: the limit eps -> 0 on one mesh, its bounds, and the ends of the hypotheses."""
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+
+from fenicsx_obstacle import InputError
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.studies.theory.limits import approach, extremes
+from fenicsx_obstacle.studies.theory.samples import sample
+
+
+def test_ends_of_the_hypotheses():
+    """f = 0; g out of reach; contact everywhere; K_h empty."""
+    assert [finding.verdict for finding in extremes(COMM)] == ["holds"] * 4 + ["needs hypothesis"]
+
+
+@pytest.mark.parametrize("name", ["disk", "ball"])
+def test_limit(name):
+    """u_eps -> u_h and p_eps -> p_h, each eps nearer than the last, with order 1 in the end; the nodal bound is sharp."""
+    seen = approach(sample(name, 16), COMM, (1e-1, 1e-3, 1e-5, 1e-7, 1e-9))
+    assert np.all(np.diff(seen.energy) < 0) and np.all(np.diff(seen.pressure) < 0)
+    for errors in (seen.energy, seen.highest, seen.pressure):
+        assert errors[-1] / errors[-2] == pytest.approx(1e-2, rel=1e-2)
+    assert seen.above[-1] == pytest.approx(1, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {
+            "mesh": {"shape": "rectangle", "diagonal": "union-jack", "cells": 16},
+            "lower": "0.1 - (x - 0.4)^2 - (y - 0.5)^2",
+        },
+        {"mesh": {"shape": "box", "cells": 8}, "load": 10, "upper": 0.2},
+        {"tension": "where(x < 0.5, 1, 10)", "load": "100*x", "upper": "0.5 + x*y"},
+    ],
+    ids=["curved, from below", "box", "two tensions"],
+)
+def test_bounds(data):
+    """M-matrix: 0 <= e = u_eps - u_h <= eps max|p_eps|; on any mesh |p_eps|_I <= |p_h|_I, a(e,e) <= eps/4 |p_h|_I^2."""
+    scene = membrane(**{"boundary": [{"value": 0}], **data})
+    seen = approach(scene, COMM, (1e-1, 1e-3, 1e-6, 1e-9))
+    assert min(seen.lowest) >= -1e-12
+    assert max(seen.above) <= 1 + 1e-6
+    assert max(seen.below) <= 1 + 1e-6
+    assert max(seen.rise) <= 1e-12
+    assert max(seen.size) <= 1 + 1e-9
+    assert max(seen.work) <= 1
+    assert np.all(np.diff(seen.energy) < 0) and np.all(np.diff(seen.pressure) < 0)
+    assert seen.above[-1] > 0.9
+
+
+def test_obstacle_below_the_boundary_values_is_refused():
+    """K_h is empty if g < 0 on the boundary, where u = 0: the place and both heights are told, on all ranks."""
+    scene = membrane(load=1, upper="0.3 - x", boundary=[{"value": 0}])
+    with pytest.raises(
+        InputError, match=r"value = 0 lies above the upper obstacle: 0 against -0.7 at \(1, 0\)"
+    ) as error:
+        Workbench(scene)
+    assert "no u satisfies both" in str(error.value)
+
+
+def test_full_contact_and_none():
+    """f = -1 on psi = 0 = g: u = 0 and p = 1; psi = -1: the Poisson solution after one linear solve, p = 0."""
+    full = Workbench(membrane(load=-1, lower=0)).answer(membrane(load=-1, lower=0).change({"solve.method": "vi"}))
+    assert largest(COMM, np.abs(full.u.x.array)) == 0
+    inside = full.contact.x.array > 0
+    assert np.allclose(full.pressure.x.array[inside], 1)
+    lake = Workbench(membrane(load=1, lower=-1)).answer()
+    assert lake.record["newton_iterations"] == 1
+    assert lake.record["contact"]["lower"]["force"] == 0
+
+
+def test_no_force_at_all():
+    """f = 0 below g > 0: u = 0 and p = 0 at any eps, and for the inequality itself."""
+    for change in ({"solve.eps": 1e-14}, {"solve.method": "successive"}, {"solve.method": "vi"}):
+        answer = Workbench(membrane(load=0, upper=0.1, boundary=[{"value": 0}]).change(change)).answer()
+        assert largest(COMM, np.abs(answer.u.x.array)) < 1e-30  # products of round-off: the only force there is
+        assert largest(COMM, np.abs(answer.pressure.x.array)) == 0
