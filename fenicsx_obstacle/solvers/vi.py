@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
@@ -34,15 +36,25 @@ def solve_vi(
         NotConverged: With PETSc's reason.
     """
     how = {"least": least, "tolerance": tolerance}
-    outcome = _attempt(problem, multigrid, how)
+    outcome = _attempts(problem, multigrid, how)
     for _ in range(COUNTED_ANEW):
         if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
             break
-        outcome = joined(outcome, _attempt(problem, multigrid, {**how, "least": 0}))
+        outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0}))
     return require(outcome, problem, None)
 
 
-def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
+def _attempts(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
+    """PETSc's line search; where it fails, because round-off is all that is left, full steps from the same start."""
+    start = problem.w.x.array.copy()
+    outcome = _attempt(problem, multigrid, how, VI)
+    if outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH:
+        problem.w.x.array[:] = start  # PETSc looks for a local minimum then, with x as its work space
+        outcome = joined(outcome, _attempt(problem, multigrid, how, {**VI, "snes_linesearch_type": "basic"}))
+    return outcome
+
+
+def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any], options: Mapping[str, Any]) -> Outcome:
     own = problem.level.owned
     x = problem.state()
     lower, upper = x.duplicate(), x.duplicate()
@@ -53,7 +65,7 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
     problem.take(x)
     touching = 1e-12 * _height(problem)
-    options = {**VI, "snes_vi_zero_tolerance": touching}
+    options = {**options, "snes_vi_zero_tolerance": touching}
     stopping = Stopping(problem, exact_bounds=True, touching=touching, **how)
     outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
                   prepare=lambda snes: snes.setVariableBounds(lower, upper))  # fmt: skip
