@@ -15,7 +15,7 @@ from fenicsx_obstacle.studies.theory.iteration import (
     CYCLE,
     CYCLE_EPS,
     CYCLE_LOAD,
-    DIRECT,
+    DENSE,
     FALLING,
     NESTED,
     counts,
@@ -25,6 +25,8 @@ from fenicsx_obstacle.studies.theory.iteration import (
     nesting,
 )  # fmt: skip
 from fenicsx_obstacle.studies.theory.samples import Small
+
+SQUARES = {"shape": "rectangle", "cell": "quadrilateral", "cells": 8}
 
 
 def sheared(by):
@@ -85,11 +87,13 @@ def test_active_sets_shrink(name, eps):
         (lambda: membrane(upper=1, mesh=sheared(0.5)), False),
         (lambda: membrane(upper=1, mesh={"shape": "box", "cells": 4}), True),
         (lambda: membrane(upper=1, mesh={"shape": "interval"}, tension="1 + 1e6*x"), True),
+        (lambda: membrane(upper=1, mesh=SQUARES), True),
+        (lambda: membrane(upper=1, mesh=SQUARES).change({"solve.element": "Q2"}), False),
     ],
-    ids=["right angles", "crossed, stretched", "acute", "obtuse", "box", "interval"],
+    ids=["right angles", "crossed, stretched", "acute", "obtuse", "box", "interval", "Q1", "Q2"],
 )
 def test_m_matrix(scene, holds):
-    """Off-diagonals are not positive iff the angles opposite to each edge sum to 180 degrees at most."""
+    """Off-diagonals of P1 are not positive iff angles opposite to each edge sum to 180 degrees at most."""
     bench = Workbench(scene().change({"boundary": [{"value": 0}]}))
     assert bench.problem.m_matrix is holds
     assert bench.problem.shrinks is holds
@@ -112,7 +116,7 @@ def test_cycle_is_broken_by_the_line_search():
         active = np.linalg.solve(np.array(CYCLE) + np.diag(active / CYCLE_EPS), CYCLE_LOAD) > 0
     assert met[0:3] == met[3:6] == met[6:9]
     problem = Small(CYCLE, CYCLE_LOAD)
-    with defaults("penalty_", DIRECT):
+    with defaults("penalty_", DENSE):
         outcome = solve_penalty(problem, CYCLE_EPS)
     assert outcome.converged and problem.met[:6] == met[:6]
     w = problem.w.x.array
@@ -124,7 +128,7 @@ def test_sets_that_grow_where_they_must_not_are_refused():
     problem = Small(CYCLE, CYCLE_LOAD)
     assert not problem.shrinks
     problem.shrinks = True
-    with defaults("penalty_", DIRECT), pytest.raises(NotConverged, match="grew on an M-matrix") as error:
+    with defaults("penalty_", DENSE), pytest.raises(NotConverged, match="grew on an M-matrix") as error:
         solve_penalty(problem, CYCLE_EPS, successive=True)
     assert error.value.iterations == 2
 

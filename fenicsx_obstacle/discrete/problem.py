@@ -220,7 +220,8 @@ class Problem:
     @cached_property
     def m_matrix(self) -> bool:
         """Whether the stiffness between free dofs is an M-matrix (first use is collective)."""
-        return self.affine and self.has_energy and is_m_matrix(self.A, self.nodal.diagonal, self.level.comm)
+        forms = self.forms
+        return isinstance(forms, Nodal) and self.has_energy and is_m_matrix(self.A, forms.diagonal, self.level.comm)
 
     @property
     def shrinks(self) -> bool:

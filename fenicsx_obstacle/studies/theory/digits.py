@@ -11,8 +11,8 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
-from fenicsx_obstacle.solvers.snes import defaults
-from fenicsx_obstacle.studies.theory.samples import FACTORISED, sample
+from fenicsx_obstacle.solvers.snes import DIRECT, defaults
+from fenicsx_obstacle.studies.theory.samples import sample
 from fenicsx_obstacle.studies.theory.statement import Curve, Found, Panel, check, constant, rate, statement
 
 WHERE = "(3.7), (3.8)"
@@ -32,7 +32,7 @@ def digits(comm: MPI.Comm) -> Found:
     """
     errors: dict[str, list[float]] = {GAP: [], RESIDUAL: [], PLAIN: []}
     lost = []
-    direct = defaults("penalty_", FACTORISED), defaults("vi_", FACTORISED)
+    direct = defaults("penalty_", DIRECT), defaults("vi_", DIRECT)
     with direct[0], direct[1], closing(Workbench(sample("disk", 32), comm)) as bench:
         problem, scene = bench.problem, bench.problem.scene
         vi = bench.answer(scene.change({"solve.method": "vi"})).pressure.x.array[: problem.level.owned]

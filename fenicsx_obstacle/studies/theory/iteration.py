@@ -31,7 +31,7 @@ CONTINUED = tuple(10.0**-k for k in range(1, 10))
 # symmetric and positive definite, but not an M-matrix; with it full steps come back to where they were
 CYCLE = ((1.1125, -1.3018, -2.5507), (-1.3018, 3.4936, 6.2215), (-2.5507, 6.2215, 11.2719))
 CYCLE_LOAD, CYCLE_EPS = (-1.0507, 0.0167, 1.0774), 1e-3
-DIRECT = {"ksp_type": "preonly", "pc_type": "lu"}
+DENSE = {"ksp_type": "preonly", "pc_type": "lu"}
 
 
 @statement("3.4*", "The successive iteration: nested active sets, a cycle, counts", "(3.4)*", "3.4")
@@ -128,7 +128,7 @@ def _sheared(comm: MPI.Comm) -> Scene:
 def cycle() -> list[Finding]:
     """Three unknowns for which full steps have period 3; the line search on the energy ends it."""
     problem: Any = Small(CYCLE, CYCLE_LOAD)
-    with defaults("penalty_", DIRECT):
+    with defaults("penalty_", DENSE):
         outcome = solve_penalty(problem, CYCLE_EPS, successive=True)
     period = problem.met.index(problem.met[0], 1)
     w = problem.w.x.array

@@ -15,8 +15,8 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.snes import defaults
-from fenicsx_obstacle.studies.theory.samples import FACTORISED, sample
+from fenicsx_obstacle.solvers.snes import DIRECT, defaults
+from fenicsx_obstacle.studies.theory.samples import sample
 from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Panel, check, constant, statement
 
 EPS = tuple(10.0**-k for k in range(1, 11))
@@ -58,7 +58,7 @@ class Approach:
 def approach(scene: Scene, comm: MPI.Comm, epsilons: Sequence[float] = EPS) -> Approach:
     """Solve the variational inequality of a scene with one obstacle, and (3.4) for each eps (collective)."""
     seen = Approach(scene.name)
-    direct = [defaults(prefix, FACTORISED) for prefix in ("penalty_", "vi_")]
+    direct = [defaults(prefix, DIRECT) for prefix in ("penalty_", "vi_")]
     with direct[0], direct[1], closing(Workbench(scene, comm)) as bench:
         problem = bench.problem
         distance, D, own = Distance(problem), problem.weights, problem.level.owned

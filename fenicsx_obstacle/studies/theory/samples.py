@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import P1
 from fenicsx_obstacle.scenes.scene import Scene
 
 DEMOS = Path(__file__).parents[3] / "demos"
-# a factorisation instead of conjugate gradients, where digits beyond the solvers' tolerances are compared
-FACTORISED = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 
 
 def sample(name: str, cells: int) -> Scene:
@@ -43,10 +42,11 @@ class Small:
     def __init__(self, A: ArrayLike, b: ArrayLike):
         self.matrix, self.b = np.array(A, dtype=float), np.array(b, dtype=float)
         n = len(self.b)
-        self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0)
+        self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0, pair=P1)
         self.w = SimpleNamespace(x=SimpleNamespace(array=np.zeros(n)))
         self.eps = SimpleNamespace(value=1.0)
         self.fixed, self.weights = np.zeros(n, dtype=bool), np.ones(n)
+        self.touchable = ~self.fixed
         self.below, self.above = None, np.zeros(n)
         self.constrained = self.affine = self.has_energy = self.symmetric = True
         self.shrinks = bool(np.all(self.matrix - np.diag(np.diag(self.matrix)) <= 0))
@@ -75,6 +75,11 @@ class Small:
 
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
         return np.full(len(self.b), np.inf), -self.w.x.array
+
+    pressed_gaps = gaps
+
+    def bearing(self, active: np.ndarray) -> np.ndarray:
+        return active
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec, *, penalised: bool = True) -> None:
         self.take(x)
