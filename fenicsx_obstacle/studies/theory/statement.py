@@ -16,7 +16,7 @@ from fenicsx_obstacle.scenes.formulas import nearest
 
 ROOM = 0.15  # between rates that count as the same
 CLOSE = 0.05  # between constants that count as the same, relative
-_MODULES: tuple[str, ...] = ("monotone", "limits", "iteration", "digits", "signs", "algebra", "stability")
+_MODULES: tuple[str, ...] = ("signs", "monotone", "limits", "iteration", "digits", "algebra", "stability")
 
 
 @dataclass(frozen=True)
