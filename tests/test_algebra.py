@@ -6,7 +6,7 @@ import sympy as sp
 from conftest import COMM
 
 from fenicsx_obstacle.forms.pairs import pairs
-from fenicsx_obstacle.studies.theory import algebra, signs
+from fenicsx_obstacle.studies.theory import algebra
 from fenicsx_obstacle.studies.theory.algebra import SQUARE, TRIANGLE, kite, linear, products
 from fenicsx_obstacle.studies.theory.statement import find
 
@@ -124,8 +124,8 @@ def test_symbols_of_uniform_meshes():
 
 @pytest.mark.parametrize(
     ("number", "misprints"),
-    [("3.27", 2), ("3.32", 0), ("3.33", 0), ("3.36", 0), ("3.6", 0), ("3.23", 1), ("3.16", 2), ("3.4*", 1), ("2.10", 0),
-     ("2.7", 0), ("E_I", 0)],
+    [("3.27", 2), ("3.32", 0), ("3.33", 0), ("3.36", 0), ("3.6", 0), ("3.23", 1), ("3.16", 2), ("2.7", 0),
+     ("E_I", 0)],
 )  # fmt: skip
 def test_statements(number, misprints):
     """Every row of the table of misprints is what it is said to be, and `theory` finds it by its number."""
@@ -138,17 +138,3 @@ def test_kite_table():
     """(3.33): .996 .978 .928 .773 .162 for t = .1 .2 .3 .4 .49."""
     found = [finding.observed for finding in algebra.kites(COMM).findings[1:]]
     assert np.allclose(found, [0.996, 0.978, 0.928, 0.773, 0.162], atol=1e-3)
-
-
-def test_penalty_of_2_10_by_hand():
-    """(2.10): -9 times the integral of u'^2 = -9/20 for the tent of height 1/20 on (2/5, 3/5)."""
-    s = sp.Symbol("s")
-    u, plateau = (1 - sp.Abs(s - sp.Rational(1, 2)) * 10) / 20, sp.Rational(3, 5)
-    left, right = ((s, sp.Rational(2, 5), sp.Rational(1, 2)), (s, sp.Rational(1, 2), sp.Rational(3, 5)))
-    halves = [(10 * s - 4) / 20, (6 - 10 * s) / 20]
-    assert all(sp.simplify((u - half).subs(s, where[1] + sp.Rational(1, 20))) == 0
-               for half, where in zip(halves, (left, right), strict=True))  # fmt: skip
-    exact = sum(sp.integrate(sp.diff(half, s) * sp.diff(half - (10 * half - plateau), s), where)
-                for half, where in zip(halves, (left, right), strict=True))  # fmt: skip
-    assert exact == -sp.Rational(9, 20)
-    assert np.isclose(signs.monotone(COMM).findings[0].observed, float(exact))

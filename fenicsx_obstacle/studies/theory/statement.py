@@ -115,6 +115,7 @@ def statement(number: str, title: str, *also: str) -> Callable[[Callable[[MPI.Co
     """Decorator: the function measures the statement of this number."""
 
     def note(measure: Callable[[MPI.Comm], Found]) -> Callable[[MPI.Comm], Found]:
+        assert number not in _register, number
         _register[number] = Statement(number, title, also, measure)
         return measure
 
