@@ -190,6 +190,21 @@ def plot(result: Path, output: Path | None) -> None:
 
 
 @commands.command()
+@click.argument("name", metavar="[NAME]", required=False)
+def scenes(name: str | None) -> None:
+    """List the scenes with exact solutions, or print one.
+
+    \b
+    scenes ball > mine.toml    a scene to begin with
+    solve ball                 commands take their names as well
+    """
+    from fenicsx_obstacle.scenes import catalogue
+    from fenicsx_obstacle.show.scenes import list_scenes
+
+    _say(list_scenes() if name is None else catalogue.text(name).removesuffix("\n"))
+
+
+@commands.command()
 @click.argument("number", metavar="[NO]", required=False)
 @click.option("--output", type=click.Path(path_type=Path), default=Path("out/theory"), metavar="DIR",
               help="Folder for pictures and theory.jsonl.  [out/theory]")  # fmt: skip
@@ -222,10 +237,10 @@ def demo(output: Path) -> None:
         run_demo(output, _say)
 
 
-def _read(path: str) -> Any:
-    from fenicsx_obstacle.scenes.scene import Scene
+def _read(place: str) -> Any:
+    from fenicsx_obstacle.scenes import catalogue
 
-    return Scene.read(path)
+    return catalogue.read(place)
 
 
 def _say(text: str) -> None:

@@ -88,9 +88,17 @@ class Exact:
         self._l2 = releases.form(error**2 * dx)
         self._gradient = releases.form(ufl.inner(ufl.grad(error), ufl.grad(error)) * dx)
         self._energy = releases.form(energy)
+        self._pressure = None if exact.pressure is None else scene.formula(exact.pressure, "[exact] pressure")
+        self._p: fem.Function | None = None
 
-    def errors(self, u: fem.Function, eps: float | None) -> dict[str, float]:
-        """Energy, H1, L2 and nodal maximum error of u (collective)."""
+    def errors(self, u: fem.Function, pressure: fem.Function, eps: float | None) -> dict[str, float]:
+        """Energy, H1, L2 and nodal maximum error of u, and the L2 error of p where p is known (collective).
+
+        Args:
+            u: Solution, in V.
+            pressure: Contact pressure, in the same space at every call; 0 where u is given, whatever the exact one is.
+            eps: Of the penalty, None without.
+        """
         comm = self.problem.level.comm
         self.formulas.eps.value = eps or 0.0
         self.u.x.array[:] = u.x.array
@@ -99,8 +107,20 @@ class Exact:
         )
         return {
             "energy": math.sqrt(energy), "h1": math.sqrt(l2 + gradient), "l2": math.sqrt(l2),
-            "max": largest(comm, np.abs(self.nodal(eps) - u.x.array)),
+            "max": largest(comm, np.abs(self.nodal(eps) - u.x.array)), **self._of_pressure(pressure),
         }  # fmt: skip
+
+    def _of_pressure(self, pressure: fem.Function) -> dict[str, float]:
+        """||p - p_h||_0, (5.7), where p is known (collective)."""
+        if self._pressure is None:
+            return {}
+        if self._p is None:
+            self._p = fem.Function(pressure.function_space)
+            error = self.formulas.cellwise(self._pressure) - self._p
+            self._pressure_l2 = releases.form(error**2 * self.formulas.dx)
+        self._p.x.array[:] = pressure.x.array
+        squared = total(self.problem.level.comm, fem.assemble_scalar(self._pressure_l2))
+        return {"pressure_l2": math.sqrt(squared)}
 
     def nodal(self, eps: float | None) -> np.ndarray:
         """Exact values at local dofs."""

@@ -226,7 +226,8 @@ class Workbench:
         problem, level = self.problem, self.problem.level
         contact = contact_of(problem, p)
         u = problem.heights()
-        errors: dict[str, Any] = {} if self.exact is None else {"errors": self.exact.errors(u, eps)}
+        pressure, touching = in_q(level, p), in_q(level, (contact.lower | contact.upper).astype(float))
+        errors: dict[str, Any] = {} if self.exact is None else {"errors": self.exact.errors(u, pressure, eps)}
         state = problem.state()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
@@ -253,7 +254,6 @@ class Workbench:
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
             "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
-        pressure, touching = in_q(level, p), in_q(level, (contact.lower | contact.upper).astype(float))
         if self._report is not None:
             record["report"] = self._report.evaluate(u, pressure, touching, problem.elastic.array_r)
         error = None

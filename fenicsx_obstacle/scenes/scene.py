@@ -68,7 +68,7 @@ class Scene(Vocabulary):
         lower: float | str | None = None,
         upper: float | str | None = None,
         boundary: Any = ({"value": 0.0},),
-        exact: float | str | None = None,
+        exact: float | str | Mapping[str, Any] | None = None,
         define: Mapping[str, float | str] | None = None,
         report: Mapping[str, float | str] | None = None,
         title: str = "",
@@ -82,7 +82,7 @@ class Scene(Vocabulary):
             lower: Lower obstacle, a number or a formula.
             upper: Upper obstacle, likewise.
             boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
-            exact: Exact solution, where known.
+            exact: Exact solution, where known; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
             define: Named numbers and formulas.
             report: Named figures of the solution: report={"force": "integral(p)"}.
             title: Title.
@@ -101,7 +101,7 @@ class Scene(Vocabulary):
             "boundary": list(boundary or ()), "report": dict(report or {}),
         }  # fmt: skip
         if exact is not None:
-            raw["exact"] = {"u": exact}
+            raw["exact"] = dict(exact) if isinstance(exact, Mapping) else {"u": exact}
         self._fill(raw, "scene", Path(), None if isinstance(mesh, dict) else mesh)
 
     def __repr__(self) -> str:
@@ -164,6 +164,8 @@ class Scene(Vocabulary):
             formula.check_names(self.known_names)
         if typed.exact is not None:
             self._check_exact(self.formula(typed.exact.u, "[exact] u"))
+            if typed.exact.pressure is not None:
+                self._check_exact(self.formula(typed.exact.pressure, "[exact] pressure"))
         set_("report", parse_report(self, typed.report, RESERVED))
         eps = self.number(typed.solve.eps, "[solve] eps", {"h": 1.0})
         if eps <= 0:

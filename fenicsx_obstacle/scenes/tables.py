@@ -48,10 +48,34 @@ class BoundaryTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     value: Value | None = None
 
 
+class RatesTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """[exact] rates: orders in h of the errors with these names, by SNES VI and by the penalty with eps = h^2.
+
+    As h tends to 0, on uniform meshes; None where none is claimed.
+    """
+
+    l2: float | None = None
+    h1: float | None = None
+    pressure_l2: float | None = None
+    pressure_dual: float | None = None
+
+
 class ExactTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """[exact]: the solution, where it is known."""
+    """[exact]: the solution, where it is known, and what is known about it.
+
+    Attributes:
+        u: The solution.
+        pressure: The contact pressure, where it is a function; an integrable one may still not be in L2.
+        free: Where the free boundary is, in words.
+        regularity: Of u and the pressure, in words.
+        rates: Orders of convergence to expect.
+    """
 
     u: Value
+    pressure: Value | None = None
+    free: str = ""
+    regularity: str = ""
+    rates: RatesTable = RatesTable()
 
 
 class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -22,7 +22,6 @@ def explain(scene: Scene) -> str:
 
 def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     """Its parts: name and lines of each."""
-    tables = scene.tables
     return [
         ("equation", _equation(scene)),
         ("data", [f"{effect.key} = {effect.value.text}  [{effect.unit}]" for effect in scene.effects]),
@@ -32,7 +31,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("discrete", _discrete(scene)),
         ("mesh", [_mesh(scene)]),
         ("solver", _solver(scene)),
-        ("exact", [] if tables.exact is None else [f"u = {tables.exact.u}: errors are reported"]),
+        ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
         ("left out", [_left_out(scene)]),
     ]
@@ -149,6 +148,20 @@ def _solver(scene: Scene) -> list[str]:
         else f"each step: {LINEAR_SOLVER if pair.nodal else DIRECT_SOLVER}, on the finest level alone",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
+
+
+def _exact(scene: Scene) -> list[str]:
+    exact = scene.tables.exact
+    if exact is None:
+        return []
+    lines = [f"u = {plain(exact.u)}: errors are reported"]
+    lines += [] if exact.pressure is None else [f"p = {plain(exact.pressure)}"]
+    lines += [
+        f"{name}: {text}" for name, text in (("free boundary", exact.free), ("regularity", exact.regularity)) if text
+    ]
+    rates = {name: getattr(exact.rates, name) for name in exact.rates.__struct_fields__}
+    orders = ", ".join(f"{name} {rate:g}" for name, rate in rates.items() if rate is not None)
+    return lines + [f"orders in h, by VI and for eps = h^2: {orders}"] * bool(orders)
 
 
 def _left_out(scene: Scene) -> str:
