@@ -21,8 +21,8 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import shapes
 from fenicsx_obstacle.scenes.scene import Scene
 
-COARSEST = 500  # cells at least on the coarsest level of a shape,
-PER_RANK = 100  # and on each rank: cells stay on their rank when refined
+COARSEST = {1: 16, 2: 500, 3: 500}  # cells at least on the coarsest level of a shape,
+PER_RANK = {1: 16, 2: 100, 3: 100}  # and on each rank: cells stay on their rank when refined
 BYTES_PER_VERTEX = {1: 400, 2: 1300, 3: 3500}  # of a solve and all its levels, measured
 
 
@@ -261,7 +261,7 @@ def _from_shape(asked: shapes.Shape, refine: int, comm: MPI.Comm) -> tuple[Level
     shape, halvings = asked, 0
     while shape.coarser is not None and shape.cell in SIMPLICES:
         coarser = shape.coarser()
-        if coarser.simplices < max(COARSEST, PER_RANK * comm.size):
+        if coarser.simplices < max(COARSEST[dim], PER_RANK[dim] * comm.size):
             break
         shape, halvings = coarser, halvings + 1
     if shape.arrays is not None:
