@@ -22,7 +22,7 @@ from fenicsx_obstacle.scenes import shapes
 from fenicsx_obstacle.scenes.scene import Scene
 
 COARSEST = {1: 16, 2: 500, 3: 500}  # cells at least on the coarsest level of a shape,
-PER_RANK = {1: 16, 2: 100, 3: 100}  # and on each rank: cells stay on their rank when refined
+PER_RANK = {1: 8, 2: 100, 3: 100}  # and on each rank: cells stay on their rank when refined
 BYTES_PER_VERTEX = {1: 400, 2: 1300, 3: 3500}  # of a solve and all its levels, measured
 
 
