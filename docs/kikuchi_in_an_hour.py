@@ -151,7 +151,7 @@ heights, pressures = ([row[f"to_vi.{key}"] for row in rows] for key in ("energy"
 say("  eps   |u_eps-u_h|_a  order   |p_eps-p_h|_0  order")
 seen = [(np.nan, np.nan), *zip(orders(values, heights), orders(values, pressures), strict=True)]
 for row, e, d, (order_e, order_d) in zip(rows, heights, pressures, seen, strict=True):
-    say(f"{row['eps']:.0e}  {e:13.3e}  {order_e:5.2f}   {d:13.3e}  {order_d:5.2f}")
+    say(f"{row['eps']:.0e}  {e:13.3e}  {order_e:5.2f}   {d:13.3e}  {order_d:5.2f}".replace("nan", "   "))
     assert row["to_vi.max"] <= row["eps"] * row["to_vi.pressure_max"] * (1 + 1e-6)
 for errors, order in ((heights, 3 / 4), (pressures, 1 / 4)):
     assert np.allclose(orders(values, errors)[-3:], 1, atol=0.05)  # (5.5)
@@ -192,7 +192,7 @@ for axes, key, title in zip(row, keys, (r"$\|u-u_\epsilon\|_1$", r"$\|p-p_\epsil
         axes.loglog(cells, found[eps, key], marker + "-", label=rf"$\epsilon = {eps}$")
     axes.loglog(cells, 0.5 * found["h^2", key][-1] * np.array(h) / h[-1], "k:", label="order 1")
     axes.set(title=title, xlabel="cells a side", ylim=(3e-3, 1.5), xticks=cells, xticklabels=cells)
-    axes.legend()
+    axes.legend(loc="lower left")
 keep(page, "3_h")
 
 # %% [markdown]
@@ -249,7 +249,7 @@ def pressure_error(answer):
     return np.sqrt(COMM.allreduce(fem.assemble_scalar(fem.form(square))))
 
 
-cells = [16, 32, 64]
+cells = [16, 32, 48]
 ways = {
     "P1, inequality": {"method": "vi"},
     "P1, eps = h^2": {"eps": "h^2"},
@@ -261,8 +261,7 @@ for name, some in errors.items():
     say(f"{name:23} |p-p_h|_0 for {cells} cells a side:", np.round(some, 3))
 stalled, filtered, cured = errors.values()
 assert np.allclose(stalled, 0.90, atol=0.02)
-assert filtered[-1] < stalled[-1] / 5
-assert np.all(np.diff(np.log2(cured)) < -1.2)  # order 1.2 at least
+assert np.all(orders(cells, filtered) < -1) and np.all(orders(cells, cured) < -1.2)
 
 page, (left, right) = plt.subplots(1, 2)
 for name, marker in zip(answers, "os^", strict=True):
@@ -289,7 +288,7 @@ keep(page, "6_stall")
 #   $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. As s hardly depends on alpha, a few rounds of both formulas settle them.
 #
 # So contact begins too early, at alpha = a - sqrt(eps), and the pressure needs the width sqrt(eps) to rise:
-# $p_\varepsilon = -f(1 - e^{-z})$ with $z = (x - \alpha)/\sqrt\varepsilon$. Both layers together give, to leading order,
+# $p_\varepsilon = -f(1 - e^{-z})$, $z = (x - \alpha)/\sqrt\varepsilon$. Both layers together give, up to higher orders,
 #
 # $$ \|u_\varepsilon - u\|_a = f \sqrt{5/3 - 4/e}\; \varepsilon^{3/4}, \qquad
 #    \|p_\varepsilon - p\|_0 = f \sqrt{4/e - 1}\; \varepsilon^{1/4}. $$
@@ -379,7 +378,7 @@ answer = solve(string, cells=n, eps=eps, method="successive")
 assert [step.active for step in answer.history] == [np.count_nonzero(one) for one in sets]
 assert np.allclose(everywhere(answer.level.V, answer.u)[2][1:-1], solutions[-1])
 
-cells = [32, 64, 96]
+cells = [16, 32, 64]
 cold = [solve(disk, cells=m, eps=1e-8, method="successive").history for m in cells]
 nested = [solve(disk, cells=m, eps=1e-8).history for m in cells]
 for history in cold:
