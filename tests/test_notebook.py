@@ -48,12 +48,10 @@ FIRST, *SECTIONS = cells_of(NOTEBOOK)
 
 @pytest.fixture(autouse=True)
 def quiet_pictures():
-    backend = matplotlib.get_backend()
     plt.switch_backend("Agg")
     with matplotlib.rc_context():
         yield
     plt.close("all")
-    plt.switch_backend(backend)
 
 
 @pytest.mark.parametrize("cell", SECTIONS, ids=[cell.title for cell in SECTIONS])
