@@ -147,7 +147,7 @@ keep(page, "1_string")
 # |u_eps - u_h| <= eps max|p_h| at every node, because the stiffness matrix is an M-matrix.
 
 # %%
-rows = study(string, vary={"eps": [10.0**-k for k in range(1, 11)]}, cells=256)
+rows = study(string, vary={"eps": [10.0**-k for k in range(2, 11)]}, cells=256)
 values = [row["eps"] for row in rows]
 heights, pressures = ([row[f"to_vi.{key}"] for row in rows] for key in ("energy", "pressure_l2"))
 say("  eps   |u_eps-u_h|_a  order   |p_eps-p_h|_0  order")
@@ -157,12 +157,12 @@ for row, e, d, (order_e, order_d) in zip(rows, heights, pressures, seen, strict=
     assert row["to_vi.max"] <= row["eps"] * row["to_vi.pressure_max"] * (1 + 1e-6)
 for errors, order in ((heights, 3 / 4), (pressures, 1 / 4)):
     assert np.allclose(orders(values, errors)[-3:], 1, atol=0.05)  # (5.5)
-    assert np.isclose(orders(values[1:4:2], errors[1:4:2])[0], order, atol=0.1)  # between eps = 1e-2 and 1e-4
+    assert np.isclose(orders(values[:3:2], errors[:3:2])[0], order, atol=0.1)  # between eps = 1e-2 and 1e-4
 
 page, axes = plt.subplots(figsize=(6, 3.6))
 axes.loglog(values, heights, "o-", label=r"$\|u_\epsilon-u_h\|_a$")
 axes.loglog(values, pressures, "s-", label=r"$\|p_\epsilon-p_h\|_0$")
-axes.loglog(values[4:], 0.1 * heights[-1] * np.array(values[4:]) / values[-1], "k:", label="order 1")
+axes.loglog(values[3:], 0.1 * heights[-1] * np.array(values[3:]) / values[-1], "k:", label="order 1")
 axes.axvline(256.0**-2, color="0.7")
 axes.annotate("$h^2$", (256.0**-2, heights[-1]))
 axes.set_xlabel(r"$\epsilon$")
