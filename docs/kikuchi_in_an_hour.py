@@ -9,8 +9,8 @@
 # # Kikuchi's paper in an hour
 #
 # N. Kikuchi, *Convergence of a penalty-finite element approximation for an obstacle problem*, Numer. Math. 37 (1981)
-# 105-120, on meshes so small that each cell takes seconds. Numbers such as (3.4) are the paper's. What the text says,
-# an `assert` checks.
+# 105-120, on meshes so small that each cell takes seconds. Numbers such as (3.4) are the paper's. What the text says of
+# errors, orders and counts, an `assert` checks.
 #
 # As a script, on any number of ranks, `.venv/bin/python docs/kikuchi_in_an_hour.py` writes its pictures into
 # `out/kikuchi`. Spyder and VS Code show the cells. For a notebook: `.venv/bin/pip install jupyterlab jupytext`, then
