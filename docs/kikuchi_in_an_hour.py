@@ -1,0 +1,447 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation: {extension: .py, format_name: percent}
+#   kernelspec: {display_name: Python 3, language: python, name: python3}
+# ---
+
+# %% [markdown]
+# # Kikuchi's paper in an hour
+#
+# N. Kikuchi, *Convergence of a penalty-finite element approximation for an obstacle problem*, Numer. Math. 37 (1981)
+# 105-120, on meshes so small that each cell takes seconds. Numbers such as (3.4) are the paper's. What the text says of
+# errors, orders and counts, an `assert` checks.
+#
+# As a script, on any number of ranks, `.venv/bin/python docs/kikuchi_in_an_hour.py` writes its pictures into
+# `out/kikuchi`. Spyder and VS Code show the cells. For a notebook: `.venv/bin/pip install jupyterlab jupytext`, then
+# `.venv/bin/jupytext --to notebook docs/kikuchi_in_an_hour.py`.
+#
+# Each section needs the next cell and no other. The first run compiles forms: it takes longer, once.
+
+# %%
+from itertools import pairwise
+from pathlib import Path
+
+import dolfinx.fem.petsc  # noqa: F401  (not imported by dolfinx.fem in newer releases)
+import matplotlib.pyplot as plt
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import Scene, contact_pressure, penalty, solve, solve_form, study
+from fenicsx_obstacle.accuracy.stability import Stability
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.show.figures import COLOURS
+
+COMM = MPI.COMM_WORLD
+plt.rcParams.update({"axes.prop_cycle": plt.cycler(color=COLOURS), "figure.constrained_layout.use": True})
+plt.rcParams.update({"figure.figsize": (9, 3.3), "legend.fontsize": 8})
+
+# a string of unit tension, loaded by f = 8, under a flat ceiling of height c: contact for a <= x <= 1 - a
+f, c = 8.0, 0.3
+a = np.sqrt(2 * c / f)
+string = Scene(title="string", mesh={"shape": "interval", "cells": 32}, tension=1, load=f, upper=c)
+
+# a radial membrane, f = 4, under the same ceiling: contact for r <= A; the square has the exact boundary values
+side = ["-sqrt(0.5)", "sqrt(0.5)"]
+disk = Scene(
+    title="disk",
+    mesh={"shape": "rectangle", "x": side, "y": side, "cells": 32},
+    define={"A": 0.57771500355092659, "free": "1 - r^2 + 2*A^2*ln(max(r, A))"},
+    tension=1,
+    load=4,
+    upper=c,
+    boundary=[{"value": "free"}],
+    exact=f"where(r < A, {c}, free)",
+)
+
+
+def everywhere(V, *functions):
+    """Rows x, y and the nodal values of functions of V, ordered by y and then x: the same on every rank."""
+    own = V.dofmap.index_map.size_local
+    mine = np.column_stack([V.tabulate_dof_coordinates()[:own, :2], *(one.x.array[:own] for one in functions)])
+    table = np.concatenate(COMM.allgather(mine))
+    return table[np.lexsort(table[:, :2].round(9).T)].T
+
+
+def orders(x, errors):
+    """Observed orders log(e1/e0) / log(x1/x0) between neighbours."""
+    return np.diff(np.log(errors)) / np.diff(np.log(x))
+
+
+def say(*words):
+    """Print on rank 0."""
+    if COMM.rank == 0:
+        print(*words)
+
+
+def keep(page, name):
+    """Write a picture on rank 0; a notebook shows it as well."""
+    for axes in page.axes:
+        axes.minorticks_off()
+    if COMM.rank == 0:
+        Path("out/kikuchi").mkdir(parents=True, exist_ok=True)
+        page.savefig(f"out/kikuchi/{name}.png", dpi=120)
+
+
+# %% [markdown]
+# ## 1. The penalised problem, and the pressure for free
+#
+# Wanted is u <= g with -u'' = f + p, where the contact pressure p <= 0 vanishes wherever u < g. The penalty method
+# puts springs in place of the obstacle: find u in V_h with
+#
+# $$ a(u, v) + \frac1\varepsilon\, I((u-g)^+, v) = f(v) \quad \text{for all } v \in V_h. \qquad (3.4) $$
+#
+# I is a quadrature rule whose points are the nodes (3.5). So each node has a spring of its own, and the force of the
+# spring is the pressure there: $p_i = -(u-g)^+(x_i)/\varepsilon$, (3.7)-(3.8). No multiplier is solved for.
+
+# %%
+eps = 1e-3
+answer = solve(string, eps=eps)
+V = answer.level.V
+p = contact_pressure(answer.u, upper=c, eps=eps)
+assert np.allclose(p.x.array, answer.pressure.x.array)
+
+# the same from a residual of your own, without its penalty
+u, v = fem.Function(V), ufl.TestFunction(V)
+F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - f * v * ufl.dx
+ends = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0] * (1 - x[0]), 0))
+solve_form(F, u, bcs=[fem.dirichletbc(fem.Function(V), ends)], upper=c, eps=eps)
+assert np.allclose(u.x.array, answer.u.x.array)
+
+# one added line makes that residual (3.4), and u solves it; only the supports at both ends react
+F += penalty(u, v, upper=c, eps=eps)
+b = fem.petsc.assemble_vector(fem.form(F))
+b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+b.array[ends[ends < len(b.array)]] = 0
+assert b.norm() < 1e-9
+
+x, _, heights, pressures = everywhere(V, answer.u, answer.pressure)
+assert pressures.max() <= 0
+assert np.isclose(heights.max() - c, eps * np.abs(pressures).max())  # penetration is eps |p|
+say(f"largest pressure {-pressures.min():.4f}, penetration {heights.max() - c:.4f}")
+
+page, (left, right) = plt.subplots(1, 2)
+left.plot(x, heights, ".-", label="u")
+left.axhline(c, color="0.5", label="g")
+right.plot(x, pressures, ".-", label=r"$p_\epsilon$, $\epsilon = 10^{-3}$")
+right.step([0, a, 1 - a, 1], [0, -f, 0, 0], "k:", where="post", label="p, exact")
+left.set(title="heights", xlabel="x")
+right.set(title="contact pressure", xlabel="x")
+left.legend()
+right.legend()
+keep(page, "1_string")
+
+# %% [markdown]
+# ## 2. eps tends to 0 on a fixed mesh
+#
+# Theorem 3.3: let u_h, p_h solve the discrete inequality (3.19), which SNES VI does. Then
+#
+# $$ \|u_\varepsilon - u_h\|_1 \le C \varepsilon/h, \qquad \|p_\varepsilon - p_h\|_0 \le C \varepsilon/h^2.
+#    \qquad (5.5) $$
+#
+# Look at the ends of the lines below. For small eps both are of order eps. For eps > h^2, to the right, the mesh does
+# not matter, (5.5) is pessimistic, and the orders are about 3/4 and 1/4: section 7 computes why. All along
+# |u_eps - u_h| <= eps max|p_h| at every node, because the stiffness matrix is an M-matrix.
+
+# %%
+rows = study(string, vary={"eps": [10.0**-k for k in range(2, 11)]}, cells=256)
+values = [row["eps"] for row in rows]
+heights, pressures = ([row[f"to_vi.{key}"] for row in rows] for key in ("energy", "pressure_l2"))
+say("  eps   |u_eps-u_h|_a  order   |p_eps-p_h|_0  order")
+seen = [(np.nan, np.nan), *zip(orders(values, heights), orders(values, pressures), strict=True)]
+for row, e, d, (order_e, order_d) in zip(rows, heights, pressures, seen, strict=True):
+    say(f"{row['eps']:.0e}  {e:13.3e}  {order_e:5.2f}   {d:13.3e}  {order_d:5.2f}".replace("nan", "   "))
+    assert row["to_vi.max"] <= row["eps"] * row["to_vi.pressure_max"] * (1 + 1e-6)
+for errors, order in ((heights, 3 / 4), (pressures, 1 / 4)):
+    assert np.allclose(orders(values, errors)[-3:], 1, atol=0.05)  # (5.5)
+    assert np.isclose(orders(values[:3:2], errors[:3:2])[0], order, atol=0.1)  # between eps = 1e-2 and 1e-4
+
+page, axes = plt.subplots(figsize=(6, 3.6))
+axes.loglog(values, heights, "o-", label=r"$\|u_\epsilon-u_h\|_a$")
+axes.loglog(values, pressures, "s-", label=r"$\|p_\epsilon-p_h\|_0$")
+axes.loglog(values[3:], 0.1 * heights[-1] * np.array(values[3:]) / values[-1], "k:", label="order 1")
+axes.axvline(256.0**-2, color="0.7")
+axes.annotate("$h^2$", (256.0**-2, heights[-1]))
+axes.set_xlabel(r"$\epsilon$")
+axes.legend()
+keep(page, "2_eps")
+
+# %% [markdown]
+# ## 3. h tends to 0, and eps with it
+#
+# Now the distance to the exact solution. The discrete inequality has order 1 in u (5.6), and in p in the norm
+# $\|\cdot\|_1^*$ dual to that of $H^1_0$ (5.8). The penalty with eps = h^2 keeps both (5.9). With eps = h it does
+# not: the error is then that of the penalty, about eps^(3/4) where the pressure jumps, as it does at the free boundary
+# here.
+
+# %%
+cells, keys = [16, 32, 64], ("errors.h1", "errors.pressure_dual")
+ways = {"eps = h": {"eps": "h"}, "eps = h^2": {"eps": "h^2"}, "inequality": {"method": "vi"}}
+rows = {name: study(disk, vary={"cells": cells}, **how) for name, how in ways.items()}
+h = [row["h"] for row in rows["inequality"]]
+found = {(name, key): [row[key] for row in rows[name]] for name in rows for key in keys}
+for (name, key), errors in found.items():
+    say(f"{name:10} orders of {key:21}", orders(h, errors).round(2))
+    if name == "eps = h":
+        assert 0.55 < orders(h, errors)[-1] < 0.85
+    else:
+        assert min(orders(h, errors)) > 0.95  # (5.6), (5.8), (5.9)
+
+page, row = plt.subplots(1, 2, sharey=True)
+for axes, key, title in zip(row, keys, (r"error of u, $\|\cdot\|_1$", r"error of p, $\|\cdot\|_1^*$"), strict=True):
+    for name, marker in zip(rows, "os^", strict=True):
+        axes.loglog(cells, found[name, key], marker + "-", label=name)
+    axes.loglog(cells, 0.5 * found["inequality", key][-1] * np.array(h) / h[-1], "k:", label="order 1")
+    axes.set(title=title, xlabel="cells a side", ylim=(1e-3, 1.5), xticks=cells, xticklabels=cells)
+row[1].legend(loc="center left", bbox_to_anchor=(1, 0.5))
+keep(page, "3_h")
+
+# %% [markdown]
+# ## 4. Stability: lost in L2, kept in the dual norm
+#
+# How much of a pressure do the displacements feel? (3.18) asks for alpha_h with
+#
+# $$ \sup_{v \in V_h} I(q, v)/\|v\|_1 \ge \alpha_h \|q\|_0 \quad \text{for all } q \in Q_h. \qquad (3.18) $$
+#
+# Examples 2 and 3 find alpha_h = h/C, and no better is true: a pressure that changes its sign from node to node does
+# little work. Hence the 1/h and 1/h^2 of (5.5). But this is the norm's fault. In the dual norm
+# $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$ such a pressure is small too, and the constant beta_h stays away from 0. That
+# is why (5.8) and (5.9) lose no power of h. In both, q is 0 at nodes on the boundary, which V_h cannot feel.
+
+
+# %%
+def stability(name, n):
+    """The constants of a pair on n x n squares, or these cut into triangles."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": n}, tension=1).change({"solve.element": name})
+    level = levels.build(scene, COMM)
+    return Stability(level.mesh, level.pair)
+
+
+sizes = [4, 8, 16]
+alpha, beta = {}, {}
+for name in ("P1", "Q1", "Q2"):
+    some = [stability(name, n) for n in sizes]
+    alpha[name], beta[name] = [one.alpha() for one in some], [one.beta() for one in some]
+    say(f"{name}  alpha_h/h", np.round(np.multiply(alpha[name], sizes), 3), "  beta_h", np.round(beta[name], 3))
+    assert np.allclose(np.diff(np.log2(alpha[name])), -1, atol=0.15) and min(beta[name]) > 0.95
+
+page, axes = plt.subplots(figsize=(6, 3.6))
+for name, marker in zip(alpha, "os^", strict=True):
+    (line,) = axes.loglog(sizes, alpha[name], marker + "-", label=rf"$\alpha_h$, {name}")
+    axes.loglog(sizes, beta[name], marker + "--", color=line.get_color(), label=rf"$\beta_h$, {name}")
+axes.set(xlabel="cells a side", xticks=sizes, xticklabels=sizes)
+axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), handlelength=4)
+keep(page, "4_stability")
+
+# %% [markdown]
+# ## 5. A pair that is not stable
+#
+# Example 3: Q1 with one-point Gauss for I. The springs now sit at the centres of the cells. On n x n cells there are
+# n^2 centres for (n - 1)^2 nodes inside, so that 2n - 1 independent pressures q do no work: I(q, v) = 0 for all v in
+# V_h. One of them is a chessboard, whose mean around each node is 0. Only the sign of p limits how much of them p_h
+# may hold. The heights are as good as with the trapezoid rule, the pressure is not.
+
+# %%
+answers = {name: solve(disk, cells=16, element=name, method="vi") for name in ("Q1", "Q1-gauss")}
+pressures = {name: everywhere(answer.level.Q, answer.pressure)[2] for name, answer in answers.items()}
+error = {name: answer.record["errors"]["l2"] for name, answer in answers.items()}
+for name, p in pressures.items():
+    say(f"{name:9} L2 error of u {error[name]:.2e}, p from {p.min():.2f} to {p.max():.2f}; exact: -4 to 0")
+gauss = answers["Q1-gauss"].level
+assert Stability(gauss.mesh, gauss.pair).kernel()[0] == 2 * 16 - 1
+assert error["Q1-gauss"] < 1.05 * error["Q1"]
+assert np.isclose(pressures["Q1"].min(), -4) and pressures["Q1-gauss"].min() < -6
+
+page, row = plt.subplots(1, 2)
+for axes, (name, p) in zip(row, pressures.items(), strict=True):
+    n = round(np.sqrt(len(p)))  # nodes, or cells, a side
+    image = axes.imshow(p.reshape(n, n), origin="lower", extent=[-(0.5**0.5), 0.5**0.5] * 2, vmin=-8, vmax=0)
+    axes.set_title(f"pressure of {name}")
+page.colorbar(image, ax=list(row))
+keep(page, "5_chessboard")
+
+# %% [markdown]
+# ## 6. The pressure may stall, and a cure
+#
+# Theorem 4.2 promises that $\|p - p_h\|_0$ is bounded (5.7), no more. That is sharp, on a mesh that is not uniform and
+# under an obstacle that is not flat. In contact u = g at the nodes, so that p_i = (A g)_i / D_i - f_i, with A the
+# stiffness matrix and D_i the area that I gives to the node. On a criss-cross mesh D_i = h^2/3 amid four triangles and
+# 2h^2/3 amid eight, where h^2/2 would be right: these nodes see 3/2 and 3/4 of the curvature of g, on every mesh.
+#
+# - The penalty with eps = h^2 smooths this out; eps much smaller brings it back.
+# - `P1-voronoi` gives each node its Voronoi area, here h^2/2. That is a rule with positive weights (3.6) still.
+
+# %%
+curved = Scene(
+    title="curved obstacle",
+    mesh={"shape": "rectangle", "cells": 16, "diagonal": "crossed"},
+    define={"hill": "sin(pi*x)*sin(pi*y)", "rho": "sqrt((x - 1/2)^2 + (y - 1/2)^2)"},
+    tension=1,
+    load="2*pi^2*hill + 10*max(1 - 16*rho^2, 0)",  # so that u = hill, contact for rho <= 1/4
+    upper="hill + 40*max(rho - 1/4, 0)^2",
+)
+
+
+def pressure_error(answer):
+    """||p - p_h||_0 by quadrature, with the exact p = -10 (1 - 16 rho^2)^+."""
+    x = ufl.SpatialCoordinate(answer.level.mesh)
+    p = -10 * ufl.max_value(1 - 16 * ((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2), 0)
+    square = (p - answer.pressure) ** 2 * ufl.dx(metadata={"quadrature_degree": 4})
+    return np.sqrt(COMM.allreduce(fem.assemble_scalar(fem.form(square))))
+
+
+cells = [16, 24, 32]
+ways = {
+    "P1, inequality": {"method": "vi"},
+    "P1, eps = h^2": {"eps": "h^2"},
+    "P1-voronoi, inequality": {"method": "vi", "element": "P1-voronoi"},
+}
+answers = {name: [solve(curved, cells=n, **options) for n in cells] for name, options in ways.items()}
+errors = {name: [pressure_error(answer) for answer in some] for name, some in answers.items()}
+for name, some in errors.items():
+    say(f"{name:23} |p-p_h|_0 for {cells} cells a side:", np.round(some, 3))
+stalled, filtered, cured = errors.values()
+assert np.allclose(stalled, 0.90, atol=0.02)
+assert pressure_error(solve(curved, cells=16, eps=1e-8)) > 0.9
+assert np.all(orders(cells, filtered) < -1) and np.all(orders(cells, cured) < -1.2)
+
+page, (left, right) = plt.subplots(1, 2)
+for name, marker in zip(answers, "os^", strict=True):
+    x, y, p = everywhere(answers[name][0].level.V, answers[name][0].pressure)
+    left.plot(x[np.isclose(x, y)], p[np.isclose(x, y)], marker + "-", markersize=4, label=name)
+    right.loglog(cells, errors[name], marker + "-")
+x = np.linspace(0, 1, 201)
+left.plot(x, -10 * np.maximum(1 - 32 * (x - 0.5) ** 2, 0), "k:", label="exact")
+left.set(title="pressure on the diagonal, 16 cells a side", xlabel="x = y")
+left.legend()
+right.set(title=r"$\|p-p_h\|_0$", xlabel="cells a side", xticks=cells, xticklabels=cells, ylim=(0.01, 1.5))
+keep(page, "6_stall")
+
+# %% [markdown]
+# ## 7. The layer of width sqrt(eps), in closed form
+#
+# The penalised string without a mesh, -u'' = f - (u - c)^+/eps, is solved by hand. Let contact begin at alpha, and
+# b = 1/2 - alpha.
+#
+# - In contact w = u - c solves -w'' + w/eps = f, w(alpha) = 0. By symmetry
+#   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at alpha is
+#   $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
+# - Outside $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, of the same value and slope there. u(0) = 0 gives
+#   $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. As s hardly depends on alpha, a few rounds of both formulas settle them.
+#
+# So contact begins too early, at about a - sqrt(eps), and the pressure needs the width sqrt(eps) to rise. In a layer,
+# with $z = (x - \alpha)/\sqrt\varepsilon$, it is $-f(1 - e^{-z})$ for the jump at z = 1, and the slope is
+# $\sqrt\varepsilon f e^{-z}$ for $\sqrt\varepsilon f (1 - z)^+$. Hence, for both layers and up to higher orders,
+#
+# $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \Big[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
+#    \Big] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
+# $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \Big[ \int_0^1 (e^{-z} - 1 + z)^2 dz + \int_1^\infty e^{-2z} dz
+#    \Big] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
+#
+# These are the orders 3/4 and 1/4 of section 2. Wherever a pressure jumps there is such a layer, and eps = h^2 makes it
+# as thin as an element.
+
+
+# %%
+def penalised(eps):
+    """Start of contact, and u and p as functions of x."""
+    alpha, width = a, np.sqrt(eps)
+    for _ in range(50):
+        s = width * f * np.tanh((0.5 - alpha) / width)
+        alpha = (np.sqrt(s**2 + 2 * c * f) - s) / f
+
+    def p(x):
+        inside = np.minimum(np.abs(x - 0.5), 0.5 - alpha)  # cosh itself would overflow
+        far, near = np.exp(-(0.5 - alpha + inside) / width), np.exp(-(0.5 - alpha - inside) / width)
+        return -f * (1 - (near + far) / (1 + np.exp(-(1 - 2 * alpha) / width)))
+
+    def u(x):
+        outside = np.minimum(np.minimum(x, 1 - x) - alpha, 0)
+        return c - eps * p(x) + s * outside - f * outside**2 / 2
+
+    return alpha, u, p
+
+
+page, (left, right) = plt.subplots(1, 2)
+t = (np.arange(200000) + 0.5) / 400000  # the left half, finely
+exact = np.where(t < a, f * (a * t - t**2 / 2), c)
+say("  eps   (a-alpha)/eps^(1/2)  |u_eps-u|_a/eps^(3/4)  |p_eps-p|_0/eps^(1/4)  computed - closed form")
+for eps, marker in ((1e-3, "o"), (1e-4, "s"), (1e-5, "^")):
+    alpha, u, p = penalised(eps)
+    answer = solve(string, cells=1024, eps=eps)
+    x, _, heights, pressures = everywhere(answer.level.V, answer.u, answer.pressure)
+    off = np.abs(heights - u(x)).max()
+    assert off < 1024.0**-2  # of order h^2
+
+    e, d = np.gradient(u(t) - exact, t), p(t) + f * (t > a)
+    found = {1 / 2: a - alpha, 3 / 4: np.sqrt(np.mean(e**2)), 1 / 4: np.sqrt(np.mean(d**2))}
+    leading = {1 / 2: 1, 3 / 4: f * np.sqrt(5 / 3 - 4 / np.e), 1 / 4: f * np.sqrt(4 / np.e - 1)}
+    scaled = {order: value / eps**order for order, value in found.items()}
+    for order, value in scaled.items():
+        assert abs(value / leading[order] - 1) < 8 * np.sqrt(eps)  # the next term
+    say(f"{eps:.0e}  {scaled[1 / 2]:19.3f}  {scaled[3 / 4]:21.3f}  {scaled[1 / 4]:21.3f}  {off:22.1e}")
+
+    z, near = (x - alpha) / np.sqrt(eps), np.abs(x - a) < 0.2
+    (line,) = left.plot(x[near][::8], pressures[near][::8], marker, markersize=4, label=rf"$\epsilon$ = {eps:.0e}")
+    left.plot(x[near], p(x[near]), "k-", linewidth=0.8)
+    layer = np.abs(z - 1.5) < 4.5
+    right.plot(z[layer], pressures[layer], marker, markersize=4, color=line.get_color())
+say("limit  " + " " * 14 + "{:5.3f}  {:21.3f}  {:21.3f}".format(*leading.values()))
+z = np.linspace(-3, 6, 200)
+right.plot(z, -f * (1 - np.exp(-np.maximum(z, 0))), "k-", linewidth=0.8, label="$-f(1-e^{-z})$")
+left.set(title="pressure: computed (marks), closed form (lines)", xlabel="x")
+right.set(title=r"the same against $z = (x-\alpha)/\sqrt{\epsilon}$", xlabel="z")
+left.legend()
+right.legend()
+keep(page, "7_layer")
+
+# %% [markdown]
+# ## 8. The iteration (3.4)*
+#
+# Were the contact set known, (3.4) would be linear. So guess it: none. Solve, let the next guess be where u > g, and
+# stop when a guess is confirmed: then u solves (3.4) exactly. Here it stands in a few lines of NumPy, for the string,
+# beside the package's own. It is Newton's method for (3.4). With an M-matrix, after the first step u falls and the sets
+# shrink, and so it ends.
+#
+# For a small eps a set loses about one layer of nodes per step: the number of steps grows like 1/h. Nested iteration,
+# which starts from the contact set of the mesh twice as coarse, ends that.
+
+# %%
+n, eps = 64, 1e-6
+A = (2 * np.eye(n - 1) - np.eye(n - 1, k=1) - np.eye(n - 1, k=-1)) * n
+D = np.full(n - 1, 1 / n)
+sets, solutions = [np.zeros(n - 1, dtype=bool)], []
+while len(sets) < 2 or np.any(sets[-1] != sets[-2]):
+    springs = sets[-1] * D / eps
+    solutions.append(np.linalg.solve(A + np.diag(springs), D * f + springs * c))
+    sets.append(solutions[-1] > c)
+for before, after in pairwise(solutions[1:]):
+    assert np.all(after <= before + 1e-12)
+for before, after in pairwise(sets[1:]):
+    assert np.all(before | ~after)
+answer = solve(string, cells=n, eps=eps, method="successive")
+assert [step.active for step in answer.history] == [np.count_nonzero(one) for one in sets]
+assert np.allclose(everywhere(answer.level.V, answer.u)[2][1:-1], solutions[-1])
+
+cells = [16, 32, 64]  # 16 has no coarser mesh to start from
+cold = [solve(disk, cells=m, eps=1e-8, method="successive").history for m in cells]
+nested = [solve(disk, cells=m, eps=1e-8).history for m in cells]
+for history in cold:
+    active = [step.active for step in history[1:]]
+    assert active == sorted(active, reverse=True)
+steps = {"(3.4)*": [len(history) - 1 for history in cold], "nested": [len(history) - 1 for history in nested]}
+for name, some in steps.items():
+    say(f"{name:6} linear solves, {cells} cells a side:", *some)
+assert steps["(3.4)*"][-1] > 2 * steps["(3.4)*"][0] and max(steps["nested"]) <= 4
+
+page, (left, right) = plt.subplots(1, 2)
+left.imshow(sets, aspect="auto", cmap="Blues", extent=[0, 1, len(sets) - 0.5, -0.5], interpolation="nearest")
+left.set(title=f"contact sets of (3.4)*, string, {n} cells", xlabel="x", ylabel="step")
+for (name, some), marker in zip(steps.items(), "os", strict=True):
+    right.plot(cells, some, marker + "-", label=name)
+right.set(title=r"linear solves, disk, $\epsilon = 10^{-8}$", xlabel="cells a side", xticks=cells, ylim=(0, None))
+right.legend()
+keep(page, "8_iteration")

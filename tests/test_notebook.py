@@ -1,0 +1,75 @@
+"""docs/kikuchi_in_an_hour.py: each section runs after the first cell alone, and what it asserts holds on any ranks."""
+
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+import matplotlib.pyplot as plt
+import pytest
+from conftest import COMM
+
+NOTEBOOK = Path(__file__).parent.parent / "docs" / "kikuchi_in_an_hour.py"
+
+
+class Cell(NamedTuple):
+    """A code cell: the heading above it, the line where it begins, its source."""
+
+    title: str
+    line: int
+    source: str
+
+
+def cells_of(path):
+    """Code cells of a file in jupytext's percent format."""
+    title, found, start, code = "", [], 0, []
+    for number, text in enumerate([*path.read_text().splitlines(), "# %%"], start=1):
+        if text.startswith("# ## "):
+            title = text.removeprefix("# ## ")
+        if not text.startswith("# %%"):
+            code.append(text)
+            continue
+        source = "\n".join(code)
+        if start and source.strip():
+            found.append(Cell(title, start, source))
+        start, code = (0 if "[markdown]" in text else number), []
+    return found
+
+
+def run(cell, names):
+    """Execute a cell as a notebook does; its seconds. Tracebacks name the line of the file."""
+    start = time.perf_counter()
+    exec(compile("\n" * cell.line + cell.source, NOTEBOOK, "exec"), names)
+    return time.perf_counter() - start
+
+
+FIRST, *SECTIONS = cells_of(NOTEBOOK)
+
+
+@pytest.fixture(autouse=True)
+def quiet_pictures():
+    plt.switch_backend("Agg")
+    with matplotlib.rc_context():
+        yield
+    plt.close("all")
+
+
+@pytest.mark.parametrize("cell", SECTIONS, ids=[cell.title for cell in SECTIONS])
+def test_section(cell, folder, monkeypatch, record_property):
+    """The cell's assertions hold, and its picture is written."""
+    monkeypatch.chdir(folder)
+    names = {"__name__": "__main__"}
+    run(FIRST, names)
+    seconds = run(cell, names)
+    record_property("seconds", seconds)
+    COMM.barrier()
+    number = cell.title.split(".")[0]
+    (picture,) = folder.glob(f"out/kikuchi/{number}_*.png")
+    assert picture.stat().st_size > 10000 and seconds > 0
+    if COMM.rank == 0:
+        print(f"{seconds:6.2f} s  {cell.title}")
+
+
+def test_sections_are_numbered():
+    """One code cell for each heading, in order."""
+    assert [cell.title.split(".")[0] for cell in SECTIONS] == [str(k + 1) for k in range(len(SECTIONS))]
