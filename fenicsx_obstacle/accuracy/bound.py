@@ -1,0 +1,285 @@
+"""A guaranteed bound of the energy error, without constants, for the computed state and an admissible one beside it.
+
+    ||mu^(1/2) grad(u - u_h)|| <= total,   ||mu^(1/2) grad(u - v_h)|| <= admissible_total,
+
+u the solution of the variational inequality (2.4), u_h any P1 function with the boundary values, and v_h the nodal
+maximum of u_h and the obstacle (raised by what nodes do not see), which the obstacle allows. With e = u - v_h, tested
+in the inequality and with the equilibrated flux sigma and multiplier of `flux`,
+
+    ||e||^2 <= (sigma - mu grad v_h, grad e) + int lambda (v_h - lower) + int nu (upper - v_h) + (f - f_0, e) - (rho, e).
+
+It holds for any eps, any mesh, converged or not; nothing is assumed of angles, contact set or regularity.
+
+What is taken care of: tension and load that vary within cells, obstacles and boundary values between the nodes (all by
+sampling their formulas). What is not, and makes the number an indicator that says so: effects other than tension and
+load (drift, nonlinear tension), the difference between a curved domain and the polygon of the mesh, boundary values
+that jump, an unconverged state where Friedrichs' constant is not known. Where an obstacle stays above v_h beside the
+boundary the bound is for the obstacle as sampled at the nodes.
+
+Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
+and Lee (1993) and Veeser (2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import hypot, pi, sqrt
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.contact import TOUCHES
+from fenicsx_obstacle.accuracy.flux import SHARP, Equilibration, Flux
+from fenicsx_obstacle.accuracy.peaks import Peaks, Rim
+from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, rule
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes.materials import Materials
+
+KNOWN = ("tension", "load")
+NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A bound of the energy error ||mu^(1/2) grad(u - u_h)||, in the unit of the square root of the energy.
+
+    Attributes:
+        total: Of u_h.
+        admissible_total: Of v_h.
+        relative: total over the energy norm of u_h; None where that is 0.
+        discretisation: What a finer mesh makes smaller: ||mu^(1/2) grad u_h - mu^(-1/2) sigma||.
+        penalty: What a smaller eps makes smaller: ||mu^(1/2) grad(max(u_h, lower) - u_h)||, nodal maximum.
+        algebraic: What further iterations make smaller: Friedrichs' constant times the unbalanced force.
+        data: Load, obstacle and boundary values between nodes.
+        guaranteed: Whether all hypotheses hold.
+        words: What is guaranteed, and why not more.
+        indicator: Squared share of each owned cell; their sum over all ranks is of the order of total^2.
+        admissible: v_h.
+    """
+
+    total: float
+    admissible_total: float
+    relative: float | None
+    discretisation: float
+    penalty: float
+    algebraic: float
+    data: float
+    guaranteed: bool
+    words: str
+    indicator: np.ndarray = field(repr=False)
+    admissible: fem.Function = field(repr=False)
+
+    @property
+    def record(self) -> dict[str, float | bool | str | None]:
+        """Its figures, as in answer.json."""
+        keys = "total relative discretisation penalty algebraic data guaranteed words admissible_total".split()
+        return {key: getattr(self, key) for key in keys}
+
+
+class Estimator:
+    """Bounds on one problem: what depends on mesh and data alone is made once."""
+
+    def __init__(self, problem: Problem):
+        """Sample the data, sort the corners around the vertices (collective).
+
+        Raises:
+            InputError: If the elements are not P1 on triangles in the plane, or there is no tension.
+        """
+        self.problem, level, scene = problem, problem.level, problem.scene
+        mesh, pair = level.mesh, level.pair
+        if releases.cell_name(mesh) != "triangle" or pair.degree != 1 or mesh.geometry.dim != 2:
+            what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
+            raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, not for {what}")
+        if not any(effect.key == "tension" for effect in scene.effects):
+            raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
+        self.triangles = Triangles(problem.data)
+        self.equilibration = Equilibration(self.triangles)
+        self._sample_tension()
+        self.rim = Rim(self.triangles)
+        self._rim_energy = self.rim.energy(self._mu_max)
+        sides = [side for side in ("lower", "upper") if getattr(problem.data, side) is not None]
+        self.peaks = [Peaks(self.triangles, self.equilibration.fans, self.rim, side) for side in sides]
+        y = self.triangles.x - self.triangles.x.mean(axis=1, keepdims=True)
+        self._y, self._spread = y, np.einsum("cix,cix->c", y, y) / 12
+        self._oscillation = self.triangles.diameter / pi * self.equilibration.oscillation / np.sqrt(self._mu_min)
+        self._friedrichs, self._exact_constant = self._constant()
+        self._least_tension = smallest(level.comm, self._mu_min)
+
+    def bound(self) -> Bound:
+        """Of the problem's present state (collective)."""
+        problem, equilibration = self.problem, self.equilibration
+        comm, u = problem.level.comm, problem.w.x.array + problem.reference.x.array
+        gaps = problem.gaps()
+        finite = [np.abs(gap[np.isfinite(gap)]) for gap in gaps]
+        near = TOUCHES * max(largest(comm, np.concatenate(finite)), 0.0)
+        flux = equilibration.flux(u, gaps[0] <= near, gaps[1] <= near)
+        nodal, v = self._admissible(u)
+        of_u, of_v = self._distance(u, flux), self._distance(v, flux)
+        contact = self._contact(v, flux)
+        moved, penetrated = self._energy(v - u), self._energy(nodal - u)
+        scale = self._friedrichs / sqrt(self._least_tension)
+        unbalanced, algebraic = (scale * self._norm(rest) for rest in (flux.rest, flux.solver_rest))
+
+        def norm(squares: np.ndarray) -> float:
+            return sqrt(max(total(comm, squares), 0.0))
+
+        eta_g, W, eta_C = norm(self._rim_energy), norm(moved), max(total(comm, contact), 0.0)
+        S = norm((np.sqrt(of_v) + self._oscillation) ** 2) + unbalanced + eta_g
+        Su = norm((np.sqrt(of_u) + self._oscillation) ** 2) + unbalanced + eta_g
+        B = S / 2 + sqrt(S**2 / 4 + eta_C) + eta_g
+        B2 = (Su + W) / 2 + sqrt((Su + W) ** 2 / 4 + eta_C + Su * W) + eta_g
+        bound, height = min(B + W, B2), norm(self._energy(u))
+        doubts, sampled_only = self._doubts(flux, unbalanced, bound)
+        admissible = fem.Function(problem.level.V, name="admissible")
+        admissible.x.array[:] = v
+        data = hypot(norm(self._oscillation**2), eta_g, norm(self._energy(v - nodal)), max(unbalanced - algebraic, 0.0))
+        return Bound(
+            total=bound, admissible_total=B, relative=bound / height if height > 0 else None,
+            discretisation=norm(of_u), penalty=norm(penetrated), algebraic=algebraic, data=data,
+            guaranteed=not doubts, words=_in_words(doubts, sampled_only),
+            indicator=of_v + self._oscillation**2 + contact + moved + self._rim_energy,
+            admissible=admissible,
+        )  # fmt: skip
+
+    def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The nodal maximum of u and the obstacles, and the same of the obstacles raised (collective)."""
+        nodal, v = u.copy(), u.copy()
+        given = self.problem.data.fixed[0]
+        lifted = [peaks.lift(peaks.sign * u) for peaks in self.peaks]
+        for peaks, lift in zip(self.peaks, lifted, strict=True):
+            for state, obstacle in ((nodal, peaks.nodal), (v, lift)):
+                inside = peaks.sign * np.maximum(peaks.sign * state, obstacle)
+                inside[given] = state[given]
+                state[:] = inside
+        beyond = [lift - peaks.sign * v for peaks, lift in zip(self.peaks, lifted, strict=True)]
+        self._crossing = max((largest(self.problem.level.comm, gap) for gap in beyond), default=0.0)
+        return nodal, v
+
+    def _contact(self, v: np.ndarray, flux: Flux) -> np.ndarray:
+        """int lambda (v - lower) + int nu (upper - v), lambda and nu being their means in each cell."""
+        triangles, found = self.triangles, np.zeros(len(self.triangles.area))
+        for peaks in self.peaks:
+            pressure = (flux.lower if peaks.sign > 0 else flux.upper)[triangles.dofs].mean(axis=1)
+            gap = (peaks.sign * v - peaks.nodal)[triangles.dofs].mean(axis=1) - peaks.mean
+            gap = gap * triangles.area + peaks.sign * self.rim.volume
+            found += pressure * np.maximum(gap, 0.0)
+        return found
+
+    def _distance(self, v: np.ndarray, flux: Flux) -> np.ndarray:
+        """||mu^(1/2) grad v - mu^(-1/2) sigma||_T^2: mu grad v is in RT0 too, of normal fluxes -mu grad v . normal."""
+        triangles, mu = self.triangles, self.equilibration.mu
+        gradient = triangles.gradient(v)
+        outward = flux.normal + mu[:, None] * np.einsum("cx,cix->ci", gradient, triangles.normal)
+        across = np.einsum("ci,cix->cx", outward, self._y)
+        squares = outward.sum(axis=1) ** 2 * self._spread + np.einsum("cx,cx->c", across, across)
+        squares /= 4 * triangles.area * mu
+        for cells, points, weights, tension in self._varying:
+            area, x = triangles.area[cells], triangles.x[cells]
+            place = points @ x
+            sigma = np.einsum("ci,cpx->cpx", flux.normal[cells], place) - (
+                np.einsum("ci,cix->cx", flux.normal[cells], x)[:, None]
+            )
+            difference = tension[..., None] * gradient[cells][:, None] - sigma / (2 * area)[:, None, None]
+            squares[cells] = area * (np.einsum("cpx,cpx->cp", difference, difference) / tension @ weights)
+        return squares
+
+    def _energy(self, e: np.ndarray) -> np.ndarray:
+        """||mu^(1/2) grad e||_T^2."""
+        if not np.any(e):
+            return np.zeros(len(self.triangles.area))
+        gradient = self.triangles.gradient(e)
+        return self._mu_mean * self.triangles.area * np.einsum("cx,cx->c", gradient, gradient)
+
+    def _norm(self, rest: np.ndarray) -> float:
+        """||.||_0 of means in cells of nodal values (collective)."""
+        means = rest[self.triangles.dofs].mean(axis=1)
+        return sqrt(total(self.problem.level.comm, self.triangles.area * means**2))
+
+    def _sample_tension(self) -> None:
+        """Where the tension varies within cells: points and values there, and its least, mean and largest value."""
+        triangles, mu = self.triangles, self.equilibration.mu
+        self._mu_min = self._mu_mean = self._mu_max = mu
+        self._varying: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        value = next(effect.value for effect in self.problem.scene.effects if effect.key == "tension")
+        parts: Sequence = list(value.parts.values()) if isinstance(value, Materials) else [value]
+        if all(triangles.uniform(part) for part in parts):
+            return
+        self._mu_min, self._mu_mean, self._mu_max = mu.copy(), mu.copy(), mu.copy()
+        points, weights = rule()
+        tension = triangles.values(value, points)
+        spread = np.ptp(tension, axis=1)
+        sharp = spread > SHARP * np.abs(tension).max(axis=1, initial=0.0)
+        smooth = np.flatnonzero((spread > 0) & ~sharp)
+        self._varying.append((smooth, points, weights, tension[smooth]))
+        points, weights = halved_rule(2)
+        cells = np.flatnonzero(sharp)
+        self._varying.append((cells, points, weights, triangles.values(value, points, cells)))
+        for cells, _, weights, tension in self._varying:
+            self._mu_min[cells], self._mu_max[cells] = tension.min(axis=1), tension.max(axis=1)
+            self._mu_mean[cells] = tension @ weights
+        if smallest(self.problem.level.comm, self._mu_min) <= 0:
+            raise InputError(f"{value.place} = {value.text}: must be positive everywhere, not at midpoints of cells only")
+
+    def _constant(self) -> tuple[float, bool]:
+        """Friedrichs' constant of functions that are 0 where u is given, and whether it is exact (collective).
+
+        Of a box by its first eigenvalue, a side after the other; of any other domain held all around by that of the
+        box around it. Otherwise no constant is known, and twice the longer side stands for it.
+        """
+        problem, triangles = self.problem, self.triangles
+        comm, x = problem.level.comm, triangles.x
+        lower = np.array([smallest(comm, x[..., axis]) for axis in range(2)])
+        upper = np.array([largest(comm, x[..., axis]) for axis in range(2)])
+        sides = upper - lower
+        outer = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
+        facets = problem.level.boundary_facets
+        outer[facets[facets < len(outer)]] = True
+        cells, opposite = np.nonzero(outer[triangles.facets])
+        held = self.equilibration.held[cells, opposite]
+        ends = np.stack([x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]], axis=1)
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        around = total(comm, length)
+        everywhere = total(comm, length[held]) >= around * (1 - 1e-9)
+        is_box = total(comm, triangles.area) >= np.prod(sides) * (1 - 1e-9)
+        wave = np.zeros(2)
+        for axis in range(2):
+            faces = 0
+            for at in (lower[axis], upper[axis]):
+                on = held & np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1)
+                faces += total(comm, length[on]) >= sides[1 - axis] * (1 - 1e-9)
+            wave[axis] = (2 if everywhere else faces) * pi / (2 * sides[axis])
+        if everywhere or (is_box and np.any(wave > 0)):
+            return 1 / float(np.linalg.norm(wave)), True
+        return 2 * float(sides.max()), False
+
+    def _doubts(self, flux: Flux, unbalanced: float, bound: float) -> tuple[list[str], bool]:
+        """What the bound does not cover (collective); whether it is the obstacle between the nodes alone."""
+        problem, level = self.problem, self.problem.level
+        doubts = [f"the effect '{effect.key}' is beyond it" for effect in problem.scene.effects
+                  if effect.key not in KNOWN]  # fmt: skip
+        if level.shape is not None and level.shape.project is not None:
+            doubts.append("it is for the polygon of the mesh, not for the curved domain")
+        if self.rim.torn > 0:
+            doubts.append(f"boundary values jump by {self.rim.torn:.2g}, so that no u has a finite energy")
+        if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
+            doubts.append("Friedrichs' constant is not known here, and forces are not in balance")
+        scale = largest(level.comm, np.abs(flux.normal))
+        if flux.incompatible > 1e-8 * scale:
+            doubts.append("cells meet at a vertex alone")
+        others = len(doubts)
+        if self._crossing > 1e-9 * largest(level.comm, np.abs(self.peaks[0].nodal) if self.peaks else []):
+            doubts.append(f"between the nodes the obstacles come nearer than {self._crossing:.2g}")
+        beyond = max((peaks.deficit for peaks in self.peaks), default=0.0)
+        if beyond > 0:
+            doubts.append(f"beside the boundary the obstacle is beyond its nodal values by {beyond:.2g}")
+        return doubts, others == 0
+
+
+def _in_words(doubts: list[str], sampled_only: bool) -> str:
+    if not doubts:
+        return "certified"
+    return ("certified for the sampled obstacle" if sampled_only else "an indicator") + ": " + "; ".join(doubts)

@@ -1,0 +1,169 @@
+"""The cells around each vertex in their order, on the rank that owns the vertex, whatever ranks the cells are on.
+
+A corner is a vertex a of an owned triangle with the other two, b and c, counter-clockwise after it. The corners of a
+vertex form fans: the corner after (a, b, c) is the one across its edge a-c, which begins with (a, c). Fans end at the
+boundary, and on curves inside the domain where u is given. Values travel between a corner's cell and its fan by one
+exchange over all ranks; everything that depends on the mesh alone is found once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.discrete.levels import Level
+
+
+class Fans:
+    """The fans of all owned vertices, in arrays ordered by step: the first corners of all fans, then the second ones.
+
+    Fans stand in order of decreasing length, so that step k is one slice, and a walk along all fans at once is a loop
+    over slices.
+
+    Attributes:
+        steps: Slice of each step.
+        vertex: Owned dof of each fan.
+        closed: Whether a fan goes all the way round.
+        last: Place of the last corner of each fan.
+        entry_held: Whether u is given on the edge where a fan begins; open fans only.
+        exit_held: Likewise where it ends.
+    """
+
+    def __init__(self, level: Level, dofs: np.ndarray, held: np.ndarray):
+        """Sort the corners (collective).
+
+        Args:
+            level: P1 on triangles.
+            dofs: Local dofs of owned cells, counter-clockwise, shape (cells, 3).
+            held: Whether u is given on the edge opposite to each of them.
+        """
+        self.comm, self.owned = level.comm, level.owned
+        index_map = level.V.dofmap.index_map
+        number = np.asarray(index_map.local_to_global(dofs.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 3)
+        starts = np.array(self.comm.allgather(index_map.local_range[0]))
+        # ranks that own none share their start with the next: take the last
+        owner = np.searchsorted(starts, number, side="right").ravel() - 1
+        self._send = np.argsort(owner, kind="stable")
+        self._sent = np.bincount(owner, minlength=self.comm.size)
+        self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
+        corner = np.stack([number, np.roll(number, -1, 1), np.roll(number, 1, 1),
+                           np.roll(held, 1, 1), np.roll(held, -1, 1)], axis=2)  # fmt: skip
+        a, b, c, entry_held, exit_held = self._to_owners(corner.reshape(-1, 5)).T
+        after = self._links(a * index_map.size_global + b, a * index_map.size_global + c, entry_held, exit_held)
+        self._sort(a - starts[self.comm.rank], after, entry_held > 0, exit_held > 0)
+
+    def _links(self, entry: np.ndarray, exit_: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> np.ndarray:
+        """The corner after each, -1 where its fan ends (local)."""
+        if not len(entry):
+            return np.empty(0, dtype=np.int64)
+        order = np.argsort(entry)
+        after = order[np.minimum(np.searchsorted(entry, exit_, sorter=order), len(order) - 1)]
+        found = entry[after] == exit_
+        # the ranks of its two cells need not both know that u is given on an edge
+        cut = found & ((exit_held > 0) | (entry_held[after] > 0))
+        exit_held[cut] = entry_held[after[cut]] = 1
+        return np.where(found & ~cut, after, -1)
+
+    def _sort(self, a: np.ndarray, after: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> None:
+        """Walk along all fans at once and lay their corners out by step (local)."""
+        first = np.ones(len(after), dtype=bool)
+        first[after[after >= 0]] = False
+        unseen, fans, steps = np.ones(len(after), dtype=bool), 0, list[tuple[np.ndarray, np.ndarray, int]]()
+        starts, closed = np.flatnonzero(first), list[np.ndarray]()
+        while True:
+            here, fan, step = starts, fans + np.arange(len(starts)), 0
+            fans += len(starts)
+            while len(here):
+                steps.append((fan, here, step))
+                unseen[here] = False
+                here, step = after[here], step + 1
+                go_on = here >= 0
+                go_on[go_on] = unseen[here[go_on]]
+                here, fan = here[go_on], fan[go_on]
+            closed.append(np.full(len(starts), len(closed) > 0))
+            left = np.flatnonzero(unseen)
+            if not len(left):
+                break
+            # what goes round begins anywhere, one fan of each vertex at a time
+            starts = left[np.unique(a[left], return_index=True)[1]]
+        length = np.zeros(fans, dtype=np.int64)
+        for fan, _, _ in steps:
+            length[fan] += 1
+        rank = np.empty(fans, dtype=np.int64)
+        by_length = np.argsort(-length, kind="stable")
+        rank[by_length] = np.arange(fans)
+        counts = [np.count_nonzero(length > k) for k in range(length.max(initial=0))]
+        ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        self.steps = [slice(start, end) for start, end in zip(ends[:-1], ends[1:], strict=True)]
+        self._order = np.empty(len(after), dtype=np.int64)
+        for fan, here, step in steps:
+            self._order[ends[step] + rank[fan]] = here
+        self.closed = np.concatenate(closed)[by_length]
+        self.last = ends[length[by_length] - 1] + np.arange(fans)
+        head = self._order[:fans]
+        self.vertex = a[head]
+        self.entry_held, self.exit_held = entry_held[head], exit_held[self._order[self.last]]
+
+    def gather(self, *values: np.ndarray) -> np.ndarray:
+        """Values at the corners of owned cells, each of shape (cells, 3), along the fans (collective).
+
+        Returns:
+            Shape (len(values), corners).
+        """
+        return np.ascontiguousarray(self._to_owners(np.stack(values, axis=2).reshape(-1, len(values)))[self._order].T)
+
+    def scatter(self, *values: np.ndarray) -> list[np.ndarray]:
+        """Values along the fans at the corners of their cells, each of shape (cells, 3) (collective)."""
+        ordered = np.empty((len(self._order), len(values)))
+        ordered[self._order] = np.stack(values, axis=1)
+        back = self._exchange(ordered, self._received, self._sent)
+        found = np.empty_like(back)
+        found[self._send] = back
+        return [found[:, k].reshape(-1, 3) for k in range(len(values))]
+
+    def at_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Sums over the corners of each owned vertex (local)."""
+        sums = np.zeros(len(self.vertex))
+        for step in self.steps:
+            sums[: step.stop - step.start] += values[step]
+        return np.bincount(self.vertex, weights=sums, minlength=self.owned)
+
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """Likewise the largest, 0 if that is more (local)."""
+        fans, found = np.zeros(len(self.vertex)), np.zeros(self.owned)
+        for step in self.steps:
+            count = step.stop - step.start
+            np.maximum(fans[:count], values[step], out=fans[:count])
+        np.maximum.at(found, self.vertex, fans)
+        return found
+
+    def walk(self, drops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Running sums of -drops along each fan (local).
+
+        Returns:
+            Before and after each corner; what is after one is before the next, the same number.
+        """
+        before, after = np.zeros(len(drops)), np.empty(len(drops))
+        for k, step in enumerate(self.steps):
+            if k:
+                start = self.steps[k - 1].start
+                before[step] = after[start : start + step.stop - step.start]
+            after[step] = before[step] - drops[step]
+        return before, after
+
+    def along(self, values: np.ndarray) -> np.ndarray:
+        """One value for each fan at all of its corners (local)."""
+        return np.concatenate([values[:0], *(values[: step.stop - step.start] for step in self.steps)])
+
+    def _to_owners(self, values: np.ndarray) -> np.ndarray:
+        return self._exchange(values[self._send], self._sent, self._received)
+
+    def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
+        """Rows in the order of the ranks they go to; those that came, likewise (collective)."""
+        if self.comm.size == 1:
+            return rows
+        kind, width = (MPI.DOUBLE if rows.dtype == np.float64 else MPI.INT64_T), rows.shape[1]
+        out = np.empty((received.sum(), width), dtype=rows.dtype)
+        send = [np.ascontiguousarray(rows), (sent * width).tolist(), None, kind]
+        self.comm.Alltoallv(send, [out, (received * width).tolist(), None, kind])
+        return out

@@ -1,0 +1,126 @@
+"""Triangles of a plane mesh as arrays, counter-clockwise, and the scene's formulas inside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import basix
+import numpy as np
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.materials import Materials, Value
+
+DEGREE = 6  # of the quadrature of formulas, as for errors
+AT_ONCE = 50_000  # cells in memory
+MIDDLES = np.array([[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])  # of edges: a rule of degree 2
+
+
+class Triangles:
+    """The owned cells of a level of P1 on triangles in the plane (nothing here is collective but `values`).
+
+    Attributes:
+        dofs: Local dofs of the vertices, shape (cells, 3).
+        x: Their coordinates, shape (cells, 3, 2).
+        facets: Local facet opposite to each vertex, shape (cells, 3).
+        area: Shape (cells,).
+        normal: 2 |T| grad phi_i = the edge opposite to vertex i turned inward, shape (cells, 3, 2).
+        diameter: Longest edge, shape (cells,).
+    """
+
+    def __init__(self, data: Data):
+        """Turn all cells counter-clockwise (collective where the spaces are new)."""
+        self.data, level = data, data.level
+        count = own_cells(level.mesh)
+        x = corners(level.mesh)[:count, :, :2]
+        clockwise = _cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) < 0
+        turn = np.where(clockwise[:, None], [0, 2, 1], [0, 1, 2])
+        self.dofs = np.take_along_axis(releases.cell_dofs(level.V)[:count], turn, axis=1)
+        self.facets = np.take_along_axis(cell_facets(level.mesh)[:count], turn, axis=1)
+        self.x = np.take_along_axis(x, turn[:, :, None], axis=1)
+        edges = np.roll(self.x, 1, axis=1) - np.roll(self.x, -1, axis=1)  # from the vertex after i to the one before
+        self.area = _cross(edges[:, 2], -edges[:, 1]) / 2
+        self.normal = np.stack([-edges[..., 1], edges[..., 0]], axis=2)
+        self.diameter = np.sqrt(np.max(edges[..., 0] ** 2 + edges[..., 1] ** 2, axis=1))
+
+    def gradient(self, values: np.ndarray) -> np.ndarray:
+        """Gradients of a P1 function from its values at local dofs, shape (cells, 2)."""
+        return np.einsum("ci,cix->cx", values[self.dofs], self.normal) / (2 * self.area)[:, None]
+
+    def values(self, value: Value, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """A formula at barycentric coordinates, shape (points, 3) or (cells, points, 3), of cells.
+
+        Collective where it is the first to need the distance.
+
+        Returns:
+            Shape (cells, points).
+        """
+        chosen = np.arange(len(self.area))[cells]
+        if isinstance(value, Formula):
+            return self._formula(value, where, chosen)
+        assert isinstance(value, Materials)
+        points = where.shape[-2]
+        found, groups = np.zeros((len(chosen), points)), self.data.level.groups
+        for name, formula in value.parts.items():
+            inside = np.isin(chosen, groups[name])
+            part = where if where.ndim == 2 else where[inside]
+            found[inside] = self._formula(formula, part, chosen[inside])
+        return found
+
+    def _formula(self, formula: Formula, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        scene, distance = self.data.scene, None
+        if "distance" in scene.needs(formula):
+            distance = self.data.boundary_distance
+        found = np.empty((len(cells), where.shape[-2]))
+        for block in blocks(len(cells)):
+            x = np.zeros((3, (block.stop - block.start) * where.shape[-2]))
+            inside = (where if where.ndim == 2 else where[block]) @ self.x[cells[block]]
+            x[:2] = inside.reshape(-1, 2).T
+            known = {} if distance is None else {"distance": distance(x.T)}
+            found[block] = scene.at_points(formula, x, known).reshape(-1, where.shape[-2])
+        return found
+
+    def uniform(self, value: Value) -> bool:
+        """Whether a value is the same number everywhere."""
+        from fenicsx_obstacle.scenes.vocabulary import COORDINATES
+
+        return isinstance(value, Formula) and not self.data.scene.needs(value) & {*COORDINATES, "distance"}
+
+    def quadrature(self, of: Callable[[slice], np.ndarray]) -> np.ndarray:
+        """Cell by cell, in blocks that fit into memory."""
+        return np.concatenate([np.empty(0), *(of(block) for block in blocks(len(self.area)))])
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Slices of at most AT_ONCE cells."""
+    for start in range(0, count, AT_ONCE):
+        yield slice(start, min(start + AT_ONCE, count))
+
+
+def rule() -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points, shape (n, 3), and weights of sum 1."""
+    points, weights = basix.make_quadrature(basix.CellType.triangle, DEGREE)
+    return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
+
+
+def lattice(parts: int) -> np.ndarray:
+    """Barycentric coordinates of the points that divide the edges and the inside evenly, shape (n, 3)."""
+    steps = [(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]
+    return np.array(steps) / parts
+
+
+def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:
+    """The rule in each of the 4^times parts of a triangle with its edges halved."""
+    points, weights = rule()
+    parts = np.eye(3)[None]
+    for _ in range(times):
+        a, b, c = parts[:, 0], parts[:, 1], parts[:, 2]
+        d, e, f = (b + c) / 2, (c + a) / 2, (a + b) / 2
+        parts = np.concatenate([np.stack(p, axis=1) for p in ((a, f, e), (f, b, d), (e, d, c), (d, e, f))])
+    return (points @ parts).reshape(-1, 3), np.tile(weights, len(parts)) / len(parts)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
