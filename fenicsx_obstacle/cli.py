@@ -71,10 +71,12 @@ def _options(*names: str) -> Callable[[Any], Any]:
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
+@click.option("--bound", is_flag=True, help="Bound the energy error: guaranteed, or the output says why not.")
 @_options("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet", "log")
 def solve(
     scene_file: str,
     picture: bool,
+    bound: bool,
     yardstick: bool,
     output: Path | None,
     json_file: str | None,
@@ -95,7 +97,7 @@ def solve(
     folder = output or Path("out") / scene.name
     _check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
-        answer = Workbench(scene).answer(yardstick=yardstick)
+        answer = Workbench(scene).answer(yardstick=yardstick, bound=bound)
         answer.save(folder)
         drawn = report_answer(answer, folder, picture=picture)
     if json_file is not None:

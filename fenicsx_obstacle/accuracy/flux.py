@@ -20,7 +20,8 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.fans import Fans
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, rule
 from fenicsx_obstacle.discrete.data import array_of
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.scenes.materials import Value
 
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
 SHARP = 0.1  # of the largest load: what varies so much in a cell may jump there
@@ -74,15 +75,21 @@ class Equilibration:
         self.free[fixed[fixed < level.owned]] = False
         tension = next(effect for effect in data.scene.effects if effect.key == "tension")
         self.mu = self._per_cell(array_of(data.cellwise(tension.value, positive=True)))
-        self._sample_load()
+        loads = [effect.value for effect in data.scene.effects if effect.key == "load"]
+        self._sample_load(loads)
         self._area = self.fans.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0]
         self.mass = self.fans.at_vertices(self._area)
-        x, area = triangles.x, triangles.area[:, None]
-        t = (np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)) / (2 * area)[:, :, None]
-        to_middle = (x.mean(axis=1, keepdims=True) - x) / 2 / self.mu[:, None, None]
-        self._A = np.einsum("cix,cix->ci", t, np.roll(to_middle, -1, axis=1))
-        self._B = np.einsum("cix,cix->ci", t, np.roll(to_middle, 1, axis=1))
-        G = area / self.mu[:, None] * np.einsum("cix,cix->ci", t, t)
+        # what the solver's load gives more than the formula's
+        more = (self._solver_load * triangles.area / 3)[:, None] - self.moments
+        self._solver_gap = self.fans.at_vertices(self.fans.gather(more)[0]) / self.mass if loads else 0.0
+        x, y = triangles.x[..., 0], triangles.x[..., 1]
+        scale = 1 / (4 * triangles.area * self.mu)[:, None]
+        # the edge opposite to a vertex, and from each vertex to the middle of the cell
+        to_x, to_y = x.mean(axis=1, keepdims=True) - x, y.mean(axis=1, keepdims=True) - y
+        edge_x, edge_y = triangles.normal[1] * scale, -triangles.normal[0] * scale
+        self._A = edge_x * np.roll(to_x, -1, axis=1) + edge_y * np.roll(to_y, -1, axis=1)
+        self._B = edge_x * np.roll(to_x, 1, axis=1) + edge_y * np.roll(to_y, 1, axis=1)
+        G = scale * (triangles.normal[0] ** 2 + triangles.normal[1] ** 2)
         self._fan_A, self._fan_B, fan_G = self.fans.gather(self._A, self._B, G)
         self._fan_G = self._over_fans(fan_G)
 
@@ -93,11 +100,10 @@ class Equilibration:
             return np.full(count, values[0])
         return values[releases.cell_dofs(self.level.W)[:count, 0]]
 
-    def _sample_load(self) -> None:
+    def _sample_load(self, loads: list[Value]) -> None:
         """Moments, means and oscillation of the load's formula, and the moments that the solver takes."""
         triangles = self.triangles
         area = triangles.area
-        loads = [effect.value for effect in triangles.data.scene.effects if effect.key == "load"]
         self.moments, self.oscillation = np.zeros((len(area), 3)), np.zeros(len(area))
         self._solver_load = np.zeros(len(area))
         for value in loads:
@@ -113,7 +119,9 @@ class Equilibration:
             points, weights = halved_rule(2)
             self._integrate(triangles.values(value, points, sharp), points, weights, sharp)
 
-    def _integrate(self, values: np.ndarray, points: np.ndarray, weights: np.ndarray, cells: np.ndarray | slice) -> None:
+    def _integrate(
+        self, values: np.ndarray, points: np.ndarray, weights: np.ndarray, cells: np.ndarray | slice
+    ) -> None:
         area = self.triangles.area[cells]
         self.moments[cells] = area[:, None] * (values @ (weights[:, None] * points))
         mean = values @ weights
@@ -140,23 +148,20 @@ class Equilibration:
             touches_upper: Likewise of the upper one.
         """
         triangles, fans = self.triangles, self.fans
-        gradient = triangles.gradient(u)
-        beta = -self.mu[:, None] * np.einsum("cx,cix->ci", gradient, triangles.normal) / 2
+        beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
         correction = np.roll(beta, -1, axis=1) * self._A + np.roll(beta, 1, axis=1) * self._B
-        solver = beta + (self._solver_load * triangles.area / 3)[:, None]
-        drops, correction, solver = fans.gather(beta + self.moments, correction, solver)
+        drops, correction = fans.gather(beta + self.moments, correction)
         residual = np.where(self.free, -fans.at_vertices(drops) / self.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
-        solver_rest = self._multipliers(
-            np.where(self.free, -fans.at_vertices(solver) / self.mass, 0.0), touches_lower, touches_upper
-        )[2]
+        of_solver = np.where(self.free, residual - self._solver_gap, 0.0)
+        solver_rest = self._multipliers(of_solver, touches_lower, touches_upper)[2]
         lower, upper = (
             self._along_the_boundary(values, touches)
             for values, touches in ((lower, touches_lower), (upper, touches_upper))
         )
         own = self.level.owned
-        total = (lower[:own] - upper[:own] + rest)[fans.vertex]
-        before, after = fans.walk(drops + fans.along(total) * self._area)
+        pressure = (lower[:own] - upper[:own] + rest)[fans.vertex]
+        before, after = fans.walk(drops + fans.along(pressure) * self._area)
         shift = -(self._over_fans(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
         # nothing leaves through the free boundary
         open_ = ~fans.closed
@@ -184,7 +189,7 @@ class Equilibration:
         function.x.array[: level.owned] = values
         function.x.scatter_forward()
         wanted = touches & ~self.free
-        if largest(level.comm, wanted) < 1:
+        if total(level.comm, np.count_nonzero(wanted)) == 0:
             return function.x.array
         for _ in range(SWEEPS):
             corner = function.x.array[dofs]

@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, rule
+from fenicsx_obstacle.accuracy.triangles import Triangles, blocks, lattice, lattice_cells, rule
 from fenicsx_obstacle.parallel import largest, total
 
 SPARE = 1.5  # times the height that a few points of a cell have found,
@@ -21,7 +21,6 @@ NEAR = 4.0  # times that height: how near u may come before a cell is sampled de
 DENSE = 8  # parts of an edge
 SEGMENTS = 16  # of an edge where u is given
 ROUND_OFF = 1e-12  # of the heights
-TRIES = 4  # at raising an obstacle further beside a boundary that touches it
 
 
 class Rim:
@@ -120,7 +119,10 @@ class Peaks:
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
         nodal: sign times its nodal values at local dofs.
-        deficit: How far it stays above the admissible state where boundary values leave no room; 0 elsewhere.
+        cover_energy: ||grad||^2 in each cell of what is added to the state beside the boundary (see `lift`).
+        cover_volume: Its integral.
+        surprise: By how much dense samples found it higher than all the others let expect: it may have peaks narrower
+            than either.
     """
 
     def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, side: str):
@@ -133,17 +135,22 @@ class Peaks:
         comm, cells = data.level.comm, len(triangles.area)
         self._heights = largest(comm, np.abs(self.nodal))
         self._flat = triangles.uniform(self._formula)
-        self._points, self._weights = rule()
+        points, weights = rule()
         self.mean, self._height = np.zeros(cells), np.zeros(cells)
         if not self._flat:
-            above = self._above(self._points, np.arange(cells))
-            self.mean = above @ self._weights  # of the obstacle above its nodal interpolant
-            self._height = SPARE * self._clean(above.max(axis=1, initial=0.0))
+            for block in blocks(cells):
+                above = self._above(points, np.arange(block.start, block.stop))
+                self.mean[block] = above @ weights  # of the obstacle above its nodal interpolant
+                self._height[block] = SPARE * self._clean(above.max(axis=1, initial=0.0))
         self._is_dense = np.zeros(cells, dtype=bool)
-        self.deficit = 0.0
+        self.surprise = 0.0
+        self.cover_energy, self.cover_volume = np.zeros(cells), np.zeros(cells)
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """Nodal heights of an obstacle that is nowhere below this one where u may touch it (collective).
+
+        Beside nodes where u is given it may be below; there `cover_energy` and `cover_volume` are those of the function
+        that makes up for it.
 
         Args:
             u: sign times the state at local dofs.
@@ -157,33 +164,33 @@ class Peaks:
         slack = (u - self.nodal)[dofs].min(axis=1) - self.rim.dip
         near = slack <= np.maximum(NEAR * self._height, ROUND_OFF * self._heights)
         new = np.flatnonzero(near & ~self._is_dense)
-        above = self._above(lattice(DENSE), new)
-        self._height[new] = SPARE_DENSE * self._clean(np.maximum(above.max(axis=1, initial=0.0), 0.0))
+        above = self._clean(self._above(lattice(DENSE), new).max(axis=1, initial=0.0))
+        expected = self._height[new] + max(largest(self.triangles.data.level.comm, self._height), 0.0)
+        self.surprise = max(self.surprise, largest(self.triangles.data.level.comm, above - expected))
+        self._height[new] = SPARE_DENSE * above
         self._is_dense[new] = True
-        raised = self._at_nodes(np.where(near, self._height, 0.0))
-        return self._beside_the_boundary(u, raised, near)
+        given = np.zeros(len(u), dtype=bool)
+        given[self.triangles.data.fixed[0]] = True
+        lifted = self.nodal + np.where(given, 0.0, self._at_nodes(np.where(near, self._height, 0.0)))
+        self._cover(np.where(given, u, np.maximum(u, lifted)), near & (given[dofs].any(axis=1) | (self.rim.dip > 0)))
+        return lifted
 
-    def _beside_the_boundary(self, u: np.ndarray, raised: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Nodes where u is given cannot be raised: look whether those next to them make up for it (collective)."""
-        data, dofs = self.triangles.data, self.triangles.dofs
-        comm, given = data.level.comm, np.zeros(len(u), dtype=bool)
-        given[data.fixed[0]] = True
-        cells = np.flatnonzero(near & (given[dofs].any(axis=1) | (self.rim.dip > 0)))
-        where = lattice(DENSE)
-        above = self._above(where, cells) - self.sign * self.rim.cones(cells, where)
-        for attempt in range(TRIES + 1):
-            lifted = np.where(given, self.nodal, self.nodal + raised)
-            state = np.where(given, u, np.maximum(u, lifted))
-            gap = ((state - self.nodal)[dofs[cells]]) @ where.T
-            short = (above - gap).max(axis=1, initial=0.0)
-            short[short <= ROUND_OFF * self._heights] = 0.0
-            self.deficit = max(largest(comm, short), 0.0)
-            if self.deficit == 0.0 or attempt == TRIES:
-                return lifted
-            more = np.zeros(len(near))
-            more[cells] = np.where(short > 0, 2 * raised[dofs[cells]].max(axis=1, initial=0.0) + short, 0.0)
-            raised = np.maximum(raised, self._at_nodes(more))
-        raise AssertionError
+    def _cover(self, state: np.ndarray, beside: np.ndarray) -> None:
+        """What is still above the state beside nodes that cannot be raised, because u is given there (collective).
+
+        It is taken to be linear on a lattice, so that cells fit together.
+        """
+        triangles, where, cells = self.triangles, lattice(DENSE), np.flatnonzero(beside)
+        gap = (state - self.nodal)[triangles.dofs[cells]] @ where.T + self.sign * self.rim.cones(cells, where)
+        cover = self._clean(np.maximum(self._above(where, cells) - gap, 0.0))
+        parts = np.array(lattice_cells(DENSE))
+        share = triangles.area[cells] / len(parts)
+        self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
+        self.cover_volume[cells] = cover[:, parts].mean(axis=2).sum(axis=1) * share
+        # every part is the cell over again, DENSE times smaller and maybe turned round
+        normal = DENSE * triangles.normal[:, cells] / (2 * triangles.area[cells])[:, None]
+        gradient = np.einsum("cpi,xci->xcp", cover[:, parts], normal)
+        self.cover_energy[cells] = (1 + 1 / DENSE) ** 2 * np.einsum("xcp,xcp->c", gradient, gradient) * share
 
     def _at_nodes(self, heights: np.ndarray) -> np.ndarray:
         """The largest value in the cells around each local dof (collective)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import basix
 import numpy as np
@@ -12,10 +12,10 @@ from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.scenes.vocabulary import COORDINATES
 
 DEGREE = 6  # of the quadrature of formulas, as for errors
 AT_ONCE = 50_000  # cells in memory
-MIDDLES = np.array([[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])  # of edges: a rule of degree 2
 
 
 class Triangles:
@@ -26,7 +26,7 @@ class Triangles:
         x: Their coordinates, shape (cells, 3, 2).
         facets: Local facet opposite to each vertex, shape (cells, 3).
         area: Shape (cells,).
-        normal: 2 |T| grad phi_i = the edge opposite to vertex i turned inward, shape (cells, 3, 2).
+        normal: 2 |T| grad phi_i = the edge opposite to vertex i turned inward; x and y of it, shape (2, cells, 3).
         diameter: Longest edge, shape (cells,).
     """
 
@@ -40,14 +40,22 @@ class Triangles:
         self.dofs = np.take_along_axis(releases.cell_dofs(level.V)[:count], turn, axis=1)
         self.facets = np.take_along_axis(cell_facets(level.mesh)[:count], turn, axis=1)
         self.x = np.take_along_axis(x, turn[:, :, None], axis=1)
-        edges = np.roll(self.x, 1, axis=1) - np.roll(self.x, -1, axis=1)  # from the vertex after i to the one before
-        self.area = _cross(edges[:, 2], -edges[:, 1]) / 2
-        self.normal = np.stack([-edges[..., 1], edges[..., 0]], axis=2)
-        self.diameter = np.sqrt(np.max(edges[..., 0] ** 2 + edges[..., 1] ** 2, axis=1))
+        x, y = self.x[..., 0], self.x[..., 1]
+        # the edge from the vertex after i to the one before, turned to the left
+        self.normal = np.stack(
+            [np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1), np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)]
+        )
+        self.area = (self.normal[0, :, 1] * self.normal[1, :, 2] - self.normal[1, :, 1] * self.normal[0, :, 2]) / 2
+        self.diameter = np.sqrt(np.max(self.normal[0] ** 2 + self.normal[1] ** 2, axis=1))
 
-    def gradient(self, values: np.ndarray) -> np.ndarray:
-        """Gradients of a P1 function from its values at local dofs, shape (cells, 2)."""
-        return np.einsum("ci,cix->cx", values[self.dofs], self.normal) / (2 * self.area)[:, None]
+    def gradient(self, values: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Gradients of a P1 function from its values at local dofs, shape (2, cells)."""
+        corner = values[self.dofs[cells]]
+        return np.einsum("ci,xci->xc", corner, self.normal[:, cells]) / (2 * self.area[cells])
+
+    def along_normals(self, vectors: np.ndarray) -> np.ndarray:
+        """Inner products of one vector per cell, shape (2, cells), with `normal`: minus the flux out of each edge."""
+        return vectors[0][:, None] * self.normal[0] + vectors[1][:, None] * self.normal[1]
 
     def values(self, value: Value, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
         """A formula at barycentric coordinates, shape (points, 3) or (cells, points, 3), of cells.
@@ -84,13 +92,7 @@ class Triangles:
 
     def uniform(self, value: Value) -> bool:
         """Whether a value is the same number everywhere."""
-        from fenicsx_obstacle.scenes.vocabulary import COORDINATES
-
         return isinstance(value, Formula) and not self.data.scene.needs(value) & {*COORDINATES, "distance"}
-
-    def quadrature(self, of: Callable[[slice], np.ndarray]) -> np.ndarray:
-        """Cell by cell, in blocks that fit into memory."""
-        return np.concatenate([np.empty(0), *(of(block) for block in blocks(len(self.area)))])
 
 
 def blocks(count: int) -> Iterator[slice]:
@@ -109,6 +111,15 @@ def lattice(parts: int) -> np.ndarray:
     """Barycentric coordinates of the points that divide the edges and the inside evenly, shape (n, 3)."""
     steps = [(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]
     return np.array(steps) / parts
+
+
+def lattice_cells(parts: int) -> list[list[int]]:
+    """The small triangles between the points of `lattice`, corners in the order of the cell's own."""
+    steps = [(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]
+    number = {step: k for k, step in enumerate(steps)}
+    same = [[number[i + 1, j], number[i, j + 1], number[i, j]] for i, j in steps if i + j < parts]
+    turned = [[number[i, j + 1], number[i + 1, j], number[i + 1, j + 1]] for i, j in steps if i + j < parts - 1]
+    return same + turned
 
 
 def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,7 @@ from fenicsx_obstacle.words import counted
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from fenicsx_obstacle.accuracy.bound import Bound
     from fenicsx_obstacle.discrete.levels import Level
 
 
@@ -39,6 +40,7 @@ class Answer:
         error: Nodal distance to the exact solution, or None.
         history: The steps of the iteration.
         record: All figures, as in answer.json.
+        bound: Of the energy error, where it was asked for.
     """
 
     scene: Scene
@@ -51,6 +53,7 @@ class Answer:
     error: fem.Function | None
     history: tuple[Step, ...]
     record: Mapping[str, Any] = field(repr=False)
+    bound: Bound | None = None
 
     def __repr__(self) -> str:
         r = self.record
@@ -118,6 +121,11 @@ class Answer:
             )
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
+        if "bound" in r:
+            b = r["bound"]
+            relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
+            parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
+            lines.append(f"  energy error at most {b['total']:.4g}{relative} ({parts}); {b['words']}")
         if self.report:
             values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
             lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))

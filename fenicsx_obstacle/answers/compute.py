@@ -40,6 +40,7 @@ from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 if TYPE_CHECKING:
+    from fenicsx_obstacle.accuracy.bound import Bound, Estimator
     from fenicsx_obstacle.accuracy.functionals import Report
 
 _log = logging.getLogger(__name__)
@@ -58,6 +59,7 @@ def solve(
     element: str | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     yardstick: bool = False,
+    bound: bool = False,
 ) -> Answer:
     """Solve a scene (collective).
 
@@ -71,6 +73,7 @@ def solve(
         element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
         comm: Communicator; a mesh of the scene's own brings its own.
         yardstick: Time one linear Poisson solve on the same mesh as well.
+        bound: Bound the energy error as well.
 
     Returns:
         The answer; there is none without convergence.
@@ -81,7 +84,7 @@ def solve(
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
     with closing(Workbench(changed(scene, given), comm)) as bench:
-        return bench.answer(yardstick=yardstick)
+        return bench.answer(yardstick=yardstick, bound=bound)
 
 
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:
@@ -141,6 +144,7 @@ class Workbench:
             self._report = Report(self.problem.data)
             self._report.check()
         self._exact: Exact | None = None
+        self._estimator: Estimator | None = None
         self._poisson: float | None = None
 
     def close(self) -> None:
@@ -149,7 +153,7 @@ class Workbench:
         while meshes[-1].coarse is not None:
             meshes.append(meshes[-1].coarse)
         del self.problem
-        self._grids = self._report = self._exact = None
+        self._grids = self._report = self._exact = self._estimator = None
         releases.free(level.comm for level in meshes)
 
     def refined(self, marked: np.ndarray) -> Workbench:
@@ -168,18 +172,34 @@ class Workbench:
             self._exact = Exact(self.problem)
         return self._exact
 
-    def answer(self, scene: Scene | None = None, *, yardstick: bool = False) -> Answer:
+    @property
+    def estimator(self) -> Estimator:
+        """Bounds of the energy error on this mesh (first use is collective).
+
+        Raises:
+            InputError: If there are none for its elements.
+        """
+        if self._estimator is None:
+            from fenicsx_obstacle.accuracy.bound import Estimator  # only where it is asked for
+
+            self._estimator = Estimator(self.problem)
+        return self._estimator
+
+    def answer(self, scene: Scene | None = None, *, yardstick: bool = False, bound: bool = False) -> Answer:
         """Solve with the [solve] table of `scene` (collective).
 
         Args:
             scene: The same scene with another [solve] table; by default the one of the problem.
             yardstick: Time one linear Poisson solve as well.
+            bound: Bound the energy error as well.
 
         Raises:
-            InputError: For a bad eps.
+            InputError: For a bad eps, or elements that the bound is not for.
             NotConverged: With PETSc's reason.
         """
         problem, scene = self.problem, scene or self.problem.scene
+        if bound:
+            self.estimator  # noqa: B018  (refuses before anything is solved)
         levels_serve = nested(scene) and problem.level.coarse is not None
         grids = self._hierarchy() if levels_serve else []
         start = time.perf_counter()
@@ -209,7 +229,11 @@ class Workbench:
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
-        return self._answer(scene, outcomes, eps, pressure, seconds)
+        return self._answer(scene, outcomes, eps, pressure, seconds, self._bound() if bound else None)
+
+    def _bound(self) -> Bound:
+        _log.info("bounding the error")
+        return self.estimator.bound()
 
     def _hierarchy(self) -> list[Multigrid]:
         """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""
@@ -220,7 +244,13 @@ class Workbench:
         return self._grids
 
     def _answer(
-        self, scene: Scene, outcomes: list[Outcome], eps: float | None, p: np.ndarray, seconds: float
+        self,
+        scene: Scene,
+        outcomes: list[Outcome],
+        eps: float | None,
+        p: np.ndarray,
+        seconds: float,
+        bound: Bound | None,
     ) -> Answer:
         outcome = outcomes[-1]
         problem, level = self.problem, self.problem.level
@@ -254,6 +284,8 @@ class Workbench:
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
             "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
+        if bound is not None:
+            record["bound"] = bound.record
         if self._report is not None:
             record["report"] = self._report.evaluate(u, pressure, touching, problem.elastic.array_r)
         error = None
@@ -263,7 +295,7 @@ class Workbench:
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
         return Answer(
-            scene, level, u, pressure, touching, problem.data.lower, problem.data.upper, error, history, record,
+            scene, level, u, pressure, touching, problem.data.lower, problem.data.upper, error, history, record, bound,
         )  # fmt: skip
 
 
