@@ -40,6 +40,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.materials import Materials
 
 KNOWN = ("tension", "load")
+ROUND_OFF = 1e-9  # of the heights
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
 
 
@@ -158,8 +159,11 @@ class Estimator:
                 inside = peaks.sign * np.maximum(peaks.sign * state, obstacle)
                 inside[given] = state[given]
                 state[:] = inside
-        beyond = [lift - peaks.sign * v for peaks, lift in zip(self.peaks, lifted, strict=True)]
-        self._crossing = max((largest(self.problem.level.comm, gap) for gap in beyond), default=0.0)
+        comm, self._crossing = self.problem.level.comm, 0.0
+        for peaks, lift in zip(self.peaks, lifted, strict=True):
+            beyond = largest(comm, lift - peaks.sign * v)
+            if beyond > ROUND_OFF * largest(comm, np.abs(lift)):
+                self._crossing = beyond
         return nodal, v
 
     def _contact(self, v: np.ndarray, flux: Flux) -> np.ndarray:
@@ -277,7 +281,7 @@ class Estimator:
         scale = largest(level.comm, np.abs(flux.normal))
         if flux.incompatible > 1e-8 * scale:
             doubts.append("cells meet at a vertex alone")
-        if self._crossing > 1e-9 * largest(level.comm, np.abs(self.peaks[0].nodal) if self.peaks else []):
+        if self._crossing > 0:
             doubts.append(f"between the nodes the obstacles come nearer than {self._crossing:.2g}")
         others = len(doubts)
         surprise = max((peaks.surprise for peaks in self.peaks), default=0.0)

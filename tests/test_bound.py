@@ -1,0 +1,282 @@
+"""The error bound: its flux is in balance, no known error is above it, and it is near."""
+
+import itertools
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import COMM, DEMOS, membrane
+from dolfinx import fem
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mpi4py import MPI
+
+from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.accuracy.bound import Bound
+from fenicsx_obstacle.accuracy.triangles import halved_rule
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.discrete.points import values_at
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.releases import vec
+
+SQUARE = {"shape": "rectangle", "cells": 16}
+ROUND_OFF = 1e-12
+
+
+@cache
+def scenes() -> dict[str, Scene]:
+    """Scenes with known solutions; all their hypotheses hold."""
+    jump = {"w": "sin(2*pi*x)*sin(pi*y)", "d": "hypot(x - 1/4, y - 1/2)", "mu": "where(x < 1/2, 1, 1000)"}
+    corner = {"phi": "where(theta < -1e-9, theta + 2*pi, theta)", "s": "r^(2/3)*sin(2*phi/3)"}
+    centred = {"shape": "rectangle", "cells": 16, "x": [-1, 1], "y": [-1, 1]}
+    smooth = "sin(pi*x)*sin(pi*y)"
+    dome, ring = "1 - x^2 - y^2/2", "max(r^2 - 0.7^2, 0)"
+    given = {
+        "no contact": Scene(mesh=SQUARE, tension=1, load=f"2*pi^2*{smooth}", lower=-10, exact=smooth),
+        "perturbed": Scene(mesh={**SQUARE, "perturb": 0.3}, tension=1, load=f"2*pi^2*{smooth}", exact=smooth),
+        "free side": Scene(
+            mesh=SQUARE, tension=1, load="1.25*pi^2*sin(pi*x/2)*sin(pi*y)", lower=-10, exact="sin(pi*x/2)*sin(pi*y)",
+            boundary=[{"on": ["left", "top", "bottom"], "value": 0}],
+        ),
+        "L-shape": Scene(
+            mesh={"shape": "l-shape", "x": [-1, 1], "y": [-1, 1], "cells": 16}, tension=1, define=corner, lower=-10,
+            boundary=[{"value": "s"}], exact="s",
+        ),
+        "full contact": Scene(mesh=SQUARE, tension=1, load=-1, lower=smooth, exact=smooth),
+        "full contact, edge too": Scene(
+            mesh={**SQUARE, "cells": 32}, tension=1, lower=dome, boundary=[{"value": dome}], exact=dome
+        ),
+        "jump of tension": Scene(
+            mesh=SQUARE, tension="mu", define=jump, load="5*pi^2*w + 10*max(1 - d^2/0.15^2, 0)",
+            upper="w/mu + 20*max(d - 0.15, 0)^2", exact="w/mu",
+        ),
+        "tension that varies": Scene(
+            mesh=SQUARE, tension="1 + x*y", exact=smooth, lower=-10,
+            load=f"(1 + x*y)*2*pi^2*{smooth} - pi*y*cos(pi*x)*sin(pi*y) - pi*x*sin(pi*x)*cos(pi*y)",
+        ),
+        "biactive": Scene(  # u = 0 = obstacle for r < 0.7, pressure for r < 0.4 only
+            mesh=centred, tension=1, upper=0, boundary=[{"value": f"-{ring}^2"}], exact=f"-{ring}^2",
+            load="where(r > 0.7, 8*(2*r^2 - 0.7^2), 0) + where(r < 0.4, 8, 0)",
+        ),
+        "flat floor": Scene(  # Nochetto, Siebert and Veeser 2003
+            mesh=centred, tension=1, lower=0, boundary=[{"value": f"{ring}^2"}], exact=f"{ring}^2",
+            load="where(r < 0.7, -8*0.7^2*(1 - r^2 + 0.7^2), -8*(2*r^2 - 0.7^2))",
+        ),
+        "bump": Scene(
+            mesh=SQUARE, tension=1, exact=smooth, upper=f"{smooth} + 40*max(hypot(x - 1/2, y - 1/2) - 1/4, 0)^2",
+            load=f"2*pi^2*{smooth} + 10*max(1 - 16*hypot(x - 1/2, y - 1/2)^2, 0)",
+        ),
+    }  # fmt: skip
+    for name, cells in (("disk", 16), ("ball", 32), ("two_sided", 32)):
+        given[name] = Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": cells})
+    return given
+
+
+EPS = ("h", "h^2", "1e-10")
+
+
+@cache
+def measured() -> dict[tuple[str, str], SimpleNamespace]:
+    """Bounds and true errors of all scenes."""
+    found = {}
+    for name, scene in scenes().items():
+        bench = Workbench(scene)
+        for eps in EPS:
+            answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+            of_v = bench.exact.errors(answer.bound.admissible, answer.record["eps"])
+            found[name, eps] = SimpleNamespace(
+                bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
+            )
+        bench.close()
+    return found
+
+
+def test_the_flux_is_in_balance():
+    """div sigma = -(f_0 + lambda - nu + rho) in each cell, its normal part is continuous, and closed fans close."""
+    for name, perturb in itertools.product(("ball", "two_sided", "free side"), (0.0, 0.3)):
+        scene = scenes()[name].change({"mesh.perturb": perturb})
+        bench = Workbench(scene)
+        bench.answer()
+        problem, estimator = bench.problem, bench.estimator
+        triangles, equilibration = estimator.triangles, estimator.equilibration
+        lower, upper = problem.gaps()
+        flux = equilibration.flux(problem.heights().x.array, lower <= 0, upper <= 0)
+        pressure = (flux.lower - flux.upper + flux.rest)[triangles.dofs].mean(axis=1)
+        scale = largest(COMM, np.abs(equilibration.load_mean)) + largest(COMM, np.abs(pressure))
+        balance = flux.normal.sum(axis=1) / triangles.area + equilibration.load_mean + pressure
+        assert largest(COMM, np.abs(balance)) < 1e-13 * max(scale, 1.0) * 10
+        both = np.bincount(triangles.facets.ravel(), weights=flux.normal.ravel())
+        inside = np.bincount(triangles.facets.ravel()) == 2
+        assert largest(COMM, np.abs(both[inside])) <= 2e-15 * largest(COMM, np.abs(flux.normal))
+        assert flux.incompatible <= 1e-14 * largest(COMM, np.abs(flux.normal))
+        assert largest(COMM, np.abs(flux.rest)) < (1e-6 if name == "ball" else np.inf)  # its load is constant
+
+
+@pytest.mark.parametrize("name", scenes())
+def test_no_known_error_is_above_its_bound(name):
+    for eps in EPS:
+        row = measured()[name, eps]
+        assert row.bound.guaranteed and row.bound.words == "certified"
+        assert row.error <= row.bound.total
+        assert row.error_v <= row.bound.admissible_total
+        assert row.bound.total <= row.bound.admissible_total + row.bound.penalty + row.bound.data + ROUND_OFF
+
+
+def test_bounds_are_near():
+    """Effectivity on all scenes with eps <= h^2: of v_h median 1.9 and maximum 3.3, of u_h 2.3 and 3.9."""
+    rows = [measured()[name, eps] for name in scenes() for eps in EPS[1:]]
+    of_v = [row.bound.admissible_total / row.error_v for row in rows]
+    of_u = [row.bound.total / row.error for row in rows]
+    assert np.median(of_v) <= 1.9 and max(of_v) <= 3.3
+    assert np.median(of_u) <= 2.3 and max(of_u) <= 3.9
+
+
+def test_parts_tell_what_to_do():
+    """The penalty part is of order eps and vanishes; the discretisation part hardly depends on eps; without a contact
+    that bends, indicators add up to the bound."""
+    for name in ("disk", "flat floor", "two_sided"):
+        coarse, fine = measured()[name, "h^2"].bound, measured()[name, "1e-10"].bound
+        assert fine.penalty < 1e-6 * fine.total < coarse.penalty
+        assert 0.8 < fine.discretisation / coarse.discretisation < 1.2
+        assert fine.algebraic < 1e-8 * fine.total
+        assert 0.5 < np.sqrt(total(COMM, fine.indicator)) / fine.total < 1.2
+
+
+def test_admissible_state_is_admissible():
+    """v_h is beyond the true obstacle nowhere, sampled at 192 points of each cell, and keeps the boundary values."""
+    for name in ("ball", "two_sided", "bump", "disk"):
+        scene = scenes()[name]
+        bench = Workbench(scene)
+        v = bench.answer(bound=True).bound.admissible.x.array
+        triangles, (points, _) = bench.estimator.triangles, halved_rule(2)
+        for side, sign in (("lower", 1), ("upper", -1)):
+            text = getattr(scene.tables.obstacle, side)
+            if text is not None:
+                obstacle = triangles.values(scene.formula(text, side), points)
+                gap = sign * (v[triangles.dofs] @ points.T - obstacle)
+                assert smallest(COMM, gap) > -ROUND_OFF
+        dofs, values = bench.problem.data.fixed
+        assert largest(COMM, np.abs((v - values.x.array)[dofs])) < ROUND_OFF
+
+
+def test_peaks_between_nodes_are_not_overlooked():
+    """Eight periods on sixteen cells are zero at all nodes; the solution on a mesh that sees them is far off."""
+    wavy = "0.3 - 2*((x - 1/2)^2 + (y - 1/2)^2) + 0.05*sin(16*pi*x)*cos(16*pi*y)"
+    coarse = Workbench(membrane(lower=wavy))
+    answer = coarse.answer(bound=True)
+    fine = Workbench(
+        membrane(
+            lower=wavy,
+            mesh={"shape": "rectangle", "cells": 128},
+        ).change({"solve.eps": 1e-10})
+    )
+    reference = fine.answer()
+    # the same points on every rank, as values_at wants them
+    own = COMM.allgather(fine.problem.level.points[:, : fine.problem.level.owned].T)
+    start = sum(len(part) for part in own[: COMM.rank])
+    at = values_at(coarse.problem.level, answer.u, np.concatenate(own))[start : start + len(own[COMM.rank])]
+    e = reference.u.x.array.copy()
+    e[: len(at)] -= at
+    error = distance(fine.problem, e)
+    assert error > answer.bound.discretisation + answer.bound.penalty
+    assert error <= answer.bound.total
+
+
+def distance(problem: Problem, owned: np.ndarray) -> float:
+    """||grad e|| of a function from its values at owned dofs."""
+    e = fem.Function(problem.level.V)
+    e.x.array[: problem.level.owned] = owned[: problem.level.owned]
+    e.x.scatter_forward()
+    Ae = vec(e).duplicate()
+    problem.nodal.stiffness.mult(vec(e), Ae)
+    value = np.sqrt(Ae.dot(vec(e)))
+    Ae.destroy()
+    return value
+
+
+def test_the_same_on_any_number_of_ranks():
+    """Fans cross the ranks: bound and parts agree with those of one rank to 1e-10; ranks without cells are served."""
+    for name, cells in (("ball", 32), ("two_sided", 16), ("free side", 1)):
+        scene = scenes()[name].change({"mesh.cells": cells, "solve.eps": "h^2"})
+        together, alone = (solve(scene, comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
+        for key in ("total", "admissible_total", "discretisation", "penalty", "data"):
+            one, other = getattr(together, key), getattr(alone, key)
+            assert abs(one - other) <= 1e-10 * alone.total, (name, key)
+        assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=1e-9)
+
+
+WAVES = st.tuples(*[st.floats(-1, 1)] * 3, st.floats(0.5, 6), st.floats(0.5, 6), st.floats(0, 6))
+RANDOM = {
+    "wave": WAVES, "mu": st.floats(0.01, 100), "push": st.floats(0, 30),
+    "centre": st.tuples(*[st.floats(0.2, 0.8)] * 2),
+    "radius": st.floats(0.05, 0.3), "bend": st.floats(0, 50), "side": st.sampled_from(["lower", "upper"]),
+    "eps": st.sampled_from([1e-1, 1e-2, 1e-3, 1e-5, 1e-10]), "cells": st.integers(3, 16), "shear": st.floats(-2, 2),
+    "perturb": st.floats(0, 0.35), "diagonal": st.sampled_from(["right", "left", "crossed"]),
+    "noise": st.sampled_from([0.0, 0.0, 1e-6, 1e-2, 0.3]),
+}  # fmt: skip
+
+
+def random_case(**given) -> tuple[Bound, float, float]:
+    """A solution is chosen, obstacle and load follow from it; u_h is the penalty's, or that and noise.
+
+    Obtuse cells come from shearing the mesh, small angles from moving its vertices.
+
+    Returns:
+        The bound and the true errors of u_h and v_h.
+    """
+    b, c, d, k, m, phase = given["wave"]
+    mu, sign = given["mu"], 1 if given["side"] == "lower" else -1
+    shape = {"shape": "rectangle", "cells": given["cells"], "perturb": given["perturb"], "diagonal": given["diagonal"]}
+    mesh = Workbench(membrane(mesh=shape), COMM).problem.level.mesh
+    mesh.geometry.x[:, 0] += given["shear"] * mesh.geometry.x[:, 1]
+    (x0, y0), r = given["centre"], given["radius"]
+    define = {
+        "w": f"{b!r}*x + {c!r}*y + {d!r}*sin({k!r}*x + {m!r}*y + {phase!r})",
+        "far": f"hypot(x - {x0 + given['shear'] * y0!r}, y - {y0!r})",
+        "press": f"{given['push']!r}*max(1 - far^2/{r * r!r}, 0)",
+    }
+    scene = Scene(
+        mesh=mesh, tension=mu, define=define, boundary=[{"value": "w"}],
+        load=f"{mu * d * (k * k + m * m)!r}*sin({k!r}*x + {m!r}*y + {phase!r}) - {sign}*press",
+        **{given["side"]: f"w - {sign}*{given['bend']!r}*max(far - {r!r}, 0)^2"},
+    ).change({"solve.eps": given["eps"]})  # fmt: skip
+    bench = Workbench(scene)
+    u = bench.answer().u
+    problem = bench.problem
+    if given["noise"]:
+        x, y = problem.level.points[:2]
+        u.x.array[~fixed(problem)] += (given["noise"] * np.sin(37 * x + 11 * y) * np.cos(91 * y))[~fixed(problem)]
+        problem.refer(u.x.array)
+    bound = bench.estimator.bound()
+    triangles, (points, weights) = bench.estimator.triangles, halved_rule(1)
+    x, y = np.moveaxis(points @ triangles.x, 2, 0)
+    slope = d * np.cos(k * x + m * y + phase)
+    exact = np.stack([b + k * slope, c + m * slope])
+
+    def error(state: fem.Function) -> float:
+        e = exact - triangles.gradient(state.x.array)[:, :, None]
+        return np.sqrt(mu * total(COMM, triangles.area * ((e**2).sum(axis=0) @ weights)))
+
+    return bound, error(u), error(bound.admissible)
+
+
+def fixed(problem: Problem) -> np.ndarray:
+    """Whether u is given at local dofs."""
+    given = np.zeros(len(problem.w.x.array), dtype=bool)
+    given[problem.data.fixed[0]] = True
+    return given
+
+
+def check_random(**given) -> None:
+    bound, error, error_v = random_case(**given)
+    assert bound.guaranteed, bound.words
+    assert error <= bound.total * (1 + 1e-9) and error_v <= bound.admissible_total * (1 + 1e-9)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True, database=None)
+@given(**RANDOM)
+def test_random_scenes(**given):
+    """Perturbed and obtuse meshes, any eps, converged or not: no error above its bound."""
+    check_random(**given)
