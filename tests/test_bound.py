@@ -1,6 +1,8 @@
 """The error bound: its flux is in balance, no known error is above it, and it is near."""
 
 import itertools
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -8,16 +10,19 @@ import numpy as np
 import pytest
 from conftest import COMM, DEMOS, membrane
 from dolfinx import fem
+from dolfinx import mesh as dmesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpi4py import MPI
 
-from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.accuracy.bound import Bound
 from fenicsx_obstacle.accuracy.triangles import halved_rule
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects import effect
+from fenicsx_obstacle.effects.effect import Effect, register
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
 
@@ -75,21 +80,21 @@ def scenes() -> dict[str, Scene]:
 
 
 EPS = ("h", "h^2", "1e-10")
+NAMES = sorted(scenes())[:: COMM.size]  # on several ranks they differ by round-off only
 
 
 @cache
-def measured() -> dict[tuple[str, str], SimpleNamespace]:
-    """Bounds and true errors of all scenes."""
-    found = {}
-    for name, scene in scenes().items():
-        bench = Workbench(scene)
-        for eps in EPS:
-            answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
-            of_v = bench.exact.errors(answer.bound.admissible, answer.record["eps"])
-            found[name, eps] = SimpleNamespace(
-                bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
-            )
-        bench.close()
+def measured(name: str) -> dict[str, SimpleNamespace]:
+    """Bounds and true errors of a scene by eps."""
+    found, scene = {}, scenes()[name]
+    bench = Workbench(scene)
+    for eps in EPS:
+        answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+        of_v = bench.exact.errors(answer.bound.admissible, answer.record["eps"])
+        found[eps] = SimpleNamespace(
+            bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
+        )
+    bench.close()
     return found
 
 
@@ -114,10 +119,10 @@ def test_the_flux_is_in_balance():
         assert largest(COMM, np.abs(flux.rest)) < (1e-6 if name == "ball" else np.inf)  # its load is constant
 
 
-@pytest.mark.parametrize("name", scenes())
+@pytest.mark.parametrize("name", NAMES)
 def test_no_known_error_is_above_its_bound(name):
     for eps in EPS:
-        row = measured()[name, eps]
+        row = measured(name)[eps]
         assert row.bound.guaranteed and row.bound.words == "certified"
         assert row.error <= row.bound.total
         assert row.error_v <= row.bound.admissible_total
@@ -126,7 +131,7 @@ def test_no_known_error_is_above_its_bound(name):
 
 def test_bounds_are_near():
     """Effectivity on all scenes with eps <= h^2: of v_h median 1.9 and maximum 3.3, of u_h 2.3 and 3.9."""
-    rows = [measured()[name, eps] for name in scenes() for eps in EPS[1:]]
+    rows = [measured(name)[eps] for name in NAMES for eps in EPS[1:]]
     of_v = [row.bound.admissible_total / row.error_v for row in rows]
     of_u = [row.bound.total / row.error for row in rows]
     assert np.median(of_v) <= 1.9 and max(of_v) <= 3.3
@@ -137,7 +142,7 @@ def test_parts_tell_what_to_do():
     """The penalty part is of order eps and vanishes; the discretisation part hardly depends on eps; without a contact
     that bends, indicators add up to the bound."""
     for name in ("disk", "flat floor", "two_sided"):
-        coarse, fine = measured()[name, "h^2"].bound, measured()[name, "1e-10"].bound
+        coarse, fine = measured(name)["h^2"].bound, measured(name)["1e-10"].bound
         assert fine.penalty < 1e-6 * fine.total < coarse.penalty
         assert 0.8 < fine.discretisation / coarse.discretisation < 1.2
         assert fine.algebraic < 1e-8 * fine.total
@@ -207,6 +212,61 @@ def test_the_same_on_any_number_of_ranks():
         assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=1e-9)
 
 
+def test_what_it_does_not_know_is_said():
+    """Other effects, curved domains, jumps of boundary values: an indicator; other elements: an error."""
+    with foundation():
+        scene = membrane(load=1, upper=0.05, foundation=20)
+        bench = Workbench(scene)
+        bound = bench.answer(bound=True).bound
+        assert not bound.guaranteed and "foundation" in bound.words
+        assert bound.algebraic < 1e-8 * bound.total  # its forces are in the balance nevertheless
+        assert 0.5 < bound.discretisation / solve(membrane(load=1, upper=0.05), bound=True).bound.discretisation < 2
+    polygon = solve(Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=4), bound=True).bound
+    assert not polygon.guaranteed and "polygon" in polygon.words
+    torn = membrane(load=1, boundary=[{"value": 0}, {"on": "top", "value": 1}])
+    assert not solve(torn, bound=True).bound.guaranteed
+    for mesh in ({"shape": "interval"}, {"shape": "box", "cells": 4}, {"shape": "rectangle", "cell": "quadrilateral"}):
+        with pytest.raises(InputError, match="P1 on triangles"):
+            solve(Scene(mesh=mesh, tension=1, load=1), bound=True)
+
+
+@contextmanager
+def foundation():
+    """An effect of the user's own, k u."""
+
+    @register
+    class Foundation(Effect):
+        key, equation = "foundation", "foundation u"
+
+        def terms(self, u, v, data):
+            return data.cellwise(self.value) * u * v * data.dx
+
+        def energy(self, u, data):
+            return 0.5 * data.cellwise(self.value) * u**2 * data.dx
+
+    yield
+    del effect._register["foundation"]
+
+
+def test_held_curves_inside():
+    """Where u is given on a curve inside the domain the flux may jump: two squares side by side, each on its own."""
+    scene = membrane(load="2*pi^2*sin(pi*x)*sin(pi*y)", lower=-1)
+    level = Workbench(membrane(mesh={"shape": "rectangle", "x": [-1, 1], "y": [0, 1], "cells": 16})).problem.level
+    middle = dmesh.locate_entities(level.mesh, 1, lambda x: np.isclose(x[0], 0))
+    named = {"middle": middle, "rim": level.boundary_facets}
+    two = Scene(
+        mesh=level.mesh, tension=1, load="2*pi^2*abs(sin(pi*x))*sin(pi*y)", lower=-1,
+        boundary=[{"on": ["middle", "rim"], "value": 0}],
+    )  # fmt: skip
+    bench = Workbench(two, level=replace(level, named=named, coarse=None, parents=None, places=None, shape=None))
+    both = bench.answer(bound=True).bound
+    one = solve(scene, cells=8, bound=True).bound
+    assert both.guaranteed
+    # Friedrichs' constant alone is that of the whole
+    assert np.isclose(both.discretisation, np.sqrt(2) * one.discretisation, rtol=1e-9)
+    assert np.isclose(total(COMM, both.indicator), 2 * total(COMM, one.indicator), rtol=1e-9)
+
+
 WAVES = st.tuples(*[st.floats(-1, 1)] * 3, st.floats(0.5, 6), st.floats(0.5, 6), st.floats(0, 6))
 RANDOM = {
     "wave": WAVES, "mu": st.floats(0.01, 100), "push": st.floats(0, 30),
@@ -229,6 +289,8 @@ def random_case(**given) -> tuple[Bound, float, float]:
     b, c, d, k, m, phase = given["wave"]
     mu, sign = given["mu"], 1 if given["side"] == "lower" else -1
     shape = {"shape": "rectangle", "cells": given["cells"], "perturb": given["perturb"], "diagonal": given["diagonal"]}
+    if given["diagonal"] == "crossed":  # its cells are half as large: they must not overlap
+        shape["perturb"] /= 2
     mesh = Workbench(membrane(mesh=shape), COMM).problem.level.mesh
     mesh.geometry.x[:, 0] += given["shear"] * mesh.geometry.x[:, 1]
     (x0, y0), r = given["centre"], given["radius"]
@@ -275,7 +337,7 @@ def check_random(**given) -> None:
     assert error <= bound.total * (1 + 1e-9) and error_v <= bound.admissible_total * (1 + 1e-9)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True, database=None)
+@settings(max_examples=50 if COMM.size == 1 else 12, deadline=None, derandomize=True, database=None)
 @given(**RANDOM)
 def test_random_scenes(**given):
     """Perturbed and obtuse meshes, any eps, converged or not: no error above its bound."""

@@ -39,7 +39,6 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.materials import Materials
 
-KNOWN = ("tension", "load")
 ROUND_OFF = 1e-9  # of the heights
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
 
@@ -269,9 +268,8 @@ class Estimator:
 
     def _doubts(self, flux: Flux, unbalanced: float, bound: float) -> tuple[list[str], bool]:
         """What the bound does not cover (collective); whether it is the obstacle between the nodes alone."""
-        problem, level = self.problem, self.problem.level
-        doubts = [f"the effect '{effect.key}' is beyond it" for effect in problem.scene.effects
-                  if effect.key not in KNOWN]  # fmt: skip
+        level = self.problem.level
+        doubts = [f"it knows tension and load, not {key}" for key in self.equilibration.others]
         if level.shape is not None and level.shape.project is not None:
             doubts.append("it is for the polygon of the mesh, not for the curved domain")
         if self.rim.torn > 0:
@@ -280,7 +278,7 @@ class Estimator:
             doubts.append("Friedrichs' constant is not known here, and forces are not in balance")
         scale = largest(level.comm, np.abs(flux.normal))
         if flux.incompatible > 1e-8 * scale:
-            doubts.append("cells meet at a vertex alone")
+            doubts.append("cells overlap, or meet at a vertex alone")
         if self._crossing > 0:
             doubts.append(f"between the nodes the obstacles come nearer than {self._crossing:.2g}")
         others = len(doubts)

@@ -14,15 +14,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.fans import Fans
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, rule
 from fenicsx_obstacle.discrete.data import array_of
+from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.materials import Value
 
+KNOWN = ("tension", "load")
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
 SHARP = 0.1  # of the largest load: what varies so much in a cell may jump there
 
@@ -55,6 +58,7 @@ class Equilibration:
         triangles: The owned cells.
         fans: Their corners around the vertices.
         mu: Tension of each cell, as the solver has it.
+        others: Names of effects besides tension and load, whose terms at u_h count as a load.
         moments: int_T f phi_l, shape (cells, 3).
         oscillation: ||f - f_0||_T, shape (cells,).
         mass: int phi_i at owned vertices.
@@ -75,6 +79,7 @@ class Equilibration:
         self.free[fixed[fixed < level.owned]] = False
         tension = next(effect for effect in data.scene.effects if effect.key == "tension")
         self.mu = self._per_cell(array_of(data.cellwise(tension.value, positive=True)))
+        self._prepare_others([effect for effect in data.scene.effects if effect.key not in KNOWN])
         loads = [effect.value for effect in data.scene.effects if effect.key == "load"]
         self._sample_load(loads)
         self._area = self.fans.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0]
@@ -92,6 +97,29 @@ class Equilibration:
         G = scale * (triangles.normal[0] ** 2 + triangles.normal[1] ** 2)
         self._fan_A, self._fan_B, fan_G = self.fans.gather(self._A, self._B, G)
         self._fan_G = self._over_fans(fan_G)
+
+    def _prepare_others(self, effects: list[Effect]) -> None:
+        """Their terms against the discontinuous P1 functions of single cells (collective)."""
+        self.others = [effect.key for effect in effects]
+        if not effects:
+            return
+        broken = releases.functionspace(self.level.mesh, "DG", 1)
+        self._u, v = fem.Function(self.level.V), ufl.TestFunction(broken)
+        self._terms = releases.form(sum(effect.terms(self._u, v, self.triangles.data) for effect in effects))
+        self._moments_of_others = fem.Function(broken)
+
+    def _all_moments(self, u: np.ndarray) -> np.ndarray:
+        """Moments of the load less those of other effects at u (collective)."""
+        if not self.others:
+            return self.moments
+        self._u.x.array[:] = u
+        vector = releases.vec(self._moments_of_others)
+        with vector.localForm() as local:
+            local.set(0.0)
+        fem.petsc.assemble_vector(vector, self._terms)
+        dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.moments)]
+        corners = np.take_along_axis(dofs, self.triangles.turn, axis=1)
+        return self.moments - self._moments_of_others.x.array[corners]
 
     def _per_cell(self, values: np.ndarray) -> np.ndarray:
         """Values at local dofs of W, or the one there is, at owned cells."""
@@ -150,7 +178,7 @@ class Equilibration:
         triangles, fans = self.triangles, self.fans
         beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
         correction = np.roll(beta, -1, axis=1) * self._A + np.roll(beta, 1, axis=1) * self._B
-        drops, correction = fans.gather(beta + self.moments, correction)
+        drops, correction = fans.gather(beta + self._all_moments(u), correction)
         residual = np.where(self.free, -fans.at_vertices(drops) / self.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         of_solver = np.where(self.free, residual - self._solver_gap, 0.0)

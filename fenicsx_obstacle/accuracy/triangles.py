@@ -24,6 +24,7 @@ class Triangles:
     Attributes:
         dofs: Local dofs of the vertices, shape (cells, 3).
         x: Their coordinates, shape (cells, 3, 2).
+        turn: Which vertex of the mesh's own order each is.
         facets: Local facet opposite to each vertex, shape (cells, 3).
         area: Shape (cells,).
         normal: 2 |T| grad phi_i = the edge opposite to vertex i turned inward; x and y of it, shape (2, cells, 3).
@@ -37,6 +38,7 @@ class Triangles:
         x = corners(level.mesh)[:count, :, :2]
         clockwise = _cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) < 0
         turn = np.where(clockwise[:, None], [0, 2, 1], [0, 1, 2])
+        self.turn = turn
         self.dofs = np.take_along_axis(releases.cell_dofs(level.V)[:count], turn, axis=1)
         self.facets = np.take_along_axis(cell_facets(level.mesh)[:count], turn, axis=1)
         self.x = np.take_along_axis(x, turn[:, :, None], axis=1)
