@@ -18,7 +18,7 @@ _HOME = {
     "nodal_rule": "forms.rules",
     "penalty": "forms.penalty",
     "compare": "answers.difference",
-    "solve": "answers.compute",
+    "solve": "answers.adapt",
     "solve_form": "answers.bring",
     "study": "studies.convergence",
 }

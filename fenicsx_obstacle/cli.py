@@ -72,11 +72,17 @@ def _options(*names: str) -> Callable[[Any], Any]:
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
 @click.option("--bound", is_flag=True, help="Bound the energy error: guaranteed, or the output says why not.")
+@click.option("--tol", type=float, metavar="R", help="Relative energy error to reach; chooses meshes and eps.")
+@click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
+@click.option("--budget", metavar="LIMIT", help="Stop earlier with the best answer: 60s, 8GB, '1e6 unknowns'.")
 @_options("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet", "log")
 def solve(
     scene_file: str,
     picture: bool,
     bound: bool,
+    tol: float | None,
+    tol_absolute: float | None,
+    budget: str | None,
     yardstick: bool,
     output: Path | None,
     json_file: str | None,
@@ -88,7 +94,8 @@ def solve(
     Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv and
     report.html into out/SCENE.
     """
-    from fenicsx_obstacle.answers.compute import Workbench, changed
+    from fenicsx_obstacle.answers.adapt import solve
+    from fenicsx_obstacle.answers.compute import changed
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_answer
@@ -97,7 +104,7 @@ def solve(
     folder = output or Path("out") / scene.name
     _check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
-        answer = Workbench(scene).answer(yardstick=yardstick, bound=bound)
+        answer = solve(scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget)
         answer.save(folder)
         drawn = report_answer(answer, folder, picture=picture)
     if json_file is not None:

@@ -126,10 +126,22 @@ class Answer:
             relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
             parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
             lines.append(f"  energy error at most {b['total']:.4g}{relative} ({parts}); {b['words']}")
+        lines += self._tolerance()
         if self.report:
             values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
             lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))
         return "\n".join(lines)
+
+    def _tolerance(self) -> list[str]:
+        """Whether the tolerance was reached, in words."""
+        adaptive = self.record.get("adaptive")
+        if adaptive is None:
+            return []
+        kind = "relative" if adaptive["relative"] else "absolute"
+        goal = f"{kind} tolerance {adaptive['tolerance']:g}"
+        if adaptive["reached"]:
+            return [f"  the {goal} is reached, on mesh {len(adaptive['path'])}; eps and meshes were chosen for it"]
+        return [f"  THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]
 
     def _figures(self) -> list[str]:
         """Energy and contact, in words."""

@@ -7,7 +7,6 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
-from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -46,45 +45,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
           "start": "solve.start", "element": "solve.element"}  # fmt: skip
-
-
-def solve(
-    scene: Scene,
-    *,
-    eps: float | str | None = None,
-    cells: int | None = None,
-    refine: int | None = None,
-    method: str | None = None,
-    start: str | None = None,
-    element: str | None = None,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-    yardstick: bool = False,
-    bound: bool = False,
-) -> Answer:
-    """Solve a scene (collective).
-
-    Args:
-        scene: What to solve; the other arguments replace its values.
-        eps: Penalty parameter: a number in units of u/p, or a formula in h.
-        cells: Cells per side, for shapes.
-        refine: Uniform refinements.
-        method: penalty, successive or vi.
-        start: nested, from the coarsest level of the mesh on, or cold.
-        element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
-        comm: Communicator; a mesh of the scene's own brings its own.
-        yardstick: Time one linear Poisson solve on the same mesh as well.
-        bound: Bound the energy error as well.
-
-    Returns:
-        The answer; there is none without convergence.
-
-    Raises:
-        InputError: For bad data.
-        NotConverged: With PETSc's reason.
-    """
-    given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
-    with closing(Workbench(changed(scene, given), comm)) as bench:
-        return bench.answer(yardstick=yardstick, bound=bound)
 
 
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:

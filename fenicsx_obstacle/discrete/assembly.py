@@ -147,9 +147,10 @@ class Nodal(Forms):
             self._lump(voronoi_areas(data.level.V))
 
     def _lump(self, D: np.ndarray) -> None:
-        """Take these weights for I, and for the load too, or -(A g + f)/D would not tend to the pressure."""
+        """Take these weights for I, and F_i = f(x_i) D_i, or -(A g + f)/D would not tend to the pressure."""
         self._lumping = self._minus_load.duplicate()
-        self._lumping.array[:] = self._minus_load.array_r * (D / self._D - 1.0)
+        densities = [effect.density(self.data) for effect in self.effects]
+        self._lumping.array[:] = -sum(f * D for f in densities if f is not None) - self._minus_load.array_r
         self._minus_load.axpy(1.0, self._lumping)
         self._D = D
 

@@ -68,6 +68,16 @@ class Data:
         self._sample(function, value, values)
         return function
 
+    def at_nodes(self, value: Value) -> np.ndarray:
+        """Values of a formula at owned nodes (collective).
+
+        Raises:
+            InputError: If it is given by materials, which share nodes, or is not finite somewhere.
+        """
+        if isinstance(value, Materials):
+            raise InputError(f"{value.place}: element {self.level.pair.name} takes one formula for all materials")
+        return self.nodal(value).x.array[: self.level.owned]
+
     @cached_property
     def distance(self) -> fem.Function:
         """Nodal distance to the boundary (first use is collective)."""

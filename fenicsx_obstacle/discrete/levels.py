@@ -164,9 +164,22 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
     for _ in range(refine):
         dim = level.mesh.topology.dim
-        _check_memory(level.dofs * 2.0**dim, BYTES_PER_VERTEX[dim], "'refine' fewer times")
+        _check_memory(level.dofs * 2.0**dim, dim, "'refine' fewer times")
         level = refined(level)
     return level if pair is P1 else of_pair(level, pair)
+
+
+def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
+    """The level that `build` begins with (collective)."""
+    level = build(scene, comm)
+    while level.coarse is not None:
+        level = level.coarse
+    return level
+
+
+def fits(vertices: float, dim: int) -> bool:
+    """Whether a mesh of so many vertices, with all that a solve needs, has room in memory."""
+    return vertices * BYTES_PER_VERTEX[dim] < _free_memory() and vertices * 6 <= 2**31
 
 
 def of_pair(level: Level, pair: Pair) -> Level:
@@ -257,7 +270,7 @@ def _cell(scene: Scene, *kinds: str) -> str:
 def _from_shape(asked: shapes.Shape, refine: int, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level of a shape, and how often to refine it for the grid asked for."""
     dim = len(asked.cells)
-    _check_memory(asked.vertices * 2.0 ** (dim * refine), BYTES_PER_VERTEX[dim], "take fewer 'cells'")
+    _check_memory(asked.vertices * 2.0 ** (dim * refine), dim, "take fewer 'cells'")
     shape, halvings = asked, 0
     while shape.coarser is not None and shape.cell in SIMPLICES:
         coarser = shape.coarser()
@@ -302,9 +315,9 @@ def _named(mesh: dmesh.Mesh, shape: shapes.Shape) -> dict[str, np.ndarray]:
     return {name: dmesh.locate_entities_boundary(mesh, dim, marker) for name, marker in shape.sides.items()}
 
 
-def _check_memory(vertices: float, each: int, remedy: str) -> None:
-    needed, free = vertices * each, _free_memory()
-    if needed > free or vertices * 6 > 2**31:
+def _check_memory(vertices: float, dim: int, remedy: str) -> None:
+    if not fits(vertices, dim):
+        needed, free = vertices * BYTES_PER_VERTEX[dim], _free_memory()
         raise InputError(f"[mesh] needs about {needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free; {remedy}")
 
 

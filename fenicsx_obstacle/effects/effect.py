@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
+    import numpy as np
     import ufl
 
     from fenicsx_obstacle.scenes.materials import Value
@@ -20,6 +21,13 @@ class Sampler(Protocol):
     @property
     def dx(self) -> Any:
         """Integration over the domain."""
+
+
+class NodalSampler(Protocol):
+    """Gives an effect its data at nodes."""
+
+    def at_nodes(self, value: Value) -> np.ndarray:
+        """Values at owned nodes."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +54,10 @@ class Effect:
 
     def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
         """Its part of the energy whose derivative `terms` is, or None."""
+        return None
+
+    def density(self, data: NodalSampler) -> np.ndarray | None:
+        """Its values at owned nodes where it is a load per area, else None: for lumping with other weights."""
         return None
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, NodalSampler, Sampler, register
 
 if TYPE_CHECKING:
+    import numpy as np
     import ufl
 
 
@@ -47,3 +48,6 @@ class Load(Effect):
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return -data.cellwise(self.value) * u * data.dx
+
+    def density(self, data: NodalSampler) -> np.ndarray:
+        return data.at_nodes(self.value)

@@ -1,0 +1,176 @@
+"""From a tolerance to an answer: solve, bound the error, refine where it is, until the bound is below the tolerance."""
+
+from __future__ import annotations
+
+import logging
+import time
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.accuracy.bound import Bound
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.compute import Workbench, changed
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
+from fenicsx_obstacle.scenes.scene import Scene
+
+_log = logging.getLogger(__name__)
+BULK = 0.5  # share of the squared bound in the cells that are refined (Doerfler)
+BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
+GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
+
+
+def solve(
+    scene: Scene,
+    *,
+    eps: float | str | None = None,
+    cells: int | None = None,
+    refine: int | None = None,
+    method: str | None = None,
+    start: str | None = None,
+    element: str | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    yardstick: bool = False,
+    bound: bool = False,
+    tol: float | None = None,
+    tol_absolute: float | None = None,
+    budget: str | None = None,
+) -> Answer:
+    """Solve a scene (collective).
+
+    Args:
+        scene: What to solve; the other arguments replace its values.
+        eps: Penalty parameter: a number in units of u/p, or a formula in h.
+        cells: Cells per side, for shapes.
+        refine: Uniform refinements.
+        method: penalty, successive or vi.
+        start: nested, from the coarsest level of the mesh on, or cold.
+        element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
+        comm: Communicator; a mesh of the scene's own brings its own.
+        yardstick: Time one linear Poisson solve on the same mesh as well.
+        bound: Bound the error: answer.bound.
+        tol: Error to reach, in the energy norm and relative to it: the mesh and, unless it is given, eps are chosen.
+        tol_absolute: The same in the unit of the energy norm.
+        budget: With a tolerance: stop earlier, with the best answer so far: "60s", "8GB", "1e6 unknowns".
+
+    Returns:
+        The answer; there is none without convergence.
+
+    Raises:
+        InputError: For bad data.
+        NotConverged: With PETSc's reason.
+    """
+    given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
+    scene, limits = changed(scene, given), Budget.of(budget)
+    if tol is not None or tol_absolute is not None:
+        return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
+    if budget is not None:
+        raise InputError("a budget goes with a tolerance: add --tol")
+    with closing(Workbench(scene, comm)) as bench:
+        return bench.answer(yardstick=yardstick, bound=bound)
+
+
+class _Adaptation:
+    """A solve on meshes that grow where the error is."""
+
+    def __init__(self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm):
+        tolerance = absolute if relative is None else relative
+        if relative is not None and absolute is not None:
+            raise InputError("two tolerances: give --tol or --tol-absolute")
+        if tolerance is None or not 0 < tolerance < np.inf:
+            raise InputError(f"--tol {tolerance}: must be positive and finite")
+        self.scene, self.tolerance, self.relative, self.budget = scene, tolerance, relative is not None, budget
+        self.given = isinstance(scene.tables.solve.eps, float)  # eps is the user's
+        self.comm = scene.mesh.comm if scene.mesh is not None else comm
+        self.started = time.perf_counter()
+        self.path: list[dict[str, Any]] = []
+
+    def answer(self, *, yardstick: bool) -> Answer:
+        """The first answer whose bound is below the tolerance, or the best that the budget allows (collective)."""
+        with ExitStack() as benches:
+            coarsest = levels.coarsest(self.scene, self.comm)
+            bench = benches.enter_context(closing(Workbench(self.scene, self.comm, coarsest)))
+            while True:
+                answer = self._balanced(bench)
+                why = self._finished(answer)
+                if why is not None:
+                    break
+                finer = bench.refined(_marked(_bound(answer).indicator, self.comm))
+                benches.enter_context(closing(finer))
+                if finer.problem.level.dofs > self.budget.unknowns:
+                    why = "the budget of unknowns"
+                    break
+                bench = finer
+            if yardstick:
+                answer = bench.answer(yardstick=True, bound=True)
+        adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
+                    "path": self.path}  # fmt: skip
+        seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
+        return replace(answer, record={**answer.record, "seconds": seconds, "adaptive": adaptive})
+
+    def _balanced(self, bench: Workbench) -> Answer:
+        """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
+        answer = bench.answer(self.scene, bound=True)
+        bound = _bound(answer)
+        while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
+            eps = answer.record["eps"] * max(0.02, 0.4 * BALANCED * bound.discretisation / bound.penalty)
+            self.scene = self.scene.change({"solve.eps": eps})
+            answer, before = bench.answer(self.scene, bound=True), bound
+            bound = _bound(answer)
+            if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
+                break
+        record = answer.record
+        self.path.append({"dofs": record["dofs"], "total": bound.total, "relative": bound.relative,
+                          "eps": record["eps"], "seconds": time.perf_counter() - self.started})  # fmt: skip
+        _log.info("%d unknowns: error at most %.3g", record["dofs"], bound.total)
+        return answer
+
+    def _may_lower_eps(self, answer: Answer) -> bool:
+        """Whether eps is ours to choose: a number that the user gave is kept."""
+        return answer.record["eps"] is not None and not self.given
+
+    def _finished(self, answer: Answer) -> str | None:
+        """None to go on, "" at the tolerance, otherwise what stopped it (collective)."""
+        bound = _bound(answer)
+        limit = self.tolerance
+        if self.relative:
+            if bound.relative is None and bound.total > 0:
+                raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
+            limit *= bound.total / bound.relative if bound.relative else 0.0
+        if bound.total <= limit:
+            return ""
+        if self.given and bound.penalty > limit:
+            return f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; leave eps to be chosen"
+        before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
+        now = self.path[-1]["seconds"]
+        stop = None
+        if now + GROWTH * (now - before) > self.budget.seconds:
+            stop = f"the budget of {self.budget.seconds:g} s"
+        if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
+            stop = f"the budget of {self.budget.megabytes:g} MB"
+        if not levels.fits(GROWTH * answer.record["dofs"], answer.level.mesh.topology.dim):
+            stop = "the memory of this machine"
+        return self.comm.bcast(stop)
+
+
+def _bound(answer: Answer) -> Bound:
+    assert answer.bound is not None
+    return answer.bound
+
+
+def _marked(indicator: np.ndarray, comm: MPI.Comm) -> np.ndarray:
+    """The fewest owned cells that carry `BULK` of the sum over all ranks (collective)."""
+    everything = total(comm, indicator)
+    low, high = 0.0, largest(comm, indicator)
+    while high - low > 1e-9 * high:
+        middle = (low + high) / 2
+        enough = total(comm, indicator[indicator >= middle]) >= BULK * everything
+        low, high = (middle, high) if enough else (low, middle)
+    # cells alike by symmetry are marked together, whatever their last digit
+    return indicator >= low * (1 - 1e-6)

@@ -1,0 +1,88 @@
+"""From a tolerance to an answer: the energy error is below it, certified, and not far below; budgets end in words."""
+
+import numpy as np
+import pytest
+from conftest import COMM
+
+from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.scenes import catalogue
+
+CORNER = "r^(2/3)*sin(2/3*where(theta < 0, theta + 2*pi, theta))"
+L_SHAPE = Scene(
+    mesh={"shape": "l-shape", "x": [-1, 1], "y": [-1, 1], "cells": 16}, tension=1, lower=-1,
+    boundary=[{"value": CORNER}], exact=CORNER,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["ball", "disk_flat", "nsv", "two_obstacle_square", "torsion_disk", "biactive"])
+@pytest.mark.parametrize("tol", [1e-1, 3e-2])
+def test_tolerance(name, tol):
+    """The true energy error is at most the tolerance, and at most 6 times below it unless the first mesh was better."""
+    answer = solve(catalogue.scene(name), tol=tol)
+    record = answer.record
+    limit = tol * record["bound"]["total"] / record["bound"]["relative"]
+    assert record["adaptive"]["reached"] and record["bound"]["guaranteed"]
+    assert record["errors"]["energy"] <= record["bound"]["total"] <= limit
+    assert record["errors"]["energy"] >= limit / 6 or len(record["adaptive"]["path"]) == 1
+
+
+def test_reentrant_corner():
+    """L-shape: graded meshes reach an error of .099 of the bound's kind with a fraction of the uniform unknowns."""
+    record = solve(L_SHAPE, tol_absolute=0.099).record
+    assert record["adaptive"]["reached"] and record["errors"]["energy"] <= 0.099
+    assert record["dofs"] <= 2500
+
+
+def test_eps_is_lowered_until_the_mesh_decides():
+    """The part of the penalty stays a fraction of the mesh's; an eps that the user gave is kept, and named."""
+    scene = catalogue.scene("disk_flat")
+    free = solve(scene, tol=3e-2).record
+    assert free["bound"]["penalty"] <= 0.25 * free["bound"]["discretisation"]
+    held = solve(scene.change({"solve.eps": 1e-2}), tol=3e-2)
+    assert held.record["eps"] == 1e-2 and not held.record["adaptive"]["reached"]
+    assert "eps = 0.01 alone contributes" in held.summary()
+
+
+@pytest.mark.parametrize("budget", ["2000 unknowns", "0.001s", "1 MB"])
+def test_budget(budget):
+    """The best answer so far with its bound, and a clear word."""
+    answer = solve(catalogue.scene("ball"), tol=1e-3, budget=budget)
+    assert not answer.record["adaptive"]["reached"]
+    assert "IS NOT REACHED: the budget of" in answer.summary()
+    assert answer.record["errors"]["energy"] <= answer.record["bound"]["total"]
+    if "unknowns" in budget:
+        assert 500 < answer.record["dofs"] <= 2000
+
+
+def test_full_contact_has_no_norm():
+    """u = 0: a relative tolerance means nothing unless the bound is 0; an absolute one does."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load=-1, lower=0)
+    record = solve(scene, tol_absolute=0.05).record
+    assert record["adaptive"]["reached"]
+
+
+def test_mistakes():
+    """Budgets and tolerances that cannot be read or met: one message each."""
+    scene = catalogue.scene("ball")
+    for options, words in (
+        ({"budget": "3x", "tol": 0.1}, "expected limits such as 60s"),
+        ({"budget": "60s"}, "add --tol"),
+        ({"tol": -1.0}, "must be positive"),
+        ({"tol": 0.1, "tol_absolute": 0.1}, "two tolerances"),
+    ):
+        with pytest.raises(InputError, match=words):
+            solve(scene, **options)
+    with pytest.raises(InputError, match="P1 on triangles"):
+        solve(catalogue.scene("string_torsion"), tol=0.1)
+    assert Budget.of("90s, 2GB, 1e6 unknowns") == Budget(90.0, 2000.0, 1e6)
+
+
+def test_the_same_on_all_ranks():
+    """Meshes, marks and bound do not depend on the number of ranks."""
+    from mpi4py import MPI
+
+    one = solve(catalogue.scene("disk_flat"), tol=3e-2, comm=MPI.COMM_SELF).record
+    all_ = solve(catalogue.scene("disk_flat"), tol=3e-2).record
+    assert one["dofs"] == all_["dofs"] and COMM.size == all_["ranks"]
+    assert np.isclose(one["bound"]["total"], all_["bound"]["total"], rtol=1e-8)
