@@ -16,7 +16,9 @@ from fenicsx_obstacle.scenes.formulas import nearest
 
 ROOM = 0.15  # between rates that count as the same
 CLOSE = 0.05  # between constants that count as the same, relative
-_MODULES: tuple[str, ...] = ("signs", "monotone", "limits", "iteration", "digits", "algebra", "stability")
+_MODULES: tuple[str, ...] = (  # in the order of the paper
+    "signs", "monotone", "limits", "iteration", "digits", "algebra", "in_eps", "stability", "in_h", "totals",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
