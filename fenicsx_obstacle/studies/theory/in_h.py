@@ -75,7 +75,7 @@ def pressures(comm: MPI.Comm) -> Found:
         findings += claims(PRESSURES, one, VI, 0, {"pressure_l2": one.ladder.smooth})
     for one in stalled:
         findings += claims(PRESSURES, one, VI, 0, {"pressure_l2": 0})
-    findings += [*_plateau(stalled[:2]), *_filtered(bent)]
+    findings += [*plateau(stalled[:2]), *filtered(bent)]
     of_eps = {"eps = 0" if eps == VI else f"eps = {eps}": bent[eps, "pressure_l2"] for eps in bent.errors}
     return Found(findings, [
         _panel("uniform meshes", "pressure_l2", uniform, (1 / 2, None, None, 3 / 2)),
@@ -122,7 +122,7 @@ def _rough(seen: Errors) -> Finding:
                  order < 0.9, "needs hypothesis")  # fmt: skip
 
 
-def _plateau(stalled: Sequence[Errors]) -> list[Finding]:
+def plateau(stalled: Sequence[Errors]) -> list[Finding]:
     """Where |p - p_h|_0 stays, on meshes whose nodes have 4 and 8 triangles by turns.
 
     There (A I_h g)_i / D_i is 3/2 and 3/4 of -div grad g, so that half of the nodes find themselves pulled off the
@@ -135,7 +135,7 @@ def _plateau(stalled: Sequence[Errors]) -> list[Finding]:
                      size / math.sqrt(8), one[VI, "pressure_l2"][-1], "sharp") for one in stalled]  # fmt: skip
 
 
-def _filtered(bent: Errors) -> list[Finding]:
+def filtered(bent: Errors) -> list[Finding]:
     """The penalty damps what oscillates with wave length h: with eps = h^2, p_eps is better than p_h, and improves."""
     p, findings = bent["h^2", "pressure_l2"], []
     for place, cells in enumerate(bent.ladder.cells):
