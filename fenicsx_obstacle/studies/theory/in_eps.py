@@ -80,10 +80,13 @@ def together(one: Gap, along: Eps) -> list[Finding]:
 
 
 def uniformly(one: Gap) -> list[Finding]:
-    """Order in eps above h^2, on the finest mesh; a bounded p alone gives 1/2, on any mesh."""
+    """Above h^2: order 0 in h, between the two finest meshes, and the order in eps; a bounded p alone gives 1/2."""
     eps, e = [one.eps[value][-1] for value in LARGE], [one.e[value][-1] for value in LARGE]
-    on = f"eps = {LARGE[1]:g}, {LARGE[0]:g}, N = {one.ladder.cells[-1]}, {one.ladder.words}"
-    return [rate(STABLE, f"|u_eps - u_h|_1 in eps, {on}", 1 / 2, (1 + min(one.ladder.smooth, 1)) / 2, eps, e)]
+    words, finest, order = one.ladder.words, one.ladder.cells[-1], (1 + min(one.ladder.smooth, 1)) / 2
+    on = f"eps = {LARGE[1]:g}, {LARGE[0]:g}, N = {finest}, {words}"
+    return [rate(WHERE, f"|u_eps - u_h|_1 in h, eps = {LARGE[0]:g}, N = {finest}, {words}", -1, 0, one.h[-2:],
+                 one.e[LARGE[0]][-2:]),
+            rate(STABLE, f"|u_eps - u_h|_1 in eps, {on}", 1 / 2, order, eps, e)]  # fmt: skip
 
 
 def constants(all_found: Sequence[Gap]) -> list[Finding]:
