@@ -12,6 +12,8 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import corners
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -21,6 +23,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.vocabulary import COORDINATES
 
 Cellwise: TypeAlias = fem.Function | fem.Constant
+INWARD = 1e-6  # of the way to the middle of the cell
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
 
 
@@ -177,7 +180,13 @@ class Data:
         """Points of the local dofs, shape (3, dofs)."""
         if V is self.level.V:
             return self.level.points
-        return np.ascontiguousarray(V.tabulate_dof_coordinates().T)
+        points = np.array(V.tabulate_dof_coordinates().T)
+        if V is self.level.W and self.level.pair.degree > 1:
+            # what jumps between cells has its value from within
+            dofs = releases.cell_dofs(V)
+            middle = corners(self.level.mesh).mean(axis=1).T[:, :, None]
+            points[:, dofs] += INWARD * (middle - points[:, dofs])
+        return points
 
     def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
         if self._uniform(formula):

@@ -116,8 +116,8 @@ class Level:
 
     @cached_property
     def W(self) -> fem.FunctionSpace:
-        """One value per cell, for tension and load (first use is collective)."""
-        return releases.functionspace(self.mesh, "DG", 0)
+        """Tension and load: one value per cell, or polynomials as rich as V_h (first use is collective)."""
+        return releases.functionspace(self.mesh, "DG", 0 if self.pair.degree == 1 else self.pair.degree)
 
     @cached_property
     def h_max(self) -> float:
@@ -132,7 +132,7 @@ class Level:
     def indicator(self, name: str) -> np.ndarray:
         """Whether each local dof of W belongs to a cell of a named material, ghosts included (collective)."""
         inside = fem.Function(self.W)
-        inside.x.array[releases.cell_dofs(self.W)[self.groups[name], 0]] = 1.0
+        inside.x.array[releases.cell_dofs(self.W)[self.groups[name]]] = 1.0
         inside.x.scatter_forward()
         return inside.x.array > 0.5
 
