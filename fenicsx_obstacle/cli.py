@@ -44,7 +44,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
         "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
         "start": click.option("--start", metavar="NAME", help="nested (from coarse grids on) or cold.  [nested]"),
-        "eps": click.option("--eps", metavar="E", help="Penalty parameter: a number or a formula in h.  [h^2]"),
+        "eps": click.option("--eps", metavar="E", help="Penalty parameter: auto, a number, or a formula in h.  [auto]"),
         "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
         "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
         "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),

@@ -114,7 +114,7 @@ def test_penetration_and_sign(ball):
 
 def test_one_line_says_what_it_is(ball):
     """repr() of results: figures and no arrays; 1 step and 2 steps."""
-    answer = solve(ball, cells=8)
+    answer = solve(ball, cells=8, eps="h^2")
     assert "\n" not in repr(answer)
     assert repr(answer).startswith(
         "Answer('Membrane over a ball (Bueler 2021, ch. 12)': penalty, eps = 0.25, 81 unknowns;"

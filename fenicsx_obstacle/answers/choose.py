@@ -45,7 +45,7 @@ def chain(problem: Problem) -> list[Problem]:
     return problems
 
 
-def penalty_parameter(problem: Problem, value: float | str) -> float:
+def penalty_parameter(problem: Problem, scene: Scene) -> float:
     """eps as a number, in units of u/p (collective).
 
     A number is absolute. A formula in h is divided by the largest tension: (1/eps) D and the stiffness then
@@ -54,9 +54,8 @@ def penalty_parameter(problem: Problem, value: float | str) -> float:
     Raises:
         InputError: If it is not positive and finite.
     """
-    scene = problem.scene
-    formula = scene.formula(value, "[solve] eps")
-    eps = scene.number(value, "[solve] eps", {"h": problem.level.h})
+    formula = scene.formula(scene.eps, "[solve] eps")
+    eps = scene.number(scene.eps, "[solve] eps", {"h": problem.level.h})
     if not 0 < eps < np.inf:
         raise InputError(f"{formula.place} = {formula.text}: must be positive, it is {eps:g}")
     if "h" not in formula.names:

@@ -172,7 +172,7 @@ class Workbench:
         elif not problem.constrained:
             solver = partial(solve_penalty, eps=1.0)
         else:
-            eps = penalty_parameter(problem, scene.tables.solve.eps)
+            eps = penalty_parameter(problem, scene)
             solver = partial(solve_penalty, eps=eps, successive=method == "successive")
         if grids:
             stiffness = np.inf if eps is None else 1.0 / eps

@@ -22,6 +22,7 @@ from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, Vocabulary
 from fenicsx_obstacle.words import plain
 
+AUTO = "h^2/100"  # eps as small as makes its error a few per cent of the mesh's: solvers do not mind how small
 RESERVED = {
     *COORDINATES,
     *CONSTANTS,
@@ -167,7 +168,7 @@ class Scene(Vocabulary):
             if typed.exact.pressure is not None:
                 self._check_exact(self.formula(typed.exact.pressure, "[exact] pressure"))
         set_("report", parse_report(self, typed.report, RESERVED))
-        eps = self.number(typed.solve.eps, "[solve] eps", {"h": 1.0})
+        eps = self.number(self.eps, "[solve] eps", {"h": 1.0})
         if eps <= 0:
             raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
         for number, part in enumerate(typed.boundary):
@@ -181,6 +182,12 @@ class Scene(Vocabulary):
                 raise InputError(
                     f"{source}: [[boundary]] (no. {number + 1}) where: 'distance' is 0 all over the boundary"
                 )
+
+    @property
+    def eps(self) -> float | str:
+        """The penalty parameter: a number in units of u/p, or a formula in h, yet to be divided by the tension."""
+        asked = self.tables.solve.eps
+        return AUTO if asked == "auto" else asked
 
     def _definitions(self) -> dict[str, Formula]:
         definitions: dict[str, Formula] = {}

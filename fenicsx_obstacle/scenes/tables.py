@@ -84,7 +84,7 @@ class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     element: str | None = None
     method: Literal["penalty", "successive", "vi"] = "penalty"
     start: Literal["nested", "cold"] = "nested"
-    eps: Value = "h^2"
+    eps: Value = "auto"
 
 
 class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

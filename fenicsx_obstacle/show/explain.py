@@ -113,12 +113,13 @@ def _discrete(scene: Scene) -> list[str]:
             pressure = "the multiplier"
         lines.append(f"p = {pressure} at the points of I" + "   (3.7), (3.8)" * penalised)
     if penalised and sides:
-        lines.append(f"eps = {plain(scene.tables.solve.eps)}" + _eps_rule(scene))
+        chosen = "auto: " if scene.tables.solve.eps == "auto" else ""
+        lines.append(f"eps = {chosen}{plain(scene.eps)}" + _eps_rule(scene))
     return lines
 
 
 def _eps_rule(scene: Scene) -> str:
-    formula = scene.formula(scene.tables.solve.eps, "[solve] eps")
+    formula = scene.formula(scene.eps, "[solve] eps")
     return ", divided by the largest tension" if "h" in formula.names else ""
 
 

@@ -104,7 +104,7 @@ def _places(
         points = points[:: 1 + len(points) // 200]
         if not len(points):
             continue
-        others = np.concatenate([line for k, line in enumerate(whole) if k != number])
+        others = np.concatenate([np.empty((0, 2)), *(line for k, line in enumerate(whole) if k != number)])
         frame = np.minimum(points - low, high - points).min(axis=1)
         distances = [np.minimum(_distance(points, near), frame), _distance(points, np.array(chosen).reshape(-1, 2)),
                      _distance(points, others)]  # fmt: skip
