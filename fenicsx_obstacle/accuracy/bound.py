@@ -117,7 +117,7 @@ class Estimator:
         finite = [np.abs(gap[np.isfinite(gap)]) for gap in gaps]
         near = TOUCHES * max(largest(comm, np.concatenate(finite)), 0.0)
         flux = equilibration.flux(u, gaps[0] <= near, gaps[1] <= near)
-        nodal, v = self._admissible(u)
+        nodal, v, crossing = self._admissible(u)
         of_u, of_v = self._distance(u, flux), self._distance(v, flux)
         contact = self._contact(v, flux)
         moved, penetrated = self._energy(v - u), self._energy(nodal - u)
@@ -135,7 +135,7 @@ class Estimator:
         B = S / 2 + sqrt(S**2 / 4 + eta_C) + eta_g + eta_p
         B2 = (Su + W) / 2 + sqrt((Su + W) ** 2 / 4 + eta_C + Su * W) + eta_g
         bound, height = min(B + norm(moved), B2), norm(self._energy(u))
-        doubts, sampled_only = self._doubts(flux, unbalanced, bound)
+        doubts, sampled_only = self._doubts(flux, unbalanced, bound, crossing)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = v
         between = norm(self._energy(v - nodal)) + eta_p
@@ -148,8 +148,9 @@ class Estimator:
             admissible=admissible,
         )  # fmt: skip
 
-    def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The nodal maximum of u and the obstacles, and the same of the obstacles raised (collective)."""
+    def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much these then cross
+        each other or what is given (collective)."""
         nodal, v = u.copy(), u.copy()
         given = self.problem.data.fixed[0]
         lifted = [peaks.lift(peaks.sign * u) for peaks in self.peaks]
@@ -158,12 +159,12 @@ class Estimator:
                 inside = peaks.sign * np.maximum(peaks.sign * state, obstacle)
                 inside[given] = state[given]
                 state[:] = inside
-        comm, self._crossing = self.problem.level.comm, 0.0
+        comm, crossing = self.problem.level.comm, 0.0
         for peaks, lift in zip(self.peaks, lifted, strict=True):
             beyond = largest(comm, lift - peaks.sign * v)
             if beyond > ROUND_OFF * largest(comm, np.abs(lift)):
-                self._crossing = beyond
-        return nodal, v
+                crossing = max(crossing, beyond)
+        return nodal, v, crossing
 
     def _contact(self, v: np.ndarray, flux: Flux) -> np.ndarray:
         """int lambda (v - lower) + int nu (upper - v), lambda and nu being their means in each cell."""
@@ -266,7 +267,7 @@ class Estimator:
             return 1 / float(np.linalg.norm(wave)), True
         return 2 * float(sides.max()), False
 
-    def _doubts(self, flux: Flux, unbalanced: float, bound: float) -> tuple[list[str], bool]:
+    def _doubts(self, flux: Flux, unbalanced: float, bound: float, crossing: float) -> tuple[list[str], bool]:
         """What the bound does not cover (collective); whether it is the obstacle between the nodes alone."""
         level = self.problem.level
         doubts = [f"it knows tension and load, not {key}" for key in self.equilibration.others]
@@ -279,8 +280,8 @@ class Estimator:
         scale = largest(level.comm, np.abs(flux.normal))
         if flux.incompatible > 1e-8 * scale:
             doubts.append("cells overlap, or meet at a vertex alone")
-        if self._crossing > 0:
-            doubts.append(f"between the nodes the obstacles come nearer than {self._crossing:.2g}")
+        if crossing > 0:
+            doubts.append(f"between the nodes the obstacles cross, by {crossing:.2g} at most")
         others = len(doubts)
         surprise = max((peaks.surprise for peaks in self.peaks), default=0.0)
         if surprise > 0:

@@ -20,7 +20,7 @@ SPARE_DENSE = 1.1  # and that of a dense lattice
 NEAR = 4.0  # times that height: how near u may come before a cell is sampled densely
 DENSE = 8  # parts of an edge
 SEGMENTS = 16  # of an edge where u is given
-ROUND_OFF = 1e-12  # of the heights
+ROUND_OFF = 1e-14  # of the heights
 
 
 class Rim:

@@ -1,0 +1,92 @@
+"""How near the error bound is on scenes with exact solutions, and what it costs.
+
+    .venv/bin/python benchmarks/bounds.py --cells 64 --eps "h,h^2,1e-10"
+    .venv/bin/python benchmarks/bounds.py ball --cost --cells 512
+
+Runs under mpirun as it stands. Effectivity is bound over true error, of u_h and of the admissible v_h. `--cost` counts
+the bound in Poisson solves on the same mesh: each time (the fastest of three), and what is done once per mesh.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any
+
+from mpi4py import MPI
+
+from fenicsx_obstacle import InputError, Scene
+from fenicsx_obstacle.accuracy.bound import Estimator
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.scenes import catalogue
+from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+
+
+def main() -> None:
+    """Print a line for each scene, number of cells and eps (collective)."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", help="names of the catalogue or files; all plane scenes of the catalogue")
+    parser.add_argument("--cells", default="64")
+    parser.add_argument("--eps", default="h,h^2,1e-10")
+    parser.add_argument("--cost", action="store_true")
+    options = parser.parse_args()
+    if not options.cost:
+        show(f"{'scene':20} {'cells':>5} {'eps':>6} {'error u':>10} {'bound':>10} {'eff.':>5} {'error v':>10} "
+             f"{'bound':>10} {'eff.':>5}  discretisation, penalty, data")  # fmt: skip
+    for name in options.scenes or catalogue.names():
+        for cells in values_of(options.cells, "cells"):
+            scene = catalogue.read(name).change({"mesh.cells": cells})
+            with closing(Workbench(scene)) as bench:
+                try:
+                    cost(bench) if options.cost else effectivities(bench, values_of(options.eps, "eps"))
+                except InputError as error:
+                    show(f"{name:20} {error}")
+
+
+def effectivities(bench: Workbench, many: list) -> None:
+    """Bounds beside true errors (collective)."""
+    scene = bench.problem.scene
+    for eps in many:
+        answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+        bound, error = answer.bound, answer.record["errors"]["energy"]
+        error_v = bench.exact.errors(bound.admissible, answer.pressure, answer.record["eps"])["energy"]
+        show(f"{scene.name:20} {answer.record['cells']:5} {eps!s:>6} {error:10.3e} {bound.total:10.3e} "
+             f"{bound.total / error:5.2f} {error_v:10.3e} {bound.admissible_total:10.3e} "
+             f"{bound.admissible_total / error_v:5.2f}  {bound.discretisation:.1e}, {bound.penalty:.1e}, "
+             f"{bound.data:.1e}  {bound.words}")  # fmt: skip
+
+
+def cost(bench: Workbench) -> None:
+    """Seconds and Poisson units (collective)."""
+    scene: Scene = bench.problem.scene
+    bench.answer()
+    level = bench.problem.level
+    unit = poisson_seconds(level)
+    estimator, once = timed(lambda: Estimator(bench.problem))
+    first, *others = (timed(estimator.bound)[1] for _ in range(4))
+    each = min(others)
+    show(f"{scene.name}: {level.dofs} unknowns, Poisson {unit:.2f} s; a bound {each:.2f} s = {each / unit:.2f} units; "
+         f"once per mesh {once:.2f} s, and {first - each:.2f} s for the obstacle near contact = "
+         f"{(once + first - each) / unit:.2f} units")  # fmt: skip
+
+
+def timed(action: Callable[[], Any]) -> tuple[Any, float]:
+    """Its result, and the seconds of the slowest rank (collective)."""
+    MPI.COMM_WORLD.barrier()
+    start = time.perf_counter()
+    result = action()
+    MPI.COMM_WORLD.barrier()
+    return result, time.perf_counter() - start
+
+
+def show(text: str) -> None:
+    """Print on rank 0."""
+    if MPI.COMM_WORLD.rank == 0:
+        print(text, flush=True)
+
+
+if __name__ == "__main__":
+    main()
