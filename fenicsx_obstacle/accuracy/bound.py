@@ -14,7 +14,7 @@ It holds for any eps, any mesh, converged or not; nothing is assumed of angles, 
 What is taken care of: tension and load that vary within cells, obstacles and boundary values between the nodes (all by
 sampling their formulas). What is not, and makes the number an indicator that says so: effects other than tension and
 load (drift, nonlinear tension), the difference between a curved domain and the polygon of the mesh, boundary values
-that jump, an unconverged state where Friedrichs' constant is not known. Where an obstacle stays above v_h beside the
+that jump, nowhere a value of u given, an unconverged state where Friedrichs' constant is not known. Where an obstacle stays above v_h beside the
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
@@ -153,9 +153,10 @@ class Estimator:
         each other or what is given (collective)."""
         nodal, v = u.copy(), u.copy()
         given = self.problem.data.fixed[0]
-        lifted = [peaks.lift(peaks.sign * u) for peaks in self.peaks]
-        for peaks, lift in zip(self.peaks, lifted, strict=True):
-            for state, obstacle in ((nodal, peaks.nodal), (v, lift)):
+        lifted = []
+        for peaks in self.peaks:
+            lifted.append(peaks.lift(peaks.sign * v))
+            for state, obstacle in ((nodal, peaks.nodal), (v, lifted[-1])):
                 inside = peaks.sign * np.maximum(peaks.sign * state, obstacle)
                 inside[given] = state[given]
                 state[:] = inside
@@ -273,10 +274,12 @@ class Estimator:
         doubts = [f"it knows tension and load, not {key}" for key in self.equilibration.others]
         if level.shape is not None and level.shape.project is not None:
             doubts.append("it is for the polygon of the mesh, not for the curved domain")
+        if total(level.comm, np.count_nonzero(self.equilibration.held)) == 0:
+            doubts.append("u is given nowhere")
         if self.rim.torn > 0:
             doubts.append(f"boundary values jump by {self.rim.torn:.2g}, so that no u has a finite energy")
         if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
-            doubts.append("Friedrichs' constant is not known here, and forces are not in balance")
+            doubts.append("Friedrichs' constant is not known for such a boundary, and the load is not quite in balance")
         scale = largest(level.comm, np.abs(flux.normal))
         if flux.incompatible > 1e-8 * scale:
             doubts.append("cells overlap, or meet at a vertex alone")

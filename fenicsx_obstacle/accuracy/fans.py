@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.accuracy.triangles import next_, previous
 from fenicsx_obstacle.discrete.levels import Level
 
 
@@ -43,15 +44,16 @@ class Fans:
         index_map = level.V.dofmap.index_map
         number = np.asarray(index_map.local_to_global(dofs.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 3)
         starts = np.array(self.comm.allgather(index_map.local_range[0]))
-        # ranks that own none share their start with the next: take the last
-        owner = np.searchsorted(starts, number, side="right").ravel() - 1
-        self._send = np.argsort(owner, kind="stable")
-        self._sent = np.bincount(owner, minlength=self.comm.size)
-        self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
-        a = number * index_map.size_global
-        entry, exit_ = a + np.roll(number, -1, 1), a + np.roll(number, 1, 1)
-        ends = np.roll(held, 1, 1) + 2 * np.roll(held, -1, 1)
-        a, entry, exit_, ends = self._to_owners(number - starts[owner].reshape(-1, 3), entry, exit_, ends)
+        if self.comm.size > 1:
+            # ranks that own none share their start with the next: take the last
+            owner = np.searchsorted(starts, number, side="right").ravel() - 1
+            self._send = np.argsort(owner, kind="stable")
+            self._sent = np.bincount(owner, minlength=self.comm.size)
+            self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
+        entry, exit_ = (number * index_map.size_global + other for other in (next_(number), previous(number)))
+        ends = previous(held) + 2 * next_(held)
+        a, entry, exit_, ends = self._to_owners(number, entry, exit_, ends)
+        a = a - starts[self.comm.rank]
         entry_held, exit_held = ends % 2 > 0, ends > 1
         self._sort(a, self._links(entry, exit_, entry_held, exit_held), entry_held, exit_held)
 

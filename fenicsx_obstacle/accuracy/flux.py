@@ -19,7 +19,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, rule
+from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous, rule
 from fenicsx_obstacle.discrete.data import array_of
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.parallel import largest, total
@@ -92,8 +92,8 @@ class Equilibration:
         # the edge opposite to a vertex, and from each vertex to the middle of the cell
         to_x, to_y = x.mean(axis=1, keepdims=True) - x, y.mean(axis=1, keepdims=True) - y
         edge_x, edge_y = triangles.normal[1] * scale, -triangles.normal[0] * scale
-        self._A = edge_x * np.roll(to_x, -1, axis=1) + edge_y * np.roll(to_y, -1, axis=1)
-        self._B = edge_x * np.roll(to_x, 1, axis=1) + edge_y * np.roll(to_y, 1, axis=1)
+        self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
+        self._B = edge_x * previous(to_x) + edge_y * previous(to_y)
         G = scale * (triangles.normal[0] ** 2 + triangles.normal[1] ** 2)
         self._fan_A, self._fan_B, fan_G = self.fans.gather(self._A, self._B, G)
         self._fan_G = self._over_fans(fan_G)
@@ -118,8 +118,7 @@ class Equilibration:
             local.set(0.0)
         fem.petsc.assemble_vector(vector, self._terms)
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.moments)]
-        corners = np.take_along_axis(dofs, self.triangles.turn, axis=1)
-        return self.moments - self._moments_of_others.x.array[corners]
+        return self.moments - self._moments_of_others.x.array[self.triangles.turned(dofs)]
 
     def _per_cell(self, values: np.ndarray) -> np.ndarray:
         """Values at local dofs of W, or the one there is, at owned cells."""
@@ -177,7 +176,7 @@ class Equilibration:
         """
         triangles, fans = self.triangles, self.fans
         beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
-        correction = np.roll(beta, -1, axis=1) * self._A + np.roll(beta, 1, axis=1) * self._B
+        correction = next_(beta) * self._A + previous(beta) * self._B
         drops, correction = fans.gather(beta + self._all_moments(u), correction)
         residual = np.where(self.free, -fans.at_vertices(drops) / self.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
@@ -200,7 +199,7 @@ class Equilibration:
         to_b, to_c = fans.scatter(after + shift, before + shift)
         return Flux(
             lower, upper, self._with_ghosts(rest), self._with_ghosts(solver_rest),
-            np.roll(to_b, 1, axis=1) - np.roll(to_c, -1, axis=1), max(largest(self.level.comm, left), 0.0),
+            previous(to_b) - next_(to_c), max(largest(self.level.comm, left), 0.0),
         )  # fmt: skip
 
     def _multipliers(

@@ -24,7 +24,6 @@ class Triangles:
     Attributes:
         dofs: Local dofs of the vertices, shape (cells, 3).
         x: Their coordinates, shape (cells, 3, 2).
-        turn: Which vertex of the mesh's own order each is.
         facets: Local facet opposite to each vertex, shape (cells, 3).
         area: Shape (cells,).
         normal: 2 |T| grad phi_i = the edge opposite to vertex i turned inward; x and y of it, shape (2, cells, 3).
@@ -37,18 +36,21 @@ class Triangles:
         count = own_cells(level.mesh)
         x = corners(level.mesh)[:count, :, :2]
         clockwise = _cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) < 0
-        turn = np.where(clockwise[:, None], [0, 2, 1], [0, 1, 2])
-        self.turn = turn
-        self.dofs = np.take_along_axis(releases.cell_dofs(level.V)[:count], turn, axis=1)
-        self.facets = np.take_along_axis(cell_facets(level.mesh)[:count], turn, axis=1)
-        self.x = np.take_along_axis(x, turn[:, :, None], axis=1)
+        self._clockwise = np.flatnonzero(clockwise)
+        self.x = self.turned(x)
+        self.dofs = self.turned(releases.cell_dofs(level.V)[:count])
+        self.facets = self.turned(cell_facets(level.mesh)[:count])
         x, y = self.x[..., 0], self.x[..., 1]
         # the edge from the vertex after i to the one before, turned to the left
-        self.normal = np.stack(
-            [np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1), np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)]
-        )
+        self.normal = np.stack([next_(y) - previous(y), previous(x) - next_(x)])
         self.area = (self.normal[0, :, 1] * self.normal[1, :, 2] - self.normal[1, :, 1] * self.normal[0, :, 2]) / 2
         self.diameter = np.sqrt(np.max(self.normal[0] ** 2 + self.normal[1] ** 2, axis=1))
+
+    def turned(self, values: np.ndarray) -> np.ndarray:
+        """Values at vertices in the mesh's order, shape (cells, 3, ...), in the order here."""
+        values = values.copy()
+        values[self._clockwise] = values[self._clockwise][:, [0, 2, 1]]
+        return values
 
     def gradient(self, values: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Gradients of a P1 function from its values at local dofs, shape (2, cells)."""
@@ -95,6 +97,16 @@ class Triangles:
     def uniform(self, value: Value) -> bool:
         """Whether a value is the same number everywhere."""
         return isinstance(value, Formula) and not self.data.scene.needs(value) & {*COORDINATES, "distance"}
+
+
+def next_(values: np.ndarray) -> np.ndarray:
+    """For each vertex of a cell the value at the one after it, shape (cells, 3)."""
+    return np.take(values, [1, 2, 0], axis=1)  # several times faster than np.roll
+
+
+def previous(values: np.ndarray) -> np.ndarray:
+    """Likewise at the one before it."""
+    return np.take(values, [2, 0, 1], axis=1)
 
 
 def blocks(count: int) -> Iterator[slice]:
