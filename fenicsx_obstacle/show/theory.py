@@ -85,6 +85,8 @@ def _draw(found: Found, title: str, path: Path) -> None:
 
 
 def _panel(axes: Any, panel: Panel) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     axes.set_xscale(panel.scales[0])
     axes.set_yscale(panel.scales[1])
     for number, curve in enumerate(panel.curves):
@@ -94,6 +96,9 @@ def _panel(axes: Any, panel: Panel) -> None:
         axes.plot(curve.x, curve.y, label=curve.label, **look)
         if curve.slope is not None:
             _slope(axes, curve, look["color"])
+    axes.margins(y=0.12)  # room for the orders below the last values
+    if panel.scales[1] == "linear" and all(float(y).is_integer() for curve in panel.curves for y in curve.y):
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_title(panel.title, fontsize=9)
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)
