@@ -2,7 +2,7 @@
 
     ||mu^(1/2) grad(u - u_h)|| <= total,   ||mu^(1/2) grad(u - v_h)|| <= admissible_total,
 
-u the solution of the variational inequality (2.4), u_h any P1 function with the boundary values, and v_h the nodal
+u the solution of the variational inequality, u_h any P1 function with the boundary values, and v_h the nodal
 maximum of u_h and the obstacle (raised by what nodes do not see), which the obstacle allows. With e = u - v_h, tested
 in the inequality and with the equilibrated flux sigma and multiplier of `flux`,
 
@@ -14,7 +14,8 @@ It holds for any eps, any mesh, converged or not; nothing is assumed of angles, 
 What is taken care of: tension and load that vary within cells, obstacles and boundary values between the nodes (all by
 sampling their formulas). What is not, and makes the number an indicator that says so: effects other than tension and
 load (drift, nonlinear tension), the difference between a curved domain and the polygon of the mesh, boundary values
-that jump, nowhere a value of u given, an unconverged state where Friedrichs' constant is not known. Where an obstacle stays above v_h beside the
+that jump, u given nowhere, forces out of balance where Friedrichs' constant is not known. Quadrature of tension and load,
+and peaks narrower than the samples, are what certainty ends at.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
