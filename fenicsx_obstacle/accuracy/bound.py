@@ -14,8 +14,8 @@ It holds for any eps, any mesh, converged or not; nothing is assumed of angles, 
 What is taken care of: tension and load that vary within cells, obstacles and boundary values between the nodes (all by
 sampling their formulas). What is not, and makes the number an indicator that says so: effects other than tension and
 load (drift, nonlinear tension), the difference between a curved domain and the polygon of the mesh, boundary values
-that jump, u given nowhere, forces out of balance where Friedrichs' constant is not known. Quadrature of tension and load,
-and peaks narrower than the samples, are what certainty ends at.
+that jump, u given nowhere, forces out of balance where Friedrichs' constant is not known. Not seen at all are peaks
+narrower than the samples; tension and load are integrated by quadrature.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
