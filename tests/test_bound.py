@@ -355,3 +355,17 @@ def check_random(**given) -> None:
 def test_random_scenes(**given):
     """Perturbed and obtuse meshes, any eps, converged or not: no error above its bound."""
     check_random(**given)
+
+
+@pytest.mark.parametrize(("name", "sign"), [("ball", 1), ("disk_flat", -1)])
+def test_nodal_enclosure(name, sign):
+    """u_eps - eps max|p_eps| <= u_h <= u_eps at every node where the stiffness is an M-matrix; mirrored for lower."""
+    scene = catalogue.scene(name).change({"mesh.cells": 16, "solve.eps": 1e-3})
+    bench = Workbench(scene)
+    answer, reference = bench.answer(bound=True), bench.answer(scene.change({"solve.method": "vi"}))
+    enclosure, distance = answer.record["enclosure"], sign * (reference.u.x.array - answer.u.x.array)
+    assert enclosure["guaranteed"] and "at most" in answer.summary()
+    assert smallest(COMM, distance) >= -1e-10
+    assert 0.5 * enclosure["width"] < largest(COMM, distance) <= enclosure["width"] * (1 + 1e-9) + 1e-10
+    assert answer.record["bound"]["effectivity"] >= 1
+    bench.close()

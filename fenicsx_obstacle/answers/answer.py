@@ -125,12 +125,22 @@ class Answer:
             b = r["bound"]
             relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
             parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
-            lines.append(f"  energy error at most {b['total']:.4g}{relative} ({parts}); {b['words']}")
-        lines += self._tolerance()
+            times = "" if b["effectivity"] is None else f"; {b['effectivity']:.3g} times the true one"
+            lines.append(f"  energy error at most {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
+        lines += self._enclosure() + self._tolerance()
         if self.report:
             values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
             lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))
         return "\n".join(lines)
+
+    def _enclosure(self) -> list[str]:
+        """How near u is to the inequality's solution on the same mesh, in words."""
+        enclosure = self.record.get("enclosure")
+        if enclosure is None:
+            return []
+        side = "above" if self.lower is not None else "below"
+        words = "" if enclosure["guaranteed"] else "; not guaranteed, the stiffness is no M-matrix"
+        return [f"  without the penalty u would be at most {enclosure['width']:.3g} farther {side}, at any node{words}"]
 
     def _tolerance(self) -> list[str]:
         """Whether the tolerance was reached, in words."""

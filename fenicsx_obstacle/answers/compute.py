@@ -245,7 +245,12 @@ class Workbench:
             "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
         if bound is not None:
-            record["bound"] = bound.record
+            true = record.get("errors", {}).get("energy")
+            record["bound"] = {**bound.record, "effectivity": bound.total / true if true else None}
+            if eps is not None and (problem.below is None) != (problem.above is None):
+                # u_eps - eps max|p_eps| <= u_h <= u_eps at every node, mirrored for a lower obstacle
+                width = eps * largest(level.comm, np.abs(p))
+                record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
         if self._report is not None:
             record["report"] = self._report.evaluate(u, pressure, touching, problem.elastic.array_r)
         error = None

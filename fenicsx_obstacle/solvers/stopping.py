@@ -23,6 +23,7 @@ TOLERANCE = 1e-10  # unbalanced force / acting forces
 BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
 FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
 FORCING = 0.1  # relative accuracy of linear systems on the way: more of it finds no better active set
+FEW = 2e-4  # of the contact nodes that change: the next system is most likely the last
 TO_SPARE = 0.1  # the last system is solved further than to the tolerance, so that figures agree on all ranks to 1e-9
 EXACT = 1e-10
 NOTHING = 1e-30
@@ -133,7 +134,7 @@ class Stopping:
         step = self.history[-1]
         if self._exact:
             return EXACT
-        if step.changed:
+        if step.changed > FEW * step.active:
             return FORCING
         return min(FORCING, max(TO_SPARE * self.tolerance * step.forces / max(step.unbalanced, 1e-300), EXACT))
 
