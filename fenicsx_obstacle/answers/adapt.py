@@ -6,12 +6,11 @@ import logging
 import time
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.bound import Bound
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.compute import Workbench, changed
@@ -19,6 +18,9 @@ from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
 from fenicsx_obstacle.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.accuracy.bound import Bound
 
 _log = logging.getLogger(__name__)
 BULK = 0.5  # share of the squared bound in the cells that are refined (Doerfler)
