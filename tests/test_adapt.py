@@ -86,3 +86,15 @@ def test_the_same_on_all_ranks():
     all_ = solve(catalogue.scene("disk_flat"), tol=3e-2).record
     assert one["dofs"] == all_["dofs"] and COMM.size == all_["ranks"]
     assert np.isclose(one["bound"]["total"], all_["bound"]["total"], rtol=1e-8)
+
+
+@pytest.mark.serial
+def test_picture_of_the_bound(tmp_path):
+    """solve --tol --plot draws where the bound comes from, and says how many cells carry half of it."""
+    from fenicsx_obstacle.show.report import report_answer
+
+    answer = solve(L_SHAPE, tol=0.1)
+    answer.save(tmp_path)
+    said = report_answer(answer, tmp_path, picture=True)
+    assert (tmp_path / "bound.png").stat().st_size > 10_000
+    assert "of the cells carry half of the squared bound" in said

@@ -42,6 +42,10 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool) -> str:
     file = folder / PICTURE if picture and _has_picture(answer) else None
     if file is not None:
         said = answer.plot(file)
+        if answer.bound is not None:
+            from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
+
+            said += "\n  " + draw_bound(answer.bound, arrays, comm, folder / NAME)
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
