@@ -56,10 +56,32 @@ def test_budget(budget):
 
 
 def test_full_contact_has_no_norm():
-    """u = 0: a relative tolerance means nothing unless the bound is 0; an absolute one does."""
-    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load=-1, lower=0)
-    record = solve(scene, tol_absolute=0.05).record
-    assert record["adaptive"]["reached"]
+    """u = 0: only an absolute tolerance means something, unless the bound is 0 as well."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load="-1 - x", lower=0)
+    assert solve(scene, tol_absolute=0.05).record["adaptive"]["reached"]
+    with pytest.raises(InputError, match="give --tol-absolute"):
+        solve(scene.change({"solve.method": "vi"}), tol=0.05)
+
+
+def test_yardstick_keeps_the_answer():
+    """The answer that is timed has the eps that was chosen, not the first one."""
+    plain, timed = (solve(catalogue.scene("ball"), tol=0.1, yardstick=how).record for how in (False, True))
+    assert plain["eps"] == timed["eps"] and plain["energy"] == timed["energy"] and timed["poisson_units"] > 0
+
+
+def test_an_indicator_says_so():
+    """A disk: the bound is for its polygon, and the summary does not say 'at most'."""
+    scene = Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=-4, lower=-0.2)
+    text = solve(scene, tol=0.1).summary()
+    assert "energy error about" in text and "by an indicator only" in text
+
+
+def test_values_that_jump_have_no_energy():
+    """Boundary values 0 and 1 that meet at a corner: no mesh reaches a tolerance, and the first one says why."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, lower=-1,
+                  boundary=[{"value": 0}, {"on": "top", "value": 1}])  # fmt: skip
+    record = solve(scene, tol=0.1).record
+    assert "boundary values jump" in record["adaptive"]["stopped"] and len(record["adaptive"]["path"]) == 1
 
 
 def test_mistakes():

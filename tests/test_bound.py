@@ -347,7 +347,9 @@ def fixed(problem: Problem) -> np.ndarray:
 def check_random(**given) -> None:
     bound, error, error_v = random_case(**given)
     assert bound.guaranteed, bound.words
-    assert error <= bound.total * (1 + 1e-9) and error_v <= bound.admissible_total * (1 + 1e-9)
+    # a linear solution is found up to round-off: both are a last digit of the norm then
+    last = 1e-14 * bound.total / bound.relative if bound.relative else 0.0
+    assert error <= bound.total * (1 + 1e-9) + last and error_v <= bound.admissible_total * (1 + 1e-9) + last
 
 
 @settings(max_examples=50 if COMM.size == 1 else 12, deadline=None, derandomize=True, database=None)

@@ -91,7 +91,7 @@ class Estimator:
         """
         self.problem, level, scene = problem, problem.level, problem.scene
         mesh, pair = level.mesh, level.pair
-        if releases.cell_name(mesh) != "triangle" or pair.degree != 1 or mesh.geometry.dim != 2:
+        if releases.cell_name(mesh) != "triangle" or pair.degree != 1 or pair.voronoi or mesh.geometry.dim != 2:
             what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
             raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, not for {what}")
         if not any(effect.key == "tension" for effect in scene.effects):

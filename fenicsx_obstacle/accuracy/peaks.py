@@ -27,6 +27,7 @@ class Rim:
     """Boundary values along the edges where u is given (d = g - g_h, zero at the nodes).
 
     Attributes:
+        twice: Whether a cell has two such edges.
         torn: Largest jump of the boundary values at a node, where two parts of the boundary disagree.
         cells: Cells with an edge where d is not zero, once for each edge.
         opposite: Vertex opposite to that edge.
@@ -65,6 +66,8 @@ class Rim:
         self.cells, self.opposite, self._number, self._d = (
             np.concatenate(parts) for parts in zip(empty, *found, strict=True)
         )
+        # one cone keeps to the segments between its ends, two in a corner may together leave them
+        self.twice = total(comm, np.count_nonzero(np.bincount(self.cells) > 1)) > 0
         self.dip, self.volume = np.zeros(cells), np.zeros(cells)
         np.maximum.at(self.dip, self.cells, np.abs(self._d).max(axis=1, initial=0.0))
         # (H/3) int d: the cone is (1 - t/H) d
@@ -158,7 +161,7 @@ class Peaks:
         Returns:
             At local dofs; where u is given, the nodal height.
         """
-        if self._flat:
+        if self._flat and not self.rim.twice:
             return self.nodal
         dofs = self.triangles.dofs
         slack = (u - self.nodal)[dofs].min(axis=1) - self.rim.dip

@@ -57,7 +57,7 @@ def solve(
         comm: Communicator; a mesh of the scene's own brings its own.
         yardstick: Time one linear Poisson solve on the same mesh as well.
         bound: Bound the error: answer.bound.
-        tol: Error to reach, in the energy norm and relative to it: the mesh and, unless it is given, eps are chosen.
+        tol: Error to reach, in the energy norm and relative to it: the mesh and, if it is auto, eps are chosen.
         tol_absolute: The same in the unit of the energy norm.
         budget: With a tolerance: stop earlier, with the best answer so far: "60s", "8GB", "1e6 unknowns".
 
@@ -86,9 +86,10 @@ class _Adaptation:
         if relative is not None and absolute is not None:
             raise InputError("two tolerances: give --tol or --tol-absolute")
         if tolerance is None or not 0 < tolerance < np.inf:
-            raise InputError(f"--tol {tolerance}: must be positive and finite")
+            option = "--tol-absolute" if relative is None else "--tol"
+            raise InputError(f"{option} {tolerance}: must be positive and finite")
         self.scene, self.tolerance, self.relative, self.budget = scene, tolerance, relative is not None, budget
-        self.given = isinstance(scene.tables.solve.eps, float)  # eps is the user's
+        self.given = scene.tables.solve.eps != "auto"  # eps is the user's
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self.started = time.perf_counter()
         self.path: list[dict[str, Any]] = []
@@ -100,7 +101,7 @@ class _Adaptation:
             bench = benches.enter_context(closing(Workbench(self.scene, self.comm, coarsest)))
             while True:
                 answer = self._balanced(bench)
-                why = self._finished(answer)
+                why = self._finished(answer, bench.estimator.rim.torn > 0)
                 if why is not None:
                     break
                 finer = bench.refined(_marked(_bound(answer).indicator, self.comm))
@@ -110,11 +111,13 @@ class _Adaptation:
                     break
                 bench = finer
             if yardstick:
-                answer = bench.answer(yardstick=True, bound=True)
+                answer = bench.answer(self.scene, yardstick=True, bound=True)
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
         seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
-        return replace(answer, record={**answer.record, "seconds": seconds, "adaptive": adaptive})
+        # the mesh is not the scene's any more; clocks differ between ranks: rank 0 speaks for all
+        here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
+        return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
     def _balanced(self, bench: Workbench) -> Answer:
         """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
@@ -134,10 +137,10 @@ class _Adaptation:
         return answer
 
     def _may_lower_eps(self, answer: Answer) -> bool:
-        """Whether eps is ours to choose: a number that the user gave is kept."""
+        """Whether eps is ours to choose: what the user gave is kept."""
         return answer.record["eps"] is not None and not self.given
 
-    def _finished(self, answer: Answer) -> str | None:
+    def _finished(self, answer: Answer, torn: bool) -> str | None:
         """None to go on, "" at the tolerance, otherwise what stopped it (collective)."""
         bound = _bound(answer)
         limit = self.tolerance
@@ -147,7 +150,9 @@ class _Adaptation:
             limit *= bound.total / bound.relative if bound.relative else 0.0
         if bound.total <= limit:
             return ""
-        if self.given and bound.penalty > limit:
+        if torn:
+            return "boundary values jump, so that the energy is infinite"
+        if isinstance(self.scene.tables.solve.eps, float) and self.given and bound.penalty > limit:
             return f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; leave eps to be chosen"
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
         now = self.path[-1]["seconds"]
@@ -156,7 +161,7 @@ class _Adaptation:
             stop = f"the budget of {self.budget.seconds:g} s"
         if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
             stop = f"the budget of {self.budget.megabytes:g} MB"
-        if not levels.fits(GROWTH * answer.record["dofs"], answer.level.mesh.topology.dim):
+        if not levels.fits(GROWTH * answer.record["dofs"], answer.level.mesh.topology.dim, self.comm):
             stop = "the memory of this machine"
         return self.comm.bcast(stop)
 

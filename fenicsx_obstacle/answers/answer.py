@@ -126,7 +126,8 @@ class Answer:
             relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
             parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
             times = "" if b["effectivity"] is None else f"; {b['effectivity']:.3g} times the true one"
-            lines.append(f"  energy error at most {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
+            most = "at most" if b["guaranteed"] else "about"
+            lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
         lines += self._enclosure() + self._tolerance()
         if self.report:
             values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
@@ -150,7 +151,9 @@ class Answer:
         kind = "relative" if adaptive["relative"] else "absolute"
         goal = f"{kind} tolerance {adaptive['tolerance']:g}"
         if adaptive["reached"]:
-            return [f"  the {goal} is reached, on mesh {len(adaptive['path'])}; eps and meshes were chosen for it"]
+            words = "" if self.record["bound"]["guaranteed"] else ", by an indicator only"
+            where = f"on mesh {len(adaptive['path'])}"
+            return [f"  the {goal} is reached{words}, {where}; eps and meshes were chosen for it"]
         return [f"  THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]
 
     def _figures(self) -> list[str]:

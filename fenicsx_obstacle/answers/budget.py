@@ -17,7 +17,7 @@ class Budget:
     """Limits; infinite ones are none.
 
     Attributes:
-        seconds: Of the whole process.
+        seconds: Of the solve, all meshes together.
         megabytes: Peak memory of all ranks, in MB of 10^6 bytes.
         unknowns: On the finest mesh.
     """

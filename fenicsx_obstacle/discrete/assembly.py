@@ -148,9 +148,15 @@ class Nodal(Forms):
 
     def _lump(self, D: np.ndarray) -> None:
         """Take these weights for I, and F_i = f(x_i) D_i, or -(A g + f)/D would not tend to the pressure."""
-        self._lumping = self._minus_load.duplicate()
-        densities = [effect.density(self.data) for effect in self.effects]
-        self._lumping.array[:] = -sum(f * D for f in densities if f is not None) - self._minus_load.array_r
+        self._lumping, zero = self.vector(), fem.Constant(self.data.level.mesh, PETSc.ScalarType(0.0))
+        for effect in self.effects:
+            f = effect.density(self.data)
+            if f is None:
+                continue
+            part = self.vector()
+            self._assemble(part, releases.form(effect.terms(zero, self.v, self.data)))
+            self._lumping.array[:] -= f * D + part.array_r
+            part.destroy()
         self._minus_load.axpy(1.0, self._lumping)
         self._D = D
 

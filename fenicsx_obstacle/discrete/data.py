@@ -49,7 +49,9 @@ class Data:
         return ufl.Measure("dx", domain=self.level.mesh)
 
     def cellwise(self, value: Value, *, positive: bool = False) -> Cellwise:
-        """One value per cell, taken at its midpoint, or a Constant if all are the same (collective on first use).
+        """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).
+
+        A Constant if all are the same.
 
         Raises:
             InputError: If it is not finite, or not positive, somewhere, or a material has no value.

@@ -157,14 +157,14 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     elif table.file is not None:
         level = _level(*files.read(scene.folder / table.file, comm))
     else:
-        level, halvings = _from_shape(_shape(scene), refine, comm)
+        level, halvings = _from_shape(_shape(scene), pair.degree, refine, comm)
         refine += halvings
     pair.rule(releases.cell_name(level.mesh))
     if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
     for _ in range(refine):
         dim = level.mesh.topology.dim
-        _check_memory(level.dofs * 2.0**dim, dim, "'refine' fewer times")
+        _check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, "'refine' fewer times")
         level = refined(level)
     return level if pair is P1 else of_pair(level, pair)
 
@@ -177,9 +177,9 @@ def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
     return level
 
 
-def fits(vertices: float, dim: int) -> bool:
-    """Whether a mesh of so many vertices, with all that a solve needs, has room in memory."""
-    return vertices * BYTES_PER_VERTEX[dim] < _free_memory() and vertices * 6 <= 2**31
+def fits(unknowns: float, dim: int, comm: MPI.Comm) -> bool:
+    """Whether a mesh of so many unknowns, with all that a solve needs, has room in memory (collective)."""
+    return unknowns * BYTES_PER_VERTEX[dim] < _free_memory(comm) and unknowns * 6 <= 2**31
 
 
 def of_pair(level: Level, pair: Pair) -> Level:
@@ -267,10 +267,10 @@ def _cell(scene: Scene, *kinds: str) -> str:
     return asked
 
 
-def _from_shape(asked: shapes.Shape, refine: int, comm: MPI.Comm) -> tuple[Level, int]:
+def _from_shape(asked: shapes.Shape, degree: int, refine: int, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level of a shape, and how often to refine it for the grid asked for."""
     dim = len(asked.cells)
-    _check_memory(asked.vertices * 2.0 ** (dim * refine), dim, "take fewer 'cells'")
+    _check_memory(asked.vertices * (2.0**refine * degree) ** dim, dim, comm, "take fewer 'cells'")
     shape, halvings = asked, 0
     while shape.coarser is not None and shape.cell in SIMPLICES:
         coarser = shape.coarser()
@@ -315,14 +315,14 @@ def _named(mesh: dmesh.Mesh, shape: shapes.Shape) -> dict[str, np.ndarray]:
     return {name: dmesh.locate_entities_boundary(mesh, dim, marker) for name, marker in shape.sides.items()}
 
 
-def _check_memory(vertices: float, dim: int, remedy: str) -> None:
-    if not fits(vertices, dim):
-        needed, free = vertices * BYTES_PER_VERTEX[dim], _free_memory()
+def _check_memory(unknowns: float, dim: int, comm: MPI.Comm, remedy: str) -> None:
+    if not fits(unknowns, dim, comm):
+        needed, free = unknowns * BYTES_PER_VERTEX[dim], _free_memory(comm)
         raise InputError(f"[mesh] needs about {needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free; {remedy}")
 
 
-def _free_memory() -> float:
-    """Bytes that a new process could have."""
+def _free_memory(comm: MPI.Comm) -> float:
+    """Bytes that a new process could have; rank 0 looks, others would at another moment (collective)."""
     with open("/proc/meminfo") as file:
         lines = dict(line.split(":") for line in file)
-    return 1024.0 * float(lines["MemAvailable"].split()[0])
+    return comm.bcast(1024.0 * float(lines["MemAvailable"].split()[0]))

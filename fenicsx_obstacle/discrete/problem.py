@@ -19,6 +19,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.signs import is_m_matrix
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -53,6 +54,8 @@ class Problem:
         data.check()
         self.affine = all(effect.affine for effect in scene.effects)
         nodal = level.pair.nodal
+        if level.pair.voronoi and not self.affine:
+            raise InputError(f"{scene.source}: element {level.pair.name} is for effects that are linear in u")
         self.forms = forms = (Nodal if self.affine and nodal else Forms)(scene.effects, data)
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above

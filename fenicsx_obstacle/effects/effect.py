@@ -16,7 +16,7 @@ class Sampler(Protocol):
     """Gives an effect its data on a mesh."""
 
     def cellwise(self, value: Value, *, positive: bool = False) -> Any:
-        """Function with one value per cell, taken at its midpoint, or a Constant."""
+        """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
 
     @property
     def dx(self) -> Any:

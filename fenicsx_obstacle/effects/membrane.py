@@ -37,7 +37,7 @@ class Tension(Effect):
 
 @register
 class Load(Effect):
-    """The load f of f(v) = int f v, one value per cell; unit: force per area."""
+    """The load f of f(v) = int f v, sampled as `Level.W` is; unit: force per area."""
 
     key = "load"
     equation = "load"

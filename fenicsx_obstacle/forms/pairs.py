@@ -64,8 +64,12 @@ def register(pair: Pair) -> Pair:
     """Scenes may name this pair as their element.
 
     Raises:
-        InputError: If a rule has a weight that is not positive, against (3.6).
+        InputError: If a rule has a weight that is not positive, against (3.6), or the pressures are of another kind
+            than those here: nodal, at the midpoints of edges, or constant on quadrilaterals.
     """
+    family, others = pair.pressure[0], set(pair.rules) - {"quadrilateral"}
+    if family not in ("Lagrange", "CR", "DG") or (family == "DG" and others):
+        raise InputError(f"element {pair.name}: pressures {pair.pressure} are not known here")
     for cell, rule in pair.rules.items():
         if not all(weight > 0 for weight in rule.weights):
             raise InputError(f"element {pair.name}: the rule on a {cell} has weights that are not positive (3.6)")

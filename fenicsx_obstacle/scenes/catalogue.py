@@ -42,7 +42,7 @@ def read(place: str) -> Scene:
         InputError: As `Scene.read` and `scene`.
     """
     path = Path(place)
-    return scene(place) if place == path.stem and not path.exists() else Scene.read(path)
+    return scene(place) if place == path.stem and not path.is_file() else Scene.read(path)
 
 
 def _file(name: str) -> Path:

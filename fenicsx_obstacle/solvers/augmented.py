@@ -38,8 +38,11 @@ def solve_augmented(problem: Problem) -> Outcome:
     assert multiplier is not None
     comm, own = problem.level.comm, len(problem.weights)
     multiplier.x.array[:] = 0.0
-    diagonal = problem.jacobian(problem.state(), penalised=False).getDiagonal()
-    eps = STIFF * largest(comm, problem.weights) / max(largest(comm, diagonal.array_r), 1e-300)
+    state = problem.state()
+    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
+    eps = STIFF * largest(comm, problem.weights) / max(largest(comm, diagonal.array_r[~problem.fixed]), 1e-300)
+    for owner in (state, diagonal):
+        owner.destroy()
     outcome = solve_penalty(problem, eps)
     for _ in range(STEPS):
         multiplier.x.array[:own] = penalty_pressure(problem)
