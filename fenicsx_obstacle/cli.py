@@ -216,7 +216,7 @@ def scenes(name: str | None) -> None:
 @commands.command()
 @click.argument("number", metavar="[NO]", required=False)
 @click.option("--output", type=click.Path(path_type=Path), default=Path("out/theory"), metavar="DIR",
-              help="Folder for pictures and theory.jsonl.  [out/theory]")  # fmt: skip
+              help="Folder for pictures and JSON lines.  [out/theory]")  # fmt: skip
 @_options("json", "quiet", "log")
 def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
     """Kikuchi's statements, checked: what is claimed, what is observed, and a verdict.

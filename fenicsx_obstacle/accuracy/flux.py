@@ -11,7 +11,6 @@ grad u_h itself keeps the flux near on irregular meshes.)
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import ufl
@@ -160,11 +159,6 @@ class Equilibration:
         for step in self.fans.steps:
             sums[: step.stop - step.start] += values[step]
         return sums
-
-    @cached_property
-    def load_mean(self) -> np.ndarray:
-        """f_0, shape (cells,)."""
-        return self.moments.sum(axis=1) / self.triangles.area
 
     def flux(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Flux:
         """Multipliers and flux of a state (collective).

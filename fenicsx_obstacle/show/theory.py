@@ -26,7 +26,7 @@ def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) ->
 
     Args:
         number: Of the statement; None for all.
-        folder: Where pictures and theory.jsonl go.
+        folder: Where pictures and JSON lines go: theory.jsonl for all statements, NUMBER.jsonl for one.
         say: Takes text.
 
     Returns:
@@ -40,7 +40,8 @@ def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) ->
         start = time.perf_counter()
         found = one.measure(comm)
         rows += [{"number": one.number, **finding.record} for finding in found.findings]
-        on_root(comm, write_text, folder / LINES, "".join(json.dumps(row) + "\n" for row in rows))
+        lines = folder / (LINES if number is None else f"{slug(one.number)}.jsonl")
+        on_root(comm, write_text, lines, "".join(json.dumps(row) + "\n" for row in rows))
         say(f"\n{one.number}  {one.title}\n\n{table(found.findings)}")
         told = f"{time.perf_counter() - start:.0f} s"
         if found.panels:
