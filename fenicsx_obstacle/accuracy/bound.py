@@ -34,7 +34,8 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import TOUCHES
 from fenicsx_obstacle.accuracy.flux import SHARP, Equilibration, Flux
 from fenicsx_obstacle.accuracy.peaks import Peaks, Rim
-from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, rule
+from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -217,10 +218,10 @@ class Estimator:
         self._varying: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
         value = next(effect.value for effect in self.problem.scene.effects if effect.key == "tension")
         parts: Sequence = list(value.parts.values()) if isinstance(value, Materials) else [value]
-        if all(triangles.uniform(part) for part in parts):
+        if all(triangles.data.uniform(part) for part in parts):
             return
         self._mu_min, self._mu_mean, self._mu_max = mu.copy(), mu.copy(), mu.copy()
-        points, weights = rule()
+        points, weights = rule(2)
         tension = triangles.values(value, points)
         spread = np.ptp(tension, axis=1)
         sharp = spread > SHARP * np.abs(tension).max(axis=1, initial=0.0)

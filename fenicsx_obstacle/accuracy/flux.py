@@ -18,7 +18,8 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous, rule
+from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous
 from fenicsx_obstacle.discrete.data import array_of
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.parallel import largest, total
@@ -134,10 +135,10 @@ class Equilibration:
         self._solver_load = np.zeros(len(area))
         for value in loads:
             self._solver_load = self._per_cell(array_of(triangles.data.cellwise(value)))
-            if triangles.uniform(value):
+            if triangles.data.uniform(value):
                 self.moments = np.repeat((self._solver_load * area / 3)[:, None], 3, axis=1)
                 continue
-            points, weights = rule()
+            points, weights = rule(2)
             values = triangles.values(value, points)
             self._integrate(values, points, weights, slice(None))
             sizes = np.abs(values).max(axis=1, initial=0.0)

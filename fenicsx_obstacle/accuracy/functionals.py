@@ -11,11 +11,11 @@ from collections.abc import Callable
 from copy import deepcopy
 from functools import partial
 
-import basix
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.accuracy.supports import NormalFlux
 from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
 from fenicsx_obstacle.discrete.data import Data
@@ -25,10 +25,6 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest
 from fenicsx_obstacle.scenes.report import NORMAL_FLUX
 from fenicsx_obstacle.words import counted
-
-DEGREE = 6  # of the quadrature, as for errors
-AT_ONCE = 50_000  # cells in memory
-_CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
 
 class Report:
@@ -104,14 +100,14 @@ class Report:
                 values = self._inside(expression, cells, weights[:, None])[:, 0]
                 return float(mean_over_cells(self.level.comm, 1, rows, values)[0])
         vertices = np.eye(self._corners.shape[1])[None]
-        values = np.concatenate([self._inside(expression, block, vertices).ravel() for block in _blocks(self._every)])
+        values = np.concatenate([self._inside(expression, block, vertices).ravel() for block in _parts(self._every)])
         return (largest if _name(call) == "sup" else smallest)(self.level.comm, values)
 
     def _over_cells(self, expression: Formula, cells: np.ndarray) -> float:
-        points, weights = _rule(self.level.mesh.topology.dim)
+        points, weights = rule(self.level.mesh.topology.dim)
         parts = [
             volumes(self._corners[block]) @ (self._inside(expression, block, points[None]) @ weights)
-            for block in _blocks(cells)
+            for block in _parts(cells)
         ]
         return total(self.level.comm, parts)
 
@@ -120,7 +116,7 @@ class Report:
         dim = self.level.mesh.topology.dim
         cells, numbers, shares = sides(self.level.mesh, facets)
         members = np.array(facet_vertices(dim))[numbers]
-        points, weights = _rule(dim - 1)
+        points, weights = rule(dim - 1)
         inside = np.zeros((len(cells), len(points), dim + 1))
         np.put_along_axis(inside, np.repeat(members[:, None], len(points), axis=1), points[None], axis=2)
         sizes = volumes(self._corners[cells[:, None], members])
@@ -214,13 +210,6 @@ def _name(call: ast.Call) -> str:
     return call.func.id
 
 
-def _blocks(cells: np.ndarray) -> list[np.ndarray]:
-    return np.array_split(cells, 1 + len(cells) // AT_ONCE)
-
-
-def _rule(dim: int) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric points, shape (n, dim + 1), and weights of sum 1 of a quadrature on a simplex."""
-    if dim == 0:
-        return np.ones((1, 1)), np.ones(1)
-    points, weights = basix.make_quadrature(_CELLS[dim], DEGREE)
-    return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
+def _parts(cells: np.ndarray) -> list[np.ndarray]:
+    """Cells, at most AT_ONCE at a time; one empty part where there are none."""
+    return [cells[block] for block in blocks(len(cells))] or [cells]

@@ -12,6 +12,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.quadrature import DEGREE
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
@@ -22,8 +23,6 @@ from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
 from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES
-
-DEGREE = 6  # of the quadrature for formulas: exact solutions have kinks in their second derivatives
 
 
 class Formulas:

@@ -12,7 +12,8 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.triangles import Triangles, blocks, lattice, lattice_cells, rule
+from fenicsx_obstacle.accuracy.quadrature import blocks, rule
+from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells
 from fenicsx_obstacle.parallel import largest, total
 
 SPARE = 1.5  # times the height that a few points of a cell have found,
@@ -137,8 +138,8 @@ class Peaks:
         self._formula = data.scene.formula(getattr(data.scene.tables.obstacle, side), f"[obstacle] {side}")
         comm, cells = data.level.comm, len(triangles.area)
         self._heights = largest(comm, np.abs(self.nodal))
-        self._flat = triangles.uniform(self._formula)
-        points, weights = rule()
+        self._flat = triangles.data.uniform(self._formula)
+        points, weights = rule(2)
         self.mean, self._height = np.zeros(cells), np.zeros(cells)
         if not self._flat:
             for block in blocks(cells):

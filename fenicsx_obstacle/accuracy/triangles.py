@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-import basix
 import numpy as np
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.vocabulary import COORDINATES
-
-DEGREE = 6  # of the quadrature of formulas, as for errors
-AT_ONCE = 50_000  # cells in memory
 
 
 class Triangles:
@@ -94,10 +88,6 @@ class Triangles:
             found[block] = scene.at_points(formula, x, known).reshape(-1, where.shape[-2])
         return found
 
-    def uniform(self, value: Value) -> bool:
-        """Whether a value is the same number everywhere."""
-        return isinstance(value, Formula) and not self.data.scene.needs(value) & {*COORDINATES, "distance"}
-
 
 def next_(values: np.ndarray) -> np.ndarray:
     """For each vertex of a cell the value at the one after it, shape (cells, 3)."""
@@ -107,18 +97,6 @@ def next_(values: np.ndarray) -> np.ndarray:
 def previous(values: np.ndarray) -> np.ndarray:
     """Likewise at the one before it."""
     return np.take(values, [2, 0, 1], axis=1)
-
-
-def blocks(count: int) -> Iterator[slice]:
-    """Slices of at most AT_ONCE cells."""
-    for start in range(0, count, AT_ONCE):
-        yield slice(start, min(start + AT_ONCE, count))
-
-
-def rule() -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric points, shape (n, 3), and weights of sum 1."""
-    points, weights = basix.make_quadrature(basix.CellType.triangle, DEGREE)
-    return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
 
 
 def lattice(parts: int) -> np.ndarray:
@@ -138,7 +116,7 @@ def lattice_cells(parts: int) -> list[list[int]]:
 
 def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:
     """The rule in each of the 4^times parts of a triangle with its edges halved."""
-    points, weights = rule()
+    points, weights = rule(2)
     parts = np.eye(3)[None]
     for _ in range(times):
         a, b, c = parts[:, 0], parts[:, 1], parts[:, 2]

@@ -33,10 +33,10 @@ class Budget:
         Raises:
             InputError: If it is none of these.
         """
+        if text is None:
+            return cls()
         limits: dict[str, float] = {}
-        for part in (text or "").split(","):
-            if not text:
-                break
+        for part in text.split(","):
             match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)\s*", part)
             if match is None or match[2] not in _UNITS:
                 raise InputError(f"--budget {text}: expected limits such as 60s, 10min, 8GB or '1e6 unknowns'")

@@ -158,8 +158,7 @@ class Workbench:
             NotConverged: With PETSc's reason.
         """
         problem, scene = self.problem, scene or self.problem.scene
-        if bound:
-            self.estimator  # noqa: B018  (refuses before anything is solved)
+        estimator = self.estimator if bound else None  # refuses before anything is solved
         levels_serve = nested(scene) and problem.level.coarse is not None
         grids = self._hierarchy() if levels_serve else []
         start = time.perf_counter()
@@ -189,11 +188,7 @@ class Workbench:
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
-        return self._answer(scene, outcomes, eps, pressure, seconds, self._bound() if bound else None)
-
-    def _bound(self) -> Bound:
-        _log.info("bounding the error")
-        return self.estimator.bound()
+        return self._answer(scene, outcomes, eps, pressure, seconds, None if estimator is None else estimator.bound())
 
     def _hierarchy(self) -> list[Multigrid]:
         """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""

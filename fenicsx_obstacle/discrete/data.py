@@ -191,19 +191,19 @@ class Data:
         return points
 
     def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
-        if self._uniform(formula):
+        if self.uniform(formula):
             function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), values)
         else:
             function.x.array[:] = self._at_points(formula, self._points(function.function_space), values)
             function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
 
-    def _uniform(self, formula: Formula) -> bool:
-        """Whether a formula has the same value everywhere."""
-        return not self.scene.needs(formula) & {*COORDINATES, "distance"}
+    def uniform(self, value: Value) -> bool:
+        """Whether a value is the same number everywhere."""
+        return isinstance(value, Formula) and not self.scene.needs(value) & {*COORDINATES, "distance"}
 
     def _sample_cells(self, value: Value) -> Cellwise:
-        if isinstance(value, Formula) and self._uniform(value):
+        if isinstance(value, Formula) and self.uniform(value):
             number = self.scene.at_points(value, np.zeros((3, 1)))[0]
             constant = fem.Constant(self.level.mesh, PETSc.ScalarType(number))
             self._refuse_infinite(value, constant)

@@ -150,6 +150,27 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
+    pair = scene.pair
+    level, refine = _begin(scene, comm)
+    for _ in range(refine):
+        dim = level.mesh.topology.dim
+        _check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, "'refine' fewer times")
+        level = refined(level)
+    return level if pair is P1 else of_pair(level, pair)
+
+
+def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
+    """The level that `build` begins with (collective).
+
+    Raises:
+        InputError: As `build`.
+    """
+    level, _ = _begin(scene, comm)
+    return level if scene.pair is P1 else of_pair(level, scene.pair)
+
+
+def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
+    """The coarsest level, and how often to refine it."""
     table, pair = scene.tables.mesh, scene.pair
     refine = table.refine
     if scene.mesh is not None:
@@ -162,19 +183,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     pair.rule(releases.cell_name(level.mesh))
     if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
-    for _ in range(refine):
-        dim = level.mesh.topology.dim
-        _check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, "'refine' fewer times")
-        level = refined(level)
-    return level if pair is P1 else of_pair(level, pair)
-
-
-def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
-    """The level that `build` begins with (collective)."""
-    level = build(scene, comm)
-    while level.coarse is not None:
-        level = level.coarse
-    return level
+    return level, refine
 
 
 def fits(unknowns: float, dim: int, comm: MPI.Comm) -> bool:

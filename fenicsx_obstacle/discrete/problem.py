@@ -262,6 +262,8 @@ class Problem:
 
     def _at_points(self, values: np.ndarray) -> np.ndarray:
         """A function of V_h, ghosts included, at the points of I; inf at dofs that are none."""
+        if self.level.pair.nodal and self.level.pair.degree == 1:  # all dofs are points
+            return values[: self.level.owned]
         if self.level.pair.nodal:
             return np.where(self.weights > 0, values[: self.level.owned], np.inf)
         means = np.empty(len(self.weights))

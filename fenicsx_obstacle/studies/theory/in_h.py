@@ -49,7 +49,6 @@ def displacements(comm: MPI.Comm) -> Found:
         (NSV, {"h1": 1}), (BIACTIVE, {"h1": 1}), (TORSION, {"h1": 1, "l2": 2}), (HALFPLANE, {"h1": 1}),
         (replace(SMOOTH, cells=(64, 128, 256)), {"h1": 1, "l2": 2, "max": 2, "close": 2}),
         (CONE, {"h1": 1, "l2": 2}), (RING, {"h1": 1 / 2}), (FLAT[0], {"close": 1}), (BENT, {"close": 1}),
-        # the load's kink is sampled at nodes and makes contact wrong by a part of h, where the gap is quadratic
         (CEILING_Q2, {"h1": 3 / 2}), (SMOOTH_Q2, {"h1": 2, "l2": 3}),
     ]  # fmt: skip
     seen = [errors(one, [VI], comm) for one, _ in wanted]

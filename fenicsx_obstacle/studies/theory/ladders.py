@@ -19,12 +19,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 VI = "u_h"  # stands among values of eps for no penalty
 Eps = float | str  # a number, a formula in h, or VI
-CURVE, SINGULAR, JUMP, KINK = (
-    -1 / 2,
-    0.0,
-    1 / 2,
-    3 / 2,
-)  # s of a pressure on a curve, like 1/r, with a jump, with a kink
+CURVE, SINGULAR, JUMP, KINK = -1 / 2, 0.0, 1 / 2, 3 / 2  # s of a pressure on a curve, like 1/r, with a jump, a kink
 
 
 @dataclass(frozen=True)
