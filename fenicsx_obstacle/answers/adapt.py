@@ -15,6 +15,7 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.compute import Workbench, changed
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
 from fenicsx_obstacle.scenes.scene import Scene
@@ -161,7 +162,7 @@ class _Adaptation:
             stop = f"the budget of {self.budget.seconds:g} s"
         if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
             stop = f"the budget of {self.budget.megabytes:g} MB"
-        if not levels.fits(GROWTH * answer.record["dofs"], answer.level.mesh.topology.dim, self.comm):
+        if not fits(GROWTH * answer.record["dofs"], answer.level.mesh.topology.dim, self.comm):
             stop = "the memory of this machine"
         return self.comm.bcast(stop)
 

@@ -15,15 +15,13 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, files, parents
 from fenicsx_obstacle.discrete.cells import corners, volumes
+from fenicsx_obstacle.discrete.grids import coarsest_grid, shape_of
+from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import shapes
 from fenicsx_obstacle.scenes.scene import Scene
-
-COARSEST = {1: 16, 2: 500, 3: 500}  # cells at least on the coarsest level of a shape,
-PER_RANK = {1: 8, 2: 100, 3: 100}  # and on each rank: cells stay on their rank when refined
-BYTES_PER_VERTEX = {1: 400, 2: 1300, 3: 3500}  # of a solve and all its levels, measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +152,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     level, refine = _begin(scene, comm)
     for _ in range(refine):
         dim = level.mesh.topology.dim
-        _check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, "'refine' fewer times")
+        check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, "'refine' fewer times")
         level = refined(level)
     return level if pair is P1 else of_pair(level, pair)
 
@@ -178,17 +176,15 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     elif table.file is not None:
         level = _level(*files.read(scene.folder / table.file, comm))
     else:
-        level, halvings = _from_shape(_shape(scene), pair.degree, refine, comm)
-        refine += halvings
+        shape = shape_of(scene)
+        dim = len(shape.cells)
+        check_memory(shape.vertices * (2.0**refine * pair.degree) ** dim, dim, comm, "take fewer 'cells'")
+        mesh, sides, h, halvings = coarsest_grid(shape, comm)
+        level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
     pair.rule(releases.cell_name(level.mesh))
     if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
     return level, refine
-
-
-def fits(unknowns: float, dim: int, comm: MPI.Comm) -> bool:
-    """Whether a mesh of so many unknowns, with all that a solve needs, has room in memory (collective)."""
-    return unknowns * BYTES_PER_VERTEX[dim] < _free_memory(comm) and unknowns * 6 <= 2**31
 
 
 def of_pair(level: Level, pair: Pair) -> Level:
@@ -229,109 +225,25 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
         InputError: For other cells than intervals and triangles.
     """
     new, cells, places = bisection.refined_where(level.V, marked)
-    dim = new.topology.dim
-    h = largest(new.comm, (factorial(dim) * volumes(corners(new))) ** (1 / dim))
-    fine = Level(new, h, shape=level.shape, pair=level.pair, coarse=level, parents=cells, places=places)
+    fine = Level(
+        new, _largest_side(new), shape=level.shape, pair=level.pair, coarse=level, parents=cells, places=places
+    )
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
     return fine
-
-
-def _shape(scene: Scene) -> shapes.Shape:
-    table = scene.tables.mesh
-
-    def corner(axis: str) -> tuple[float, float]:
-        a, b = (scene.number(value, f"[mesh] {axis}") for value in getattr(table, axis))
-        place = f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]"
-        if not a < b:
-            raise InputError(f"{place}: the first end must be less than the second")
-        if not max(1e-14, 1e-13 * max(abs(a), abs(b))) < b - a < 1e150:
-            raise InputError(f"{place}: too near or too far for floating point; choose another unit or origin")
-        return a, b
-
-    match table.shape:
-        case "interval":
-            return shapes.box("interval", [corner("x")], table.cells)
-        case "rectangle":
-            cell = _cell(scene, "triangle", "quadrilateral")
-            return shapes.box(cell, [corner("x"), corner("y")], table.cells, table.diagonal, table.perturb)
-        case "box":
-            cell = _cell(scene, "tetrahedron", "hexahedron")
-            return shapes.box(cell, [corner("x"), corner("y"), corner("z")], table.cells, perturb=table.perturb)
-        case "l-shape":
-            return shapes.l_shape([corner("x"), corner("y")], table.cells)
-    radius = scene.number(table.radius, "[mesh] radius")
-    if radius <= 0:
-        raise InputError(f"{scene.source}: [mesh] radius = {radius:g}: must be positive")
-    return shapes.disk(radius, table.cells)
-
-
-def _cell(scene: Scene, *kinds: str) -> str:
-    """The kind of cell that [mesh] names, or else the first of these that the pair is for."""
-    asked = scene.tables.mesh.cell
-    if asked is None:
-        return next((kind for kind in kinds if kind in scene.pair.rules), kinds[0])
-    if asked not in kinds:
-        raise InputError(f"{scene.source}: [mesh] cell = '{asked}': this shape has {' or '.join(kinds)} cells")
-    return asked
-
-
-def _from_shape(asked: shapes.Shape, degree: int, refine: int, comm: MPI.Comm) -> tuple[Level, int]:
-    """The coarsest level of a shape, and how often to refine it for the grid asked for."""
-    dim = len(asked.cells)
-    _check_memory(asked.vertices * (2.0**refine * degree) ** dim, dim, comm, "take fewer 'cells'")
-    shape, halvings = asked, 0
-    while shape.coarser is not None and shape.cell in SIMPLICES:
-        coarser = shape.coarser()
-        if coarser.simplices < max(COARSEST[dim], PER_RANK[dim] * comm.size):
-            break
-        shape, halvings = coarser, halvings + 1
-    if shape.arrays is not None:
-        points, cells = shape.arrays() if comm.rank == 0 else (np.empty((0, dim)), np.empty((0, dim + 1), np.int64))
-        mesh = releases.create_mesh(comm, cells, points, shape.cell)
-    else:
-        ghosts = {"ghost_mode": releases.FACET_GHOSTS}
-        ends = [np.array(shape.lower), np.array(shape.upper)]
-        if dim == 1:
-            mesh = dmesh.create_interval(comm, shape.cells[0], [shape.lower[0], shape.upper[0]], **ghosts)
-        elif dim == 2:
-            kind = releases.diagonal({"union-jack": "right_left"}.get(shape.diagonal, shape.diagonal))
-            ghosts["cell_type"] = getattr(dmesh.CellType, shape.cell)
-            mesh = dmesh.create_rectangle(comm, ends, list(shape.cells), diagonal=kind, **ghosts)
-        else:
-            ghosts["cell_type"] = getattr(dmesh.CellType, shape.cell)
-            mesh = dmesh.create_box(comm, ends, list(shape.cells), **ghosts)
-        mesh = releases.settle(mesh)
-    named = _named(mesh, shape)
-    if shape.perturb:
-        mesh.geometry.x[:] = shape.moved(mesh.geometry.x)
-    return Level(mesh, shape.h, named, shape=asked), halvings
 
 
 def _level(
     mesh: dmesh.Mesh, facets: dict[str, np.ndarray] | None = None, groups: dict[str, np.ndarray] | None = None
 ) -> Level:
     """A mesh that is not one of our shapes: h from the volumes of its cells."""
-    dim, cell = mesh.topology.dim, releases.cell_name(mesh)
+    cell = releases.cell_name(mesh)
     if cell not in SIMPLICES:
         raise InputError(f"the mesh has {cell} cells; only shapes have others than intervals, triangles and tetrahedra")
-    h = largest(mesh.comm, (factorial(dim) * volumes(corners(mesh))) ** (1 / dim))
-    return Level(mesh, h, facets, groups)
+    return Level(mesh, _largest_side(mesh), facets, groups)
 
 
-def _named(mesh: dmesh.Mesh, shape: shapes.Shape) -> dict[str, np.ndarray]:
-    dim = mesh.topology.dim - 1
-    return {name: dmesh.locate_entities_boundary(mesh, dim, marker) for name, marker in shape.sides.items()}
-
-
-def _check_memory(unknowns: float, dim: int, comm: MPI.Comm, remedy: str) -> None:
-    if not fits(unknowns, dim, comm):
-        needed, free = unknowns * BYTES_PER_VERTEX[dim], _free_memory(comm)
-        raise InputError(f"[mesh] needs about {needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free; {remedy}")
-
-
-def _free_memory(comm: MPI.Comm) -> float:
-    """Bytes that a new process could have; rank 0 looks, others would at another moment (collective)."""
-    with open("/proc/meminfo") as file:
-        lines = dict(line.split(":") for line in file)
-    return comm.bcast(1024.0 * float(lines["MemAvailable"].split()[0]))
+def _largest_side(mesh: dmesh.Mesh) -> float:
+    """The largest sqrt(2|T|) or (6|T|)^(1/3): the side of the grid, were this one (collective)."""
+    dim = mesh.topology.dim
+    return largest(mesh.comm, (factorial(dim) * volumes(corners(mesh))) ** (1 / dim))

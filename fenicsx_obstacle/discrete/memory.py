@@ -1,0 +1,32 @@
+"""Whether a mesh, with all that a solve needs on it, has room in memory."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+from fenicsx_obstacle.errors import InputError
+
+BYTES_PER_VERTEX = {1: 400, 2: 1300, 3: 3500}  # of a solve and all its levels, measured
+
+
+def fits(unknowns: float, dim: int, comm: MPI.Comm) -> bool:
+    """Whether a mesh of so many unknowns, with all that a solve needs, has room in memory (collective)."""
+    return unknowns * BYTES_PER_VERTEX[dim] < _free_memory(comm) and unknowns * 6 <= 2**31
+
+
+def check_memory(unknowns: float, dim: int, comm: MPI.Comm, remedy: str) -> None:
+    """Refuse a mesh of so many unknowns where there is no room for it (collective).
+
+    Raises:
+        InputError: With the remedy.
+    """
+    if not fits(unknowns, dim, comm):
+        needed, free = unknowns * BYTES_PER_VERTEX[dim], _free_memory(comm)
+        raise InputError(f"[mesh] needs about {needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free; {remedy}")
+
+
+def _free_memory(comm: MPI.Comm) -> float:
+    """Bytes that a new process could have; rank 0 looks, others would at another moment (collective)."""
+    with open("/proc/meminfo") as file:
+        lines = dict(line.split(":") for line in file)
+    return comm.bcast(1024.0 * float(lines["MemAvailable"].split()[0]))
