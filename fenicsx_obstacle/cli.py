@@ -235,6 +235,28 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 
 
 @commands.command()
+@click.argument("name", metavar="[NAME]", required=False)
+@click.option("--output", type=click.Path(path_type=Path), default=Path("out/hard"), metavar="DIR",
+              help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
+@_options("json", "quiet", "log")
+def hard(name: str | None, output: Path, json_file: str | None, quiet: bool) -> int:
+    """Hard scenes: every answer checked against the theory, and a verdict: right, refused or FAILED.
+
+    NAME is one scene of the suite; all of them without it. Exit status 3 if anything has failed.
+    """
+    from fenicsx_obstacle.show.hard import show_hard
+    from fenicsx_obstacle.show.progress import progress
+
+    _check_places(output, json_file)
+    say = (lambda text: None) if quiet or json_file == "-" else _say
+    with progress("hard", quiet=quiet):
+        rows = show_hard(name, output, say)
+    if json_file is not None:
+        _write_json(json_file, rows)
+    return 3 if any(row["verdict"] == "FAILED" for row in rows) else 0
+
+
+@commands.command()
 @click.option("--output", type=click.Path(path_type=Path), default=Path("out/demo"), metavar="DIR",
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:

@@ -25,3 +25,23 @@ def is_m_matrix(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
     rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     beside = columns != rows + A.getOwnershipRange()[0]
     return largest(comm, (values / diagonal[rows])[beside]) <= ROUND_OFF
+
+
+def sums_nowhere_negative(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
+    """Whether a unit shift of all free nodes meets no negative force anywhere (collective).
+
+    A shifted solution is then a super- or subsolution, as maximum principles for the height of u need it beside
+    `is_m_matrix`: the angles at edges to fixed nodes count as well.
+
+    Args:
+        A: The matrix; rows of fixed dofs and their columns are those of the identity.
+        diagonal: Of its owned rows.
+        comm: Of the matrix.
+    """
+    one, sums = A.createVecs()
+    one.set(1.0)
+    A.mult(one, sums)
+    holds = largest(comm, -sums.array_r / diagonal) <= ROUND_OFF
+    for vector in (one, sums):
+        vector.destroy()
+    return holds
