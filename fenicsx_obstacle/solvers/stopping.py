@@ -59,7 +59,7 @@ class Stopping:
     Attributes:
         problem: What is solved.
         exact_bounds: Whether contact is held by bounds (SNES VI) instead of the penalty.
-        unchanged: Stop only where no node at all has changed, as (3.4)* does.
+        unchanged: Stop only where the active set is the one before, as (3.4)* does.
         watch_cycles: Give up where an active set comes back.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces.
@@ -113,7 +113,7 @@ class Stopping:
         floor = 0.0 if far else self._round_off(snes)
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.blunt = floor > BLUNT * forces
-        if balanced and iteration >= self.least and not (self.unchanged and step.changed):
+        if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
             if self._exact:
@@ -154,13 +154,20 @@ class Stopping:
         active[~problem.touchable] = 0
         return active, residual
 
+    def _changes(self, changed: np.ndarray, floor: float) -> bool:
+        """Whether the active set is another one: nodes that press with round-off only are neither in nor out."""
+        if self.history[-1].changed == 0 or not self.problem.level.pair.nodal:
+            return self.history[-1].changed > 0
+        pressing = np.where(changed, np.abs(self.problem.reaction.array_r), 0.0)
+        return total(self.problem.level.comm, pressing) > floor
+
     def _round_off(self, snes: PETSc.SNES) -> float:
         """What remains of exact balance in floating point: a few machine epsilons of |A| |w|, row by row."""
         if len(self.history) < 2:
             return 0.0
         problem = self.problem
-        comm, diagonal = problem.level.comm, problem.A.getDiagonal()
-        stiff = diagonal.array_r * ~problem.fixed
+        comm = problem.level.comm
+        stiff = self._stiff() * ~problem.fixed
         # rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part
         floor = 8 * float(np.finfo(float).eps) * total(comm, np.dot(stiff, np.abs(problem.w.x.array[: len(stiff)])))
         # where all data are zero no force is left to compare with: nothing against the stiffness over the nearest gap
@@ -169,8 +176,16 @@ class Stopping:
         )
         if np.isfinite(nearest):
             floor += NOTHING * nearest * total(comm, stiff)
-        diagonal.destroy()
         return floor
+
+    def _stiff(self) -> np.ndarray:
+        """Diagonal of the matrix at owned dofs; without springs that stand for bounds, which press with no rounded w."""
+        if self.exact_bounds and self.problem.affine and self.problem.level.pair.nodal:
+            return self.problem.nodal.diagonal
+        diagonal = self.problem.A.getDiagonal()
+        values = diagonal.array_r.copy()
+        diagonal.destroy()
+        return values
 
     def _repeats(self, active: np.ndarray) -> bool:
         """Whether this active set was met before: Newton cycles (collective)."""
