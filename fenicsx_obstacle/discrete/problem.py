@@ -24,6 +24,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
+ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
 REACH = 1e3  # an obstacle so many times farther off than heights differ, or than the nearest, is no place to count from
 
 
@@ -67,6 +68,7 @@ class Problem:
         self.weights = forms.weights()
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
         self.load = self._load()
+        self._refuse_afloat()
         self.refer(self.cold_start())
 
     def cold_start(self) -> np.ndarray:
@@ -278,6 +280,37 @@ class Problem:
         flags.x.array[: len(owned)] = owned
         flags.x.scatter_forward()
         return flags.x.array > 0.5
+
+    def _refuse_afloat(self) -> None:
+        """Refuse a membrane held nowhere that its load does not press against its only obstacle (collective).
+
+        (3.4) with v = 1 says that contact forces and loads add up to 0, and an obstacle only pushes.
+
+        Raises:
+            InputError: Since no u is in balance.
+        """
+        comm = self.level.comm
+        if total(comm, np.count_nonzero(self.fixed)) > 0 or (self.below is None) == (self.above is None):
+            return
+        at_rest = self.elastic.array_r.copy()  # -f, of `_load`
+        self.w.x.array[:] = 1.0
+        self.forms.elastic(self.elastic)
+        self.w.x.array[:] = 0.0
+        state = self.state()
+        diagonal = self.jacobian(state, penalised=False).getDiagonal()
+        answer = total(comm, self.elastic.array_r - at_rest)
+        shifts = answer <= ROUND_OFF * total(comm, diagonal.array_r)
+        for vector in (state, diagonal):
+            vector.destroy()
+        if not shifts:  # something else than contact answers
+            return
+        load = total(comm, -at_rest)
+        side, push = ("lower", -load) if self.below is not None else ("upper", load)
+        if push <= ROUND_OFF * total(comm, np.abs(at_rest)):
+            raise InputError(
+                f"{self.scene.source}: u is given nowhere, and the load, {load:.3g} in all, does not press against the "
+                f"{side} obstacle: no u is in balance; add a [[boundary]] with a value"
+            )
 
     def _load(self) -> float:
         """Sum of |f_i| over free dofs: the elastic residual of u = 0, as long as w and r are 0."""
