@@ -45,7 +45,9 @@ class Finding:
     @property
     def record(self) -> dict[str, Any]:
         """As JSON takes it."""
-        return {**vars(self), "held": self.held}
+        figures = {key: value if np.isfinite(value) else None for key, value in
+                   (("observed", self.observed), ("limit", self.limit))}  # fmt: skip
+        return {**vars(self), **figures, "held": self.held}
 
     def __str__(self) -> str:
         verdict = "held" if self.held else "VIOLATED"
@@ -135,8 +137,8 @@ def beside_inequality(s: Solved, vi: Solved) -> list[Finding]:
     most = largest(g.comm, np.abs(vi.p[g.touchable])) + largest(g.comm, (s.q + vi.q)[g.touchable])
     return [
         Finding("penalty and inequality: energy norm", "Thm 3.3", float(np.sqrt(g.squared(e))),
-                np.sqrt(s.eps) / 2 * sizes[1] + s.R + vi.R),
-        Finding("penalty and inequality: size of the pressure", "Thm 3.2", sizes[0], sizes[1] + room_p),
+                np.sqrt(s.eps) / 2 * sizes[1] + s.R + vi.R, g.held),
+        Finding("penalty and inequality: size of the pressure", "Thm 3.2", sizes[0], sizes[1] + room_p, g.held),
         Finding("penetration", "eps max|p_h|", max(low, high), s.eps * most, monotone),
         Finding("the inequality's u is farther from the lower obstacle", "0 <= u_h - u_eps",
                 largest(g.comm, -e - high - room), 0.0, monotone),
@@ -187,7 +189,7 @@ def same(one: Solved, other: Solved, name: str) -> list[Finding]:
     e = one.minus(other)
     pressures = np.abs(one.p - other.p) - one.q - other.q
     return [
-        Finding(f"{name}: the same u in the energy norm", "unique", float(np.sqrt(g.squared(e))), one.R + other.R),
+        Finding(f"{name}: the same u in the energy norm", "unique", float(np.sqrt(g.squared(e))), one.R + other.R, g.held),
         Finding(f"{name}: the same u at every node", "unique", largest(g.comm, np.abs(e) - one.z - other.z), 0.0,
                 g.monotone),
         Finding(f"{name}: the same pressure", "unique", largest(g.comm, pressures[g.touchable]), 0.0, g.monotone),

@@ -98,6 +98,7 @@ class Ground:
         diagonal: Of the stiffness.
         free: Dofs where u is not given.
         touchable: Those that can touch an obstacle.
+        held: Whether u is given anywhere: otherwise nothing is known of how far answers are from the solution.
         monotone: Whether the maximum principle holds: the stiffness between free dofs is an M-matrix, and its rows
             nowhere sum to less than 0.
     """
@@ -116,8 +117,9 @@ class Ground:
         self.A = problem.jacobian(state, penalised=False).copy()
         state.destroy()
         self.diagonal = np.where(self.free, problem.nodal.diagonal, 0.0)
-        self.monotone = problem.m_matrix and sums_nowhere_negative(self.A, problem.nodal.diagonal, self.comm)
         self.held = total(self.comm, np.count_nonzero(problem.fixed)) > 0
+        signs = problem.m_matrix and sums_nowhere_negative(self.A, problem.nodal.diagonal, self.comm)
+        self.monotone = self.held and signs
 
     @cached_property
     def _factor(self) -> PETSc.KSP:
