@@ -188,8 +188,9 @@ def same(one: Solved, other: Solved, name: str) -> list[Finding]:
     g = one.ground
     e = one.minus(other)
     pressures = np.abs(one.p - other.p) - one.q - other.q
+    apart = float(np.sqrt(g.squared(e)))
     return [
-        Finding(f"{name}: the same u in the energy norm", "unique", float(np.sqrt(g.squared(e))), one.R + other.R, g.held),
+        Finding(f"{name}: the same u in the energy norm", "unique", apart, one.R + other.R, g.held),
         Finding(f"{name}: the same u at every node", "unique", largest(g.comm, np.abs(e) - one.z - other.z), 0.0,
                 g.monotone),
         Finding(f"{name}: the same pressure", "unique", largest(g.comm, pressures[g.touchable]), 0.0, g.monotone),

@@ -9,6 +9,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.newton import smallest_eps
 
 METHODS = {
     "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy should sets repeat",
@@ -49,16 +50,25 @@ def penalty_parameter(problem: Problem, scene: Scene) -> float:
     """eps as a number, in units of u/p (collective).
 
     A number is absolute. A formula in h is divided by the largest tension: (1/eps) D and the stiffness then
-    stay in proportion whatever the units.
+    stay in proportion whatever the units. Where tensions differ so much that eps = auto would be below the floor of
+    round-off somewhere, it is the floor.
 
     Raises:
-        InputError: If it is not positive and finite.
+        InputError: If it is not positive and finite, or below the floor.
     """
     formula = scene.formula(scene.eps, "[solve] eps")
     eps = scene.number(scene.eps, "[solve] eps", {"h": problem.level.h})
     if not 0 < eps < np.inf:
         raise InputError(f"{formula.place} = {formula.text}: must be positive, it is {eps:g}")
-    if "h" not in formula.names:
-        return eps
-    stiffness = [array_of(problem.data.cellwise(effect.value)) for effect in scene.effects if effect.elastic]
-    return eps / largest(problem.level.comm, stiffness[0])
+    if "h" in formula.names:
+        stiffness = [array_of(problem.data.cellwise(effect.value)) for effect in scene.effects if effect.elastic]
+        eps /= largest(problem.level.comm, stiffness[0])
+    floor = smallest_eps(problem)
+    if scene.tables.solve.eps == "auto":
+        return max(eps, floor)
+    if eps < floor:
+        raise InputError(
+            f"{formula.place} = {formula.text}: below the floor of round-off, {floor:.2g} on this mesh, where contact "
+            "gives way by less than the last digit of heights around it; take a larger eps, or its limit, --method vi"
+        )
+    return eps

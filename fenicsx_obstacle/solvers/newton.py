@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.shrinking import Shrinking
 from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
@@ -27,6 +28,7 @@ NEWTON = {
     "snes_divergence_tolerance": -1.0,
 }
 COUNTED_ANEW = 4  # times, at most
+STIFFEST = 1e15  # of a spring over the membrane around it: a digit above what a matrix can tell from infinite
 
 
 def solve_penalty(
@@ -64,10 +66,23 @@ def solve_penalty(
     how = {"unchanged": successive, "least": least, "tolerance": tolerance}
     outcome = _attempts(problem, how, multigrid)
     for _ in range(COUNTED_ANEW):
-        if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
+        # sets also repeat where contact is with an obstacle that w does not count from
+        if outcome.reason == GREW or not problem.refer_to_contact(blunt=outcome.blunt):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0}, multigrid))
     return require(outcome, problem, eps)
+
+
+def smallest_eps(problem: Problem) -> float:
+    """The floor of eps: to floating point springs D/eps above `STIFFEST` times the membrane do not give (collective).
+
+    A node gives way by eps p then, less than the last digit of what its neighbours do; which nodes touch is decided
+    by round-off, and active sets never settle. 0 where contact couples nodes or effects are not affine.
+    """
+    if not problem.affine or not problem.level.pair.nodal:
+        return 0.0
+    flexible = (problem.weights / problem.nodal.diagonal)[problem.touchable]
+    return max(largest(problem.level.comm, flexible), 0.0) / STIFFEST
 
 
 def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:

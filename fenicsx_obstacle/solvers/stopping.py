@@ -179,7 +179,7 @@ class Stopping:
         return floor
 
     def _stiff(self) -> np.ndarray:
-        """Diagonal of the matrix at owned dofs; without springs that stand for bounds, which press with no rounded w."""
+        """Diagonal of the matrix at owned dofs; without springs that stand for bounds: what they hold does not move."""
         if self.exact_bounds and self.problem.affine and self.problem.level.pair.nodal:
             return self.problem.nodal.diagonal
         diagonal = self.problem.A.getDiagonal()

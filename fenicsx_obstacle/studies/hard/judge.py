@@ -5,22 +5,38 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.accuracy.invariants import Finding, beside_inequality, falling, of_one, same, violated
+from fenicsx_obstacle.accuracy.round_off import round_off
 from fenicsx_obstacle.accuracy.solved import Ground, Solved
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.errors import InputError, ObstacleError
+from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.newton import penalty_pressure
-from fenicsx_obstacle.solvers.vi import residual_pressure
+from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
+from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
+from fenicsx_obstacle.studies.hard.units import Units, all_units
 
 EPS: tuple[float | str, ...] = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, "auto")
 METHODS = ("penalty", "successive")
+TRIAL = 1e-6  # eps of what is tried once: other starts, units and ranks
 RIGHT, REFUSED, FAILED = "right", "refused", "FAILED"
+FLOOR = "floor of round-off"  # words of the refusal
 Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An answer with its figures, and what was found so far."""
+
+    solved: Solved
+    iterations: int
+    record: dict[str, Any]
 
 
 def judge(
@@ -29,8 +45,11 @@ def judge(
     epsilons: Sequence[float | str] = EPS,
     methods: Sequence[str] = METHODS,
     refuse: str = "",
+    *,
+    starts: bool = False,
+    units: bool = False,
 ) -> Iterator[Row]:
-    """Solve a scene by SNES VI once, then by each method for each eps; a row for each (collective).
+    """Solve a scene by SNES VI, and by each method for each eps; a row for each answer (collective).
 
     Args:
         scene: What to solve.
@@ -38,63 +57,169 @@ def judge(
         epsilons: From large to small.
         methods: penalty, successive.
         refuse: Part of the message with which the scene must be refused; empty where it has a solution.
+        starts: Solve from other starting guesses as well.
+        units: Solve in other units as well.
     """
     start = time.perf_counter()
     try:
         bench = Workbench(scene, comm)
     except InputError as error:
-        yield _refused(scene, error, refuse, time.perf_counter() - start)
+        expected = bool(refuse) and refuse in str(error)
+        yield _row(scene, "", None, REFUSED if expected else FAILED, start, message=str(error))
         return
     with closing(bench), closing(Ground(bench.problem)) as ground:
-        vi: Solved | None = None
-        last: dict[str, Solved] = {}
-        tried: list[tuple[str, float | str | None]] = [("vi", None)]
-        tried += [(method, eps) for eps in epsilons for method in methods]
-        for method, eps in tried:
-            asked = scene.change({"solve.method": method, **({} if eps is None else {"solve.eps": eps})})
-            start = time.perf_counter()
-            try:
-                answer = bench.answer(asked)
-            except ObstacleError as error:
-                yield _row(scene, method, eps, FAILED, start, message=str(error))
+        court = _Court(scene, bench, ground, refuse)
+        yield from court.sweep(epsilons, methods)
+        if starts:
+            yield from court.other_starts()
+        if units:
+            yield from court.other_units(comm)
+
+
+class _Court:
+    """Judges the answers of one problem (all methods collective)."""
+
+    def __init__(self, scene: Scene, bench: Workbench, ground: Ground, refuse: str):
+        self.scene, self.bench, self.ground, self.refuse = scene, bench, ground, refuse
+        self.known: dict[tuple[str, float | str | None], Trial] = {}
+
+    def sweep(self, epsilons: Sequence[float | str], methods: Sequence[str]) -> Iterator[Row]:
+        """The inequality, then each method for each eps, beside those before."""
+        yield from self._judged("vi", None, [])
+        last: dict[str, Trial] = {}
+        for eps in epsilons:
+            for method in methods:
+                before = [] if eps == "auto" or method not in last else [last[method]]
+                yield from self._judged(method, eps, before)
+                if eps != "auto" and (method, eps) in self.known:
+                    last[method] = self.known[method, eps]
+
+    def other_starts(self) -> Iterator[Row]:
+        """The same from another start: cold, and from heights scattered far off."""
+        for method, eps in (("vi", None), ("penalty", TRIAL)):
+            if (method, eps) not in self.known:
                 continue
-            number = answer.record["eps"]
-            p = residual_pressure(bench.problem) if number is None else penalty_pressure(bench.problem)
-            solved = ground.take(p, number)
-            findings = of_one(solved)
-            if number is None:
-                vi = solved
-            elif vi is not None:
-                findings += beside_inequality(solved, vi)
-            before = last.get(method)
-            if number is not None and before is not None and before.eps is not None and eps != "auto":
-                findings += falling(before, solved)
-            other = last.get(methods[0])
-            if method != methods[0] and other is not None and other.eps == number:
-                findings += same(other, solved, f"{methods[0]} and {method}")
-            last[method] = solved
-            verdict = FAILED if refuse or violated(findings) else RIGHT
-            message = "; ".join(map(str, violated(findings)))
-            if refuse:
-                message = f"should be refused: {refuse}"
-            yield _row(scene, method, eps, verdict, start, answer.record, findings, message)
+            for words in ("cold start", "scattered start"):
+                start = time.perf_counter()
+                problem = self.bench.problem
+                heights = problem.cold_start()
+                if words == "scattered start":
+                    heights = heights + 10 * self.known[method, eps].solved.range * _scatter(problem.level.points)
+                problem.refer(heights)
+                try:
+                    outcome = solve_vi(problem) if eps is None else solve_penalty(problem, TRIAL)
+                except NotConverged as error:
+                    yield _row(self.scene, method, eps, FAILED, start, message=f"{words}: {error}", trial=words)
+                    continue
+                solved = take(self.bench, self.ground, eps)
+                findings = [*of_one(solved), *same(self.known[method, eps].solved, solved, words)]
+                record = {"newton_iterations": outcome.iterations}
+                yield self._verdict(method, eps, start, findings, record, words)
+
+    def other_units(self, comm: MPI.Comm) -> Iterator[Row]:
+        """The same in other units: within one step as many, and the same answer."""
+        size = max((trial.solved.range for trial in self.known.values()), default=1.0)
+        for units in all_units(size, self.bench.problem.level.shape is not None):
+            start = time.perf_counter()
+            scene = units.of(self.scene)
+            with closing(Workbench(scene, comm)) as bench, closing(Ground(bench.problem)) as ground:
+                for method, eps in (("vi", None), ("penalty", TRIAL)):
+                    if (method, eps) not in self.known:
+                        continue
+                    asked = scene.change(_solve(method, None if eps is None else eps * units.eps))
+                    try:
+                        answer = bench.answer(asked)
+                    except (InputError, NotConverged) as error:
+                        yield _row(self.scene, method, eps, FAILED, start, message=str(error), trial=units.name)
+                        continue
+                    record = dict(answer.record)
+                    solved = take(bench, ground, record["eps"])
+                    findings = [*of_one(solved), *_in_units(units, self.known[method, eps], solved, record)]
+                    yield self._verdict(method, eps, start, findings, record, units.name)
+                    start = time.perf_counter()
+
+    def _judged(self, method: str, eps: float | str | None, before: Sequence[Trial]) -> Iterator[Row]:
+        start = time.perf_counter()
+        try:
+            answer = self.bench.answer(self.scene.change(_solve(method, eps)))
+        except InputError as error:
+            yield _row(self.scene, method, eps, REFUSED if FLOOR in str(error) else FAILED, start, message=str(error))
+            return
+        except NotConverged as error:
+            yield _row(self.scene, method, eps, FAILED, start, message=str(error))
+            return
+        record = dict(answer.record)
+        number = record["eps"]
+        solved = take(self.bench, self.ground, number)
+        findings = of_one(solved)
+        vi = self.known.get(("vi", None))
+        if number is not None and vi is not None:
+            findings += beside_inequality(solved, vi.solved)
+            record["digits"] = round_off(self.bench.problem, solved.p, number)
+            off = largest(self.ground.comm, np.abs(solved.p - vi.solved.p))
+            record["digits"]["off"] = off / max(largest(self.ground.comm, np.abs(vi.solved.p)), 1e-300)
+        for trial in before:
+            findings += falling(trial.solved, solved)
+        other = self.known.get((METHODS[0], eps))
+        if method != METHODS[0] and other is not None:
+            findings += same(other.solved, solved, f"{METHODS[0]} and {method}")
+        self.known[method, eps] = Trial(solved, record["newton_iterations"], record)
+        yield self._verdict(method, eps, start, findings, record)
+
+    def _verdict(
+        self, method: str, eps: float | str | None, start: float, findings: Sequence[Finding], record: dict[str, Any],
+        trial: str = "",
+    ) -> Row:  # fmt: skip
+        wrong = violated(findings)
+        message = f"should be refused: {self.refuse}" if self.refuse else "; ".join(map(str, wrong))
+        verdict = FAILED if message else RIGHT
+        record = {**record, "monotone": self.ground.monotone}
+        return _row(self.scene, method, eps, verdict, start, record, findings, message, trial)
 
 
-def _refused(scene: Scene, error: InputError, refuse: str, seconds: float) -> Row:
-    expected = bool(refuse) and refuse in str(error)
-    return {"scene": scene.name, "verdict": REFUSED if expected else FAILED, "message": str(error), "seconds": seconds}
+def take(bench: Workbench, ground: Ground, eps: float | None) -> Solved:
+    """The state that a workbench has just solved for, with its contact pressure."""
+    p = residual_pressure(bench.problem) if eps is None else penalty_pressure(bench.problem)
+    return ground.take(p, eps)
+
+
+def _solve(method: str, eps: float | str | None) -> dict[str, Any]:
+    return {"solve.method": method} if eps is None else {"solve.method": method, "solve.eps": eps}
+
+
+def _scatter(points: np.ndarray) -> np.ndarray:
+    """Numbers between -1 and 1 by place, alike on all ranks."""
+    mixed = np.sin(np.array([12.9898, 78.233, 37.719]) @ points) * 437.585453
+    return 2 * (mixed - np.floor(mixed)) - 1
+
+
+def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any]) -> list[Finding]:
+    """u and p in old units, node by node, and the steps."""
+    old, g = before.solved, before.solved.ground
+    e = (solved.w / units.height - old.w) + ((solved.r - units.shift) / units.height - old.r)
+    d = np.abs(solved.p / units.pressure - old.p)
+    room, room_p = solved.z / units.height + old.z, solved.q / units.pressure + old.q
+    size = max(largest(g.comm, np.abs(old.p)), 1e-300)
+    moved = largest(g.comm, d[g.touchable]) / size
+    record["digits"] = {"moved": moved, **round_off(solved.ground.problem, solved.p, solved.eps)}
+    steps = abs(record["newton_iterations"] - before.iterations)
+    return [
+        Finding("other units: steps", "equations scale", steps, 1),
+        Finding("other units: the same u at every node", "equations scale", largest(g.comm, np.abs(e) - room), 0.0,
+                g.monotone),
+        Finding("other units: the same pressure", "equations scale", largest(g.comm, (d - room_p)[g.touchable]), 0.0,
+                g.monotone),
+    ]  # fmt: skip
 
 
 def _row(
     scene: Scene, method: str, eps: float | str | None, verdict: str, start: float, record: Any = None,
-    findings: Sequence[Finding] = (), message: str = "",
+    findings: Sequence[Finding] = (), message: str = "", trial: str = "",
 ) -> Row:  # fmt: skip
-    figures = {} if record is None else {
-        "eps": record["eps"], "dofs": record["dofs"], "newton_iterations": record["newton_iterations"],
-        "newton_total": record["newton_total"], "energy": record["energy"], "contact": record["contact"],
-        "penetration": record["penetration"], "u_range": record["u_range"],
-    }  # fmt: skip
+    keys = ("eps", "dofs", "newton_iterations", "newton_total", "energy", "contact", "penetration", "u_range",
+            "digits", "monotone", "report", "errors")  # fmt: skip
+    figures = {} if record is None else {key: record[key] for key in keys if key in record}
     return {
-        "scene": scene.name, "method": method, "asked": eps, "verdict": verdict, "message": message,
+        "scene": scene.name, "method": method, "asked": eps, "trial": trial, "verdict": verdict, "message": message,
         "seconds": time.perf_counter() - start, **figures, "findings": [finding.record for finding in findings],
     }  # fmt: skip

@@ -1,31 +1,37 @@
-"""A process of its own for one hard scene: `python -m fenicsx_obstacle.studies.hard.one NAME`, rows as JSON lines."""
+"""A process of its own for one hard scene: `python -m fenicsx_obstacle.studies.hard.one NAME FILE`.
+
+Rows go to standard output as JSON lines, the fields to compare with those on several ranks into the file.
+"""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 from fenicsx_obstacle.scenes.hard import Case, case
 from fenicsx_obstacle.studies.hard.judge import Row, judge
+from fenicsx_obstacle.studies.hard.ranks import write
 
 
 def rows_of(one: Case) -> Iterator[Row]:
     """Both meshes of a case (collective)."""
     for mesh, value in enumerate(one.meshes):
-        for row in judge(one.on(mesh), refuse=one.refuse):
+        coarse = mesh == 0
+        for row in judge(one.on(mesh), refuse=one.refuse, starts=True, units=coarse and not one.refuse):
             yield {"case": one.name, "family": one.family, "mesh": value, **row}
 
 
 def main() -> None:
-    """Rows of the case named on the command line, to standard output as they come."""
-    abort_on_uncaught_errors(MPI.COMM_WORLD)
-    for row in rows_of(case(sys.argv[1])):
-        if MPI.COMM_WORLD.rank == 0:
-            print(json.dumps(row), flush=True)
+    """Judge the case named on the command line."""
+    one = case(sys.argv[1])
+    for row in rows_of(one):
+        print(json.dumps(row), flush=True)
+    if not one.refuse:
+        write(one.on(0), Path(sys.argv[2]), MPI.COMM_WORLD)
 
 
 if __name__ == "__main__":
