@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from fenicsx_obstacle.accuracy.solved import EPSILON
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
-
-EPSILON = float(np.finfo(float).eps)
 
 
 def round_off(problem: Problem, p: np.ndarray, eps: float | None) -> dict[str, float | None]:

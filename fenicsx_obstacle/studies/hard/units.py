@@ -70,10 +70,9 @@ class Units:
                 value, dict) else self._times(self._old(value), factors[key])  # fmt: skip
             changes[f"effects.{key}"] = parts
         changes |= {f"obstacle.{key}": self._height(value) for key, value in obstacle.items()}
-        changes["boundary"] = [
-            {**part, "value": self._height(part["value"]), **({"where": self._old(part["where"])} if "where" in part else {})}
-            for part in tables.get("boundary", ())
-        ]  # fmt: skip
+        new = {"value": self._height, "where": self._old}
+        parts = tables.get("boundary", ())
+        changes["boundary"] = [{k: new[k](v) if k in new else v for k, v in part.items()} for part in parts]
         return scene.change({**changes, "exact": None, "report": {}})
 
     def _old(self, value: Any) -> Any:
