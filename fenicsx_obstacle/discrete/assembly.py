@@ -171,7 +171,10 @@ class Nodal(Forms):
         self.stiffness.multAdd(releases.vec(self.w), self._constant, out)
 
     def reaction(self, out: PETSc.Vec) -> None:
-        out.array[:] = self._D * self._excess() / float(self.eps.value)
+        values = self._excess()
+        values *= self._D
+        values /= float(self.eps.value)
+        out.array[:] = values
 
     def create_matrix(self) -> PETSc.Mat:
         A = self.stiffness.duplicate(copy=True)
@@ -211,8 +214,9 @@ class Nodal(Forms):
     def _excess(self) -> np.ndarray:
         """(u - upper)^+ - (lower - u)^+ at owned dofs."""
         own = len(self._D)
-        w = self.w.x.array[:own]
-        none = np.zeros(own)
-        above = none if self.above is None else np.maximum(w - self.above.x.array[:own], 0.0)
-        below = none if self.below is None else np.maximum(self.below.x.array[:own] - w, 0.0)
-        return above - below
+        w, excess = self.w.x.array[:own], np.zeros(own)
+        for gap, part in ((self.above, np.maximum), (self.below, np.minimum)):
+            if gap is not None:
+                beyond = w - gap.x.array[:own]
+                excess += part(beyond, 0.0, out=beyond)
+        return excess

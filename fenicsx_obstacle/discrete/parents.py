@@ -36,14 +36,15 @@ def prolongation(ends: np.ndarray, fine: fem.FunctionSpace, coarse: fem.Function
     """P1 interpolation from a mesh to its refinement as a matrix (collective)."""
     numbering = coarse.dofmap.index_map
     same = ends[:, 0] == ends[:, 1]
-    keep = np.column_stack([np.ones(len(ends), dtype=bool), ~same])
-    columns = np.asarray(numbering.local_to_global(np.sort(ends, axis=1).astype(np.int32).ravel()))
-    values = np.repeat(np.where(same, 1.0, 0.5), 2)
-    starts = np.concatenate([[0], np.cumsum(keep.sum(axis=1))]).astype(PETSc.IntType)
+    starts = np.zeros(len(ends) + 1, dtype=PETSc.IntType)
+    np.cumsum(2 - same, out=starts[1:])
+    columns, values = np.empty(starts[-1], dtype=np.int32), np.full(starts[-1], 0.5)
+    columns[starts[:-1]] = ends.min(axis=1)
+    columns[starts[1:] - 1] = ends.max(axis=1)
+    values[starts[:-1][same]] = 1.0
+    columns = np.asarray(numbering.local_to_global(columns))
     size = [(space.dofmap.index_map.size_local, space.dofmap.index_map.size_global) for space in (fine, coarse)]
-    kept = keep.ravel()
-    csr = starts, columns[kept].astype(PETSc.IntType), values[kept]
-    return PETSc.Mat().createAIJ(size, csr=csr, comm=fine.mesh.comm)
+    return PETSc.Mat().createAIJ(size, csr=(starts, columns.astype(PETSc.IntType), values), comm=fine.mesh.comm)
 
 
 def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarray, np.ndarray]:

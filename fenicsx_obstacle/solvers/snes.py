@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.solvers.inexact import Inexact
 from fenicsx_obstacle.solvers.multigrid import SMOOTHER, Multigrid, OnInactive
 from fenicsx_obstacle.solvers.stopping import Step, Stopping, in_words
 
@@ -26,8 +27,7 @@ DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "
 GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_norm_type": "preconditioned"}  # without symmetry
 INEXACT = {
     "ksp_type": "cg",
-    # M^-1 r is a height: unlike r it is not drowned by (1/eps) w at nodes that have just come into contact
-    "ksp_norm_type": "preconditioned",
+    "ksp_norm_type": "unpreconditioned",  # the others apply the cycle once more
     "ksp_max_it": 500,
     **SMOOTHER,
 }
@@ -97,8 +97,6 @@ def run(
     snes.setFunction(lambda _, x, out: problem.residual(x, out, penalised=penalised), residual)
 
     def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        if multigrid is not None:
-            snes.ksp.setTolerances(rtol=stopping.forcing)
         if multigrid is not None and penalised:
             problem.take(x)
             multigrid.hold(problem.nodal.springs())
@@ -118,6 +116,8 @@ def run(
             snes.ksp.pc.setPythonContext(OnInactive(snes, multigrid, f"{name}_"))
         if prepare is not None:
             prepare(snes)
+        if multigrid is not None:
+            snes.ksp.setConvergenceTest(Inexact(stopping))
         snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
         snes.solve(None, x)
     problem.take(x)

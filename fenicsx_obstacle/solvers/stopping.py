@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
+from functools import cached_property
 from hashlib import blake2b
 from typing import Any
 
@@ -22,10 +23,8 @@ _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
 FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
-FORCING = 0.1  # relative accuracy of linear systems on the way: more of it finds no better active set
-FEW = 2e-4  # of the contact nodes that change: the next system is most likely the last
-TO_SPARE = 0.1  # the last system is solved further than to the tolerance, so that figures agree on all ranks to 1e-9
-EXACT = 1e-10
+EPSILON = float(np.finfo(float).eps)
+ROOM = 8.0  # round-off may be so many times what is expected of it
 NOTHING = 1e-30
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
@@ -66,6 +65,7 @@ class Stopping:
         touching: How near to a bound a node touches it (bounds only).
         shrinking: Checks that active sets shrink, where they must.
         blunt: Balance was only reached up to the round-off of w.
+        exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
         history: One `Step` per evaluation.
     """
 
@@ -78,11 +78,11 @@ class Stopping:
     touching: float = 0.0
     shrinking: Shrinking | None = None
     blunt: bool = False
+    exact: bool = False
     history: list[Step] = field(default_factory=list)
     _last: np.ndarray | None = None
     _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
     _krylov: int = 0
-    _exact: bool = False
 
     def __call__(self, snes: PETSc.SNES, iteration: int, norms: Any) -> int:
         """PETSc's callback (collective); the state is the one of the last residual."""
@@ -109,16 +109,16 @@ class Stopping:
             return GREW
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
-        far = step.changed > 0 and unbalanced > FAR * forces
-        floor = 0.0 if far else self._round_off(snes)
+        far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces)
+        floor = 0.0 if far else ROOM * self.round_off() + self._nothing
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.blunt = floor > BLUNT * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             return CONVERGED
         if self.watch_cycles and step.changed and self._repeats(active):
-            if self._exact:
+            if self.exact:
                 return CYCLING
-            self._exact = True  # it may have been the inexact systems
+            self.exact = True  # it may have been the inexact systems
             self._seen.clear()
         return CONTINUE
 
@@ -127,16 +127,6 @@ class Stopping:
         """Owned nodes in contact at the last state."""
         assert self._last is not None
         return self._last != 0
-
-    @property
-    def forcing(self) -> float:
-        """How far to solve the next linear system: not far while contact changes, then to the end."""
-        step = self.history[-1]
-        if self._exact:
-            return EXACT
-        if step.changed > FEW * step.active:
-            return FORCING
-        return min(FORCING, max(TO_SPARE * self.tolerance * step.forces / max(step.unbalanced, 1e-300), EXACT))
 
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
@@ -161,31 +151,32 @@ class Stopping:
         pressing = np.where(changed, np.abs(self.problem.reaction.array_r), 0.0)
         return total(self.problem.level.comm, pressing) > floor
 
-    def _round_off(self, snes: PETSc.SNES) -> float:
-        """What remains of exact balance in floating point: a few machine epsilons of |A| |w|, row by row."""
-        if len(self.history) < 2:
-            return 0.0
-        problem = self.problem
-        comm = problem.level.comm
-        stiff = self._stiff() * ~problem.fixed
-        # rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part
-        floor = 8 * float(np.finfo(float).eps) * total(comm, np.dot(stiff, np.abs(problem.w.x.array[: len(stiff)])))
-        # where all data are zero no force is left to compare with: nothing against the stiffness over the nearest gap
-        nearest = smallest(
-            comm, [np.where(gap != 0, np.abs(gap), np.inf).min(initial=np.inf) for gap in problem.gaps()]
-        )
-        if np.isfinite(nearest):
-            floor += NOTHING * nearest * total(comm, stiff)
-        return floor
+    def round_off(self) -> float:
+        """What remains of exact balance in floating point (collective): an epsilon of |A| |w|, row by row.
 
-    def _stiff(self) -> np.ndarray:
-        """Diagonal of the matrix at owned dofs; without springs that stand for bounds: what they hold does not move."""
-        if self.exact_bounds and self.problem.affine and self.problem.level.pair.nodal:
-            return self.problem.nodal.diagonal
-        diagonal = self.problem.A.getDiagonal()
-        values = diagonal.array_r.copy()
+        Rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part, and rounds half away.
+        """
+        stiffness = self._stiffness()
+        w = self.problem.w.x.array[: len(stiffness)]
+        return EPSILON * total(self.problem.level.comm, np.dot(stiffness, np.abs(w)))
+
+    @cached_property
+    def _nothing(self) -> float:
+        """Nothing against the stiffness over the nearest gap: a force, where all data are zero (collective)."""
+        comm = self.problem.level.comm
+        gaps = [np.where(gap != 0, np.abs(gap), np.inf).min(initial=np.inf) for gap in self.problem.gaps()]
+        nearest = smallest(comm, gaps)
+        return NOTHING * nearest * total(comm, self._stiffness()) if np.isfinite(nearest) else 0.0
+
+    def _stiffness(self) -> np.ndarray:
+        """Diagonal of A at owned free dofs; without springs that stand for bounds: what they hold does not move."""
+        problem = self.problem
+        if self.exact_bounds and problem.affine and problem.level.pair.nodal:
+            return problem.nodal.diagonal * ~problem.fixed
+        diagonal = problem.A.getDiagonal()
+        stiffness = diagonal.array_r * ~problem.fixed
         diagonal.destroy()
-        return values
+        return stiffness
 
     def _repeats(self, active: np.ndarray) -> bool:
         """Whether this active set was met before: Newton cycles (collective)."""

@@ -1,0 +1,58 @@
+"""How far to solve the linear systems: not far while contact changes, then until forces balance.
+
+The multigrid cycle is the dearest part of a solver, so it is applied once per step of CG and never for a norm alone:
+the residual of the system is the unbalanced force that the Newton step will leave, if no more contact changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenicsx_obstacle.solvers.stopping import Stopping
+
+ON_THE_WAY = 0.1  # of the unbalanced force: more accuracy finds no better active set
+FEW = 2e-4  # of the contact nodes that change: the next system is most likely the last
+TO_SPARE = 0.1  # the last system is solved further than to the tolerance, so that figures agree on all ranks to 1e-9
+EXACT = 1e-10  # of the unbalanced force: all that a linear solver reaches
+SOLVED = PETSc.KSP.ConvergedReason.CONVERGED_RTOL
+NOT_A_NUMBER = PETSc.KSP.ConvergedReason.DIVERGED_NANORINF
+CONTINUE = PETSc.KSP.ConvergedReason.ITERATING
+
+
+@dataclass
+class Inexact:
+    """PETSc convergence test for the systems of a Newton iteration.
+
+    Attributes:
+        stopping: Knows the state of the Newton iteration.
+    """
+
+    stopping: Stopping
+    _least: int = 1
+    _target: float = 0.0
+
+    def __call__(self, ksp: PETSc.KSP, iteration: int, norm: float) -> int:
+        """PETSc's callback (collective)."""
+        if not np.isfinite(norm):
+            return NOT_A_NUMBER
+        if iteration == 0:
+            self._least, self._target = self._aim()
+        if iteration < self._least:
+            return CONTINUE
+        residual = ksp.buildResidual()
+        left = residual.norm(PETSc.NormType.N1)
+        residual.destroy()
+        return SOLVED if left <= self._target else CONTINUE
+
+    def _aim(self) -> tuple[int, float]:
+        """Steps of CG to take at least, and the force that may be left (collective)."""
+        stopping = self.stopping
+        step = stopping.history[-1]
+        if not stopping.exact and step.changed > FEW * step.active:
+            # the first step of CG only answers the springs of nodes that have just come into contact
+            return 2, ON_THE_WAY * min(step.unbalanced, step.forces)
+        enough = 0.0 if stopping.exact else TO_SPARE * stopping.tolerance * step.forces
+        return 1, max(enough, EXACT * step.unbalanced, stopping.round_off())
