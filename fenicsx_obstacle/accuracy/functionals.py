@@ -190,6 +190,13 @@ class Report:
             raise InputError(formula.pointing(node, message))
         if name in groups and NORMAL_FLUX in expression.names:
             raise InputError(formula.pointing(node, f"'{name}' is a part of the domain: it has no {NORMAL_FLUX}"))
+        if NORMAL_FLUX in expression.names:
+            parts = zip(self.scene.tables.boundary, self.data.facets, strict=True)
+            acting = [facets for part, facets in parts if part.value is None]
+            common = sum(np.count_nonzero(np.isin(there, facets[name])) for there in acting)
+            if total(self.level.comm, common) > 0:
+                message = f"on '{name}' the {NORMAL_FLUX} is what [[boundary]] gives: flux - spring*u; integrate that"
+                raise InputError(formula.pointing(node, message))
 
 
 class _Inner(ast.NodeTransformer):

@@ -14,9 +14,8 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.quadrature import DEGREE
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.effects.effect import Sampler
+from fenicsx_obstacle.effects.effect import Sampler, residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
@@ -32,13 +31,14 @@ class Formulas:
         dx: Integration of high degree.
     """
 
-    def __init__(self, scene: Scene, level: Level, eps: float = 0.0):
-        self.scene, self.level, mesh = scene, level, level.mesh
+    def __init__(self, data: Data):
+        self.data, self.level, scene = data, data.level, data.scene
+        mesh = self.level.mesh
         self.dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
         x = ufl.SpatialCoordinate(mesh)
         self._zero = x[0] - x[0]  # gives expressions without coordinates a domain, which grad needs
         axes = [x[i] if i < mesh.geometry.dim else self._zero for i in range(3)]
-        self.eps = fem.Constant(mesh, PETSc.ScalarType(eps))
+        self.eps = fem.Constant(mesh, PETSc.ScalarType(0.0))
         self.alphabet = ufl_alphabet()
         values = (*axes, ufl.sqrt(ufl.inner(x, x)), releases.atan2(axes[1], axes[0]))
         self.names: dict[str, Any] = {**CONSTANTS, "eps": self.eps, **dict(zip(COORDINATES, values, strict=True))}
@@ -49,7 +49,7 @@ class Formulas:
             except (InputError, KeyError):
                 continue
 
-    def cellwise(self, value: Value, *, positive: bool = False) -> Any:
+    def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
         """The formula itself; of materials each within its own cells (then collective)."""
         if isinstance(value, Materials):
             return sum(self._inside(name) * self.cellwise(formula) for name, formula in value.parts.items())
@@ -57,6 +57,14 @@ class Formulas:
             return value.evaluate(self.names, self.alphabet) + self._zero
         except releases.UFL_ERRORS as error:
             raise InputError(f"{value.place} = {value.text}: cannot be differentiated: {error}") from None
+
+    def on_part(self, value: Formula, part: int, *, least: float | None = None) -> Any:
+        """The formula itself."""
+        return self.cellwise(value)
+
+    def over(self, part: int, key: str, *, nodal: bool = False) -> Any:
+        """Integration over a part, exactly (collective on first use)."""
+        return self.data.parts.over(part, key)
 
     def _inside(self, name: str) -> fem.Function:
         inside = fem.Function(self.level.W)
@@ -78,7 +86,7 @@ class Exact:
         if exact is None:
             raise InputError(f"{scene.source}: has no [exact] solution")
         self.formula = scene.formula(exact.u, "[exact] u")
-        self.formulas = Formulas(scene, problem.level)
+        self.formulas = Formulas(problem.data)
         problem.data.nodal(self.formula, {"eps": 1.0})  # refuses what is not finite at a node
         self.u = fem.Function(problem.level.V)
         ue = self.formulas.cellwise(self.formula)
@@ -140,11 +148,11 @@ class DualNorm:
     def __init__(self, data: Data, formula: Formula):
         level, scene = data.level, data.scene
         self.p = fem.Function(level.Q)
-        formulas, richer = Formulas(scene, level), releases.functionspace(level.mesh, "Lagrange", level.pair.degree + 1)
+        formulas, richer = Formulas(data), releases.functionspace(level.mesh, "Lagrange", level.pair.degree + 1)
         v, trial = ufl.TestFunction(richer), ufl.TrialFunction(richer)
         self.eps = formulas.eps
         ue = formulas.cellwise(formula)
-        reaction = sum(effect.terms(ue, v, formulas) for effect in scene.effects)
+        reaction = residual(scene.effects, ue, v, formulas)
         self._error = releases.form(reaction - self.p * v * formulas.dx)
         facets = np.unique(np.concatenate([np.empty(0, np.int32), *data.held])).astype(np.int32)
         dofs = fem.locate_dofs_topological(richer, level.mesh.topology.dim - 1, facets)

@@ -41,6 +41,7 @@ class NormalFlux:
         names = {
             name
             for part in data.scene.tables.boundary
+            if part.value is not None
             for name in ([part.on] if isinstance(part.on, str) else part.on or ())
         }
         self._held = np.zeros(self._facets.max(initial=-1) + 1, dtype=bool)

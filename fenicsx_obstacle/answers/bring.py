@@ -17,6 +17,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.stopping import Step
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
@@ -76,7 +77,7 @@ def solve_form(
         raise InputError(f"eps = {eps}: must be positive and finite")
     level = of_space(u.function_space)
     given = _Given(F, u, energy)
-    scene: Any = SimpleNamespace(effects=(given,), source="solve_form")
+    scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables())
     data = _Data(scene, level, bcs, lower, upper)
     problem = Problem(scene, level, data)
     start = u.x.array.copy()
@@ -101,7 +102,7 @@ def solve_form(
 class _Given:
     """The caller's residual as an effect: what a problem is made of."""
 
-    elastic, affine = True, False
+    elastic, affine, holds = True, False, False
 
     def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
         arguments = F.arguments()

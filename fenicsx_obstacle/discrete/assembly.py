@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.voronoi import voronoi_areas
-from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
 from fenicsx_obstacle.parallel import largest, total
 
@@ -61,7 +61,7 @@ class Forms:
 
     def _terms(self, u: Any) -> ufl.Form:
         """a(u, v) - f(v)."""
-        return sum(effect.terms(u, self.v, self.data) for effect in self.effects)
+        return residual(self.effects, u, self.v, self.data)
 
     def weights(self) -> np.ndarray:
         """D_i = I(phi_i, 1) at owned points of I: dofs of V_h, 0 at those that are none, or else of Q_h."""

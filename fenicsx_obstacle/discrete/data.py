@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import ufl
@@ -19,8 +19,12 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.scene import Scene, part_place
+from fenicsx_obstacle.scenes.tables import ACTING
 from fenicsx_obstacle.scenes.vocabulary import COORDINATES
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.parts import Facets, Parts
 
 Cellwise: TypeAlias = fem.Function | fem.Constant
 INWARD = 1e-6  # of the way to the middle of the cell
@@ -41,6 +45,7 @@ class Data:
     def __init__(self, scene: Scene, level: Level):
         self.scene, self.level = scene, level
         self._cellwise: dict[str, Cellwise] = {}
+        self._on_part: dict[str, fem.Function] = {}
         self._givers: list[tuple[str, np.ndarray]] = []  # where a boundary value stands, and the dofs that have it
 
     @cached_property
@@ -48,20 +53,59 @@ class Data:
         """Integration over the domain."""
         return ufl.Measure("dx", domain=self.level.mesh)
 
-    def cellwise(self, value: Value, *, positive: bool = False) -> Cellwise:
+    def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Cellwise:
         """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).
 
         A Constant if all are the same.
 
         Raises:
-            InputError: If it is not finite, or not positive, somewhere, or a material has no value.
+            InputError: If it is not finite, or not positive, or below the least, somewhere, or a material has no value.
         """
         if value.place not in self._cellwise:
             made = self._sample_cells(value)
             if positive:
                 self._refuse(value, made, array_of(made) <= 0, "must be positive; it is")
+            if least is not None:
+                self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
             self._cellwise[value.place] = made
         return self._cellwise[value.place]
+
+    def on_part(self, value: Formula, part: int, *, least: float | None = None) -> fem.Function:
+        """A formula at the nodes of the part of a [[boundary]], counted from 0 (collective on first use).
+
+        Raises:
+            InputError: If it is not finite, or below the least, somewhere.
+        """
+        if value.place not in self._on_part:
+            function, dofs = fem.Function(self.level.V), self.dofs_on(self.facets[part])
+            function.x.array[dofs] = self._at_points(value, self.level.points[:, dofs])
+            function.x.scatter_forward()
+            self._refuse_infinite(value, function)
+            if least is not None:
+                self._refuse(value, function, function.x.array < least, f"must be at least {least:g}; it is")
+            self._on_part[value.place] = function
+        return self._on_part[value.place]
+
+    def dofs_on(self, facets: np.ndarray) -> np.ndarray:
+        """Local dofs on local facets (collective)."""
+        return fem.locate_dofs_topological(self.level.V, self.level.mesh.topology.dim - 1, facets)
+
+    @cached_property
+    def parts(self) -> Parts:
+        """Measures of the parts of the boundary on which something acts (first use is collective)."""
+        from fenicsx_obstacle.discrete.parts import Parts  # only where a scene names one
+
+        found = [
+            (number, key, self.facets[number])
+            for number, part in enumerate(self.scene.tables.boundary)
+            for key in ACTING
+            if getattr(part, key) is not None
+        ]
+        return Parts(self.level, found)
+
+    def over(self, part: int, key: str, *, nodal: bool = False) -> Facets:
+        """Integration over the part that a [[boundary]], counted from 0, gives a key (collective on first use)."""
+        return self.parts.over(part, key, nodal=nodal)
 
     def nodal(self, value: Formula, values: Mapping[str, float] | None = None) -> fem.Function:
         """Nodal interpolant in V, with values of further names (collective).
@@ -99,10 +143,16 @@ class Data:
         return self._obstacle("upper")
 
     @cached_property
+    def facets(self) -> list[np.ndarray]:
+        """Local facets of each [[boundary]] (first use is collective)."""
+        parts = enumerate(self.scene.tables.boundary)
+        return [self._facets(part.on, part.where, part_place(number)) for number, part in parts]
+
+    @cached_property
     def held(self) -> list[np.ndarray]:
-        """Local facets where u is given, of each [[boundary]] (first use is collective)."""
-        parts = enumerate(self.scene.tables.boundary, start=1)
-        return [self._facets(part.on, part.where, f"[[boundary]] (no. {number})") for number, part in parts]
+        """Those where u is given; none of a [[boundary]] without a value (first use is collective)."""
+        parts = zip(self.scene.tables.boundary, self.facets, strict=True)
+        return [facets[:0] if part.value is None else facets for part, facets in parts]
 
     @cached_property
     def fixed(self) -> tuple[np.ndarray, fem.Function]:
@@ -110,9 +160,10 @@ class Data:
         level, values = self.level, fem.Function(self.level.V)
         fixed = np.zeros(len(values.x.array), dtype=bool)
         for number, (part, facets) in enumerate(zip(self.scene.tables.boundary, self.held, strict=True)):
-            place = f"[[boundary]] (no. {number + 1})"
-            dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, facets)
-            formula = self.scene.formula(0.0 if part.value is None else part.value, f"{place} value")
+            if part.value is None:
+                continue
+            dofs = self.dofs_on(facets)
+            formula = self.scene.formula(part.value, f"{part_place(number)} value")
             function = fem.Function(level.V)
             function.x.array[dofs] = self._at_points(formula, level.points[:, dofs])
             self._refuse_infinite(formula, function)
@@ -132,8 +183,10 @@ class Data:
         """
         comm, source = self.level.comm, self.scene.source
         dofs, values = self.fixed
-        if self.lower is None and self.upper is None and total(comm, len(dofs)) == 0:
+        holds = any(effect.holds for effect in self.scene.effects)
+        if self.lower is None and self.upper is None and total(comm, len(dofs)) == 0 and not holds:
             raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
+        self._check_parts()
         heights = [f.x.array for f in (self.lower, self.upper) if f is not None] + [values.x.array[dofs]]
         high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
         tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
@@ -148,6 +201,24 @@ class Data:
             side = "below" if word == "lower" else "above"
             self._refuse_beyond(beyond, tolerance, values, obstacle, f"lies {side} the {word} obstacle")
             obstacle.x.array[beyond > 0] = values.x.array[beyond > 0]
+
+    def _check_parts(self) -> None:
+        """Refuse what acts where u is given (collective)."""
+        if all(part.value is not None for part in self.scene.tables.boundary):
+            return
+        held = np.unique(np.concatenate([np.empty(0, np.int32), *self.held]))
+        for number, part in enumerate(self.scene.tables.boundary):
+            both = np.isin(self.facets[number], held)
+            if part.value is None and total(self.level.comm, np.count_nonzero(both)) > 0:
+                key = next(key for key in ACTING if getattr(part, key) is not None)
+                others = " and ".join(
+                    f"no. {other + 1}"
+                    for other, facets in enumerate(self.held)
+                    if total(self.level.comm, np.count_nonzero(np.isin(facets, self.facets[number]))) > 0
+                )
+                raise InputError(
+                    f"{self.scene.source}: {part_place(number)} {key} does nothing where u is given, by {others}"
+                )
 
     def _obstacle(self, key: str) -> fem.Function | None:
         value = getattr(self.scene.tables.obstacle, key)

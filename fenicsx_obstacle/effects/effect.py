@@ -1,26 +1,55 @@
-"""What an effect is, and the register of those that scenes can name."""
+"""What an effect is, and the register of those that scenes can name.
+
+An effect is one class: its data, read from the scene, and its part of the residual. Residual, energy and the choice of
+the solver are folds over the effects that a scene names; what it does not name is not even imported.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
     import numpy as np
     import ufl
 
+    from fenicsx_obstacle.scenes.formulas import Formula
     from fenicsx_obstacle.scenes.materials import Value
+
+_HOME = {"tension": "membrane", "load": "membrane", "flux": "boundary", "spring": "boundary"}
+
+
+class Reader(Protocol):
+    """Turns what stands in a scene into data."""
+
+    @property
+    def source(self) -> str:
+        """Where the scene comes from, for messages."""
+
+    def formula(self, value: float | str, place: str) -> Formula:
+        """A number or a formula."""
+
+    def value(self, value: Any, place: str) -> Value:
+        """A number, a formula, or one of these for each material."""
 
 
 class Sampler(Protocol):
-    """Gives an effect its data on a mesh."""
+    """Gives an effect its data on a mesh: Functions and Constants, never formulas, so that scenes share forms."""
 
-    def cellwise(self, value: Value, *, positive: bool = False) -> Any:
+    def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
+
+    def on_part(self, value: Formula, part: int, *, least: float | None = None) -> Any:
+        """Nodal Function with the values of a formula on the part of a [[boundary]], counted from 0."""
 
     @property
     def dx(self) -> Any:
         """Integration over the domain."""
+
+    def over(self, part: int, key: str, *, nodal: bool = False) -> Any:
+        """Integration over the part that a [[boundary]] gives a key, by the nodal rule of its facets if asked for."""
 
 
 class NodalSampler(Protocol):
@@ -40,13 +69,42 @@ class Effect:
 
     value: Value
 
-    key: ClassVar[str] = ""  # its name in [effects]
+    key: ClassVar[str] = ""  # its name in [effects], or in [[boundary]]
+    table: ClassVar[str] = "effects"  # or "boundary"
     equation: ClassVar[str] = ""  # how it enters the equation, for `explain`
+    left: ClassVar[bool] = False  # on the left side there
+    term: ClassVar[str] = ""  # its part of a(u, v) - f(v), for `explain`
     unit: ClassVar[str] = ""
+    holds: ClassVar[bool] = False  # keeps u from floating away where it is given nowhere
     elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
+        """The effect from what stands in the scene.
+
+        Args:
+            raw: There.
+            place: Where, for messages.
+            reader: The scene.
+            **more: Of [[boundary]]: `part`, which of them, counted from 0.
+
+        Raises:
+            InputError: If it is not what the effect takes.
+        """
+        return cls(reader.value(raw, place), **more)
+
+    @property
+    def text(self) -> str:
+        """Its data as the user wrote them."""
+        return self.value.text
+
+    @property
+    def formulas(self) -> list[Value]:
+        """All formulas of its data."""
+        return list(_formulas(getattr(self, field.name) for field in fields(self)))
 
     def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form:
         """Its part of the residual a(u, v) - f(v)."""
@@ -61,6 +119,19 @@ class Effect:
         return None
 
 
+def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
+    """a(u, v) - f(v): the sum of what the effects say."""
+    return sum(effect.terms(u, v, data) for effect in effects)
+
+
+def _formulas(data: Iterable[Any]) -> Iterable[Value]:
+    for part in data:
+        if hasattr(part, "check_names"):
+            yield part
+        elif isinstance(part, tuple):
+            yield from _formulas(part)
+
+
 _register: dict[str, type[Effect]] = {}
 
 
@@ -70,8 +141,14 @@ def register(effect: type[Effect]) -> type[Effect]:
     return effect
 
 
-def registered() -> dict[str, type[Effect]]:
-    """The effects that scenes can name, by key."""
-    from fenicsx_obstacle.effects import membrane  # noqa: F401  (registers its classes)
+def known(table: str = "effects") -> set[str]:
+    """The keys of all effects that a table can name, imported or not."""
+    there = {key for key, module in _HOME.items() if (module == "boundary") == (table == "boundary")}
+    return there | {key for key, effect in _register.items() if effect.table == table}
 
-    return dict(_register)
+
+def find(key: str) -> type[Effect]:
+    """The effect of a known key; its module is imported now."""
+    if key not in _register:
+        import_module(f"fenicsx_obstacle.effects.{_HOME[key]}")
+    return _register[key]

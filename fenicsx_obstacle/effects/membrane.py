@@ -20,6 +20,8 @@ class Tension(Effect):
 
     key = "tension"
     equation = "-div(tension grad u)"
+    left = True
+    term = "int tension grad u . grad v"
     unit = "force/length"
     elastic = True
 
@@ -41,6 +43,7 @@ class Load(Effect):
 
     key = "load"
     equation = "load"
+    term = "- int load v"
     unit = "force/area"
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:

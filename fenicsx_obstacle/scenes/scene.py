@@ -12,13 +12,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from fenicsx_obstacle.effects.effect import Effect, registered
+from fenicsx_obstacle.effects.effect import Effect, find, known
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
 from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
+from fenicsx_obstacle.scenes.tables import ACTING, BoundaryTable
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, Vocabulary
 from fenicsx_obstacle.words import plain
 
@@ -172,16 +173,20 @@ class Scene(Vocabulary):
         if eps <= 0:
             raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
         for number, part in enumerate(typed.boundary):
-            if part.value is None:
-                raise InputError(f"{source}: [[boundary]] (no. {number + 1}): the key 'value' is missing")
-            if part.on == ():
-                raise InputError(f"{source}: [[boundary]] (no. {number + 1}) on = []: names no part")
-            if part.on is not None and part.where is not None:
-                raise InputError(f"{source}: [[boundary]] (no. {number + 1}): 'on' and 'where' exclude each other")
-            if part.where is not None and "distance" in self.needs(self.formula(part.where, "")):
-                raise InputError(
-                    f"{source}: [[boundary]] (no. {number + 1}) where: 'distance' is 0 all over the boundary"
-                )
+            self._check_part(part, f"{source}: {part_place(number)}")
+
+    def _check_part(self, part: BoundaryTable, place: str) -> None:
+        acting = [key for key in ACTING if getattr(part, key) is not None]
+        if part.value is None and not acting:
+            raise InputError(f"{place}: the key 'value' is missing, or {', '.join(ACTING)}")
+        if part.value is not None and acting:
+            raise InputError(f"{place}: {acting[0]} does nothing where u is given by 'value'; name them apart")
+        if part.on == ():
+            raise InputError(f"{place} on = []: names no part")
+        if part.on is not None and part.where is not None:
+            raise InputError(f"{place}: 'on' and 'where' exclude each other")
+        if part.where is not None and "distance" in self.needs(self.formula(part.where, "")):
+            raise InputError(f"{place} where: 'distance' is 0 all over the boundary")
 
     @property
     def eps(self) -> float | str:
@@ -211,18 +216,33 @@ class Scene(Vocabulary):
         return known[name]
 
     def _effects(self) -> tuple[Effect, ...]:
-        known = registered()
-        for key, value in self.tables.effects.items():
-            if key not in known:
-                raise InputError(f"{self.source}: [effects] unknown effect '{key}'" + nearest(key, known))
-            if isinstance(value, bool) or not isinstance(value, float | int | str | dict) or value == {}:
-                wanted = "a number, a formula or {material = value}"
-                raise InputError(f"{self.source}: [effects] {key} = {value!r}: expected {wanted}")
-        if not any(known[key].elastic for key in self.tables.effects):
+        """Those of [effects] and of [[boundary]]; only what is named is imported."""
+        keys = known()
+        for key in self.tables.effects:
+            if key not in keys:
+                raise InputError(f"{self.source}: [effects] unknown effect '{key}'" + nearest(key, keys))
+        elastic = [key for key in self.tables.effects if find(key).elastic]
+        if not elastic:
             raise InputError(f"{self.source}: [effects] names no stiffness: add 'tension = 1'")
-        return tuple(known[key](self._value(value, f"[effects] {key}")) for key, value in self.tables.effects.items())
+        if len(elastic) > 1:
+            raise InputError(f"{self.source}: [effects] names {' and '.join(elastic)}: a membrane has one tension")
+        effects = [find(key).read(value, f"[effects] {key}", self) for key, value in self.tables.effects.items()]
+        for number, part in enumerate(self.tables.boundary):
+            for key in sorted(known("boundary")):
+                raw = getattr(part, key)
+                if raw is not None:
+                    effects.append(find(key).read(raw, f"{part_place(number)} {key}", self, part=number))
+        return tuple(effects)
 
-    def _value(self, value: Any, place: str) -> Value:
+    def value(self, value: Any, place: str) -> Value:
+        """A number, a formula, or one of these for each material.
+
+        Raises:
+            InputError: If it is none of them.
+        """
+        if isinstance(value, bool) or not isinstance(value, float | int | str | dict) or value == {}:
+            wanted = "a number, a formula or {material = value}"
+            raise InputError(f"{self.source}: {place} = {value!r}: expected {wanted}")
         if not isinstance(value, dict):
             return self.formula(value, place)
         for name, part in value.items():
@@ -240,14 +260,19 @@ class Scene(Vocabulary):
         obstacle, parts = self.tables.obstacle, []
         parts += [(value, f"[obstacle] {key}") for key, value in (("lower", obstacle.lower), ("upper", obstacle.upper))]
         for number, part in enumerate(self.tables.boundary):
-            place = f"[[boundary]] (no. {number + 1})"
+            place = part_place(number)
             parts += [(part.value, f"{place} value"), (part.where, f"{place} where")]
         found: list[Value] = [self.formula(value, place) for value, place in parts if value is not None]
-        return found + [effect.value for effect in self.effects]
+        return found + [formula for effect in self.effects for formula in effect.formulas]
 
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""
         return msgspec.toml.encode(self.tables).decode()
+
+
+def part_place(number: int) -> str:
+    """What messages call a [[boundary]], counted from 0."""
+    return f"[[boundary]] (no. {number + 1})"
 
 
 def _plain(value: Any) -> Any:

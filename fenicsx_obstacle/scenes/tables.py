@@ -41,11 +41,16 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 class BoundaryTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """[[boundary]]: where, and the value of u there."""
+    """[[boundary]]: where, and the value of u there, or what acts there: tension du/dn = flux - spring u."""
 
     on: str | tuple[str, ...] | None = None
     where: str | None = None
     value: Value | None = None
+    flux: Value | None = None
+    spring: Value | None = None
+
+
+ACTING = ("flux", "spring")  # keys of [[boundary]] beside `value`
 
 
 class RatesTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from textwrap import fill
 
 from fenicsx_obstacle.answers.choose import AUGMENTED, DIRECT_SOLVER, LINEAR_SOLVER, METHODS, NESTED, nested
-from fenicsx_obstacle.effects.effect import registered
-from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.effects.effect import Effect, known
+from fenicsx_obstacle.scenes.scene import Scene, part_place
 from fenicsx_obstacle.words import counted, plain
 
 
@@ -24,7 +24,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     """Its parts: name and lines of each."""
     return [
         ("equation", _equation(scene)),
-        ("data", [f"{effect.key} = {effect.value.text}  [{effect.unit}]" for effect in scene.effects]),
+        ("data", [_datum(effect) for effect in scene.effects]),
         ("with", [f"{name} = {formula.text}" for name, formula in scene.define.items()]),
         ("obstacle", _obstacles(scene)),
         ("boundary", _boundary(scene)),
@@ -37,11 +37,19 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     ]
 
 
+def _datum(effect: Effect) -> str:
+    unit = f"  [{effect.unit}]" if effect.unit else ""
+    part = getattr(effect, "part", None)
+    of_part = "" if part is None else f" of {part_place(part)}"
+    return f"{effect.key}{of_part} = {effect.text}{unit}"
+
+
 def _equation(scene: Scene) -> list[str]:
-    left = " ".join(effect.equation for effect in scene.effects if effect.elastic)
-    right = [effect.equation for effect in scene.effects if not effect.elastic]
+    inside = [effect for effect in scene.effects if effect.table == "effects"]
+    left = [effect.equation for effect in inside if effect.left]
+    right = [effect.equation for effect in inside if not effect.left and effect.equation]
     contact = ["p"] if _sides(scene) else []
-    return [f"{left} = {' + '.join(right + contact) or '0'}"]
+    return [f"{' + '.join(left)} = {' + '.join(right + contact) or '0'}"]
 
 
 def _sides(scene: Scene) -> list[str]:
@@ -63,12 +71,17 @@ def _boundary(scene: Scene) -> list[str]:
     tables, lines = scene.tables, []
     listed: set[str] = set()
     everywhere = False
-    for part in tables.boundary:
+    for number, part in enumerate(tables.boundary):
         names = (part.on,) if isinstance(part.on, str) else part.on or ()
         listed |= set(names)
         everywhere |= part.on is None and part.where is None
         place = f"where {part.where}" if part.where else f"on {', '.join(names) or 'the whole boundary'}"
-        lines.append(f"u = {plain(part.value)} {place}")
+        if part.value is not None:
+            lines.append(f"u = {plain(part.value)} {place}")
+        acting = [effect for effect in scene.effects if getattr(effect, "part", None) == number]
+        if acting:
+            right = " ".join(effect.equation for effect in acting)
+            lines.append(f"tension du/dn = {right} {place}; along a curve inside, its jump")
     if not everywhere:
         sides = _named_sides(scene)
         free = [side for side in sides if side not in listed] if not any(p.where for p in tables.boundary) else []
@@ -102,9 +115,7 @@ def _discrete(scene: Scene) -> list[str]:
     lines = [f"{' '.join(terms)} = f(v) for all v in {space}, v = 0 where u is given" + "   (3.4)" * bool(sides)]
     if not penalised and sides:
         lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]
-    lines.append(
-        "a(u, v) = int tension grad u . grad v" + "; f(v) = int load v" * any(e.key == "load" for e in scene.effects)
-    )
+    lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in scene.effects if effect.term))
     if sides:
         lines.append(f"I: {scene.pair.words}   (3.5), (3.6)")
         signs = {"upper": "-(u - upper)^+ / eps", "lower": "(lower - u)^+ / eps"}
@@ -166,6 +177,7 @@ def _exact(scene: Scene) -> list[str]:
 
 
 def _left_out(scene: Scene) -> str:
-    absent = [key for key in registered() if key not in {effect.key for effect in scene.effects}]
+    named = {effect.key for effect in scene.effects}
+    absent = [key for key in (*sorted(known()), *sorted(known("boundary"))) if key not in named]
     absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in _sides(scene)]
     return "; ".join(absent) or "nothing"
