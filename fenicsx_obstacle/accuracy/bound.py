@@ -97,6 +97,10 @@ class Estimator:
             raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, not for {what}")
         if not any(effect.key == "tension" for effect in scene.effects):
             raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
+        if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
+            raise InputError(f"{scene.source}: the error bound needs a tension alike in all directions")
+        if problem.forms.point_forces is not None:
+            raise InputError(f"{scene.source}: the energy of a point load is infinite in two dimensions: no error bound")
         self.triangles = Triangles(problem.data)
         self.equilibration = Equilibration(self.triangles)
         self._sample_tension()

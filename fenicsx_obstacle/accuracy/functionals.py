@@ -51,6 +51,11 @@ class Report:
         dim, pair = self.level.mesh.geometry.dim, self.level.pair
         if not pair.nests:
             raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}")
+        elastic = next(effect for effect in self.scene.effects if effect.elastic)
+        if elastic.key != "tension" or isinstance(elastic.value, tuple):
+            for formula in self.scene.report.values():
+                if {"flux", NORMAL_FLUX} & formula.names:
+                    raise InputError(f"{formula.place}: flux needs a tension alike in all directions and at all slopes")
         for formula in self.scene.report.values():
             for node in ast.walk(formula.tree):
                 match node:

@@ -58,6 +58,31 @@ class Formulas:
         except releases.UFL_ERRORS as error:
             raise InputError(f"{value.place} = {value.text}: cannot be differentiated: {error}") from None
 
+    def values(self, value: Value) -> np.ndarray:
+        """Sampled."""
+        return self.data.values(value)
+
+    def matrix(self, rows: tuple[tuple[Formula, ...], ...]) -> Any:
+        """The formulas themselves."""
+        return ufl.as_matrix([[self.cellwise(entry) for entry in row] for row in rows])
+
+    def eigenvalues(self, rows: tuple[tuple[Formula, ...], ...]) -> np.ndarray:
+        """Sampled."""
+        return self.data.eigenvalues(rows)
+
+    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
+        """At the nodes of V_h."""
+        return self.data.at_points(forces, place)
+
+    def height(self, value: Formula) -> Any:
+        """The formula itself."""
+        return self.cellwise(value)
+
+    @property
+    def dI(self) -> ufl.Measure:
+        """Integration of high degree."""
+        return self.dx
+
     def on_part(self, value: Formula, part: int, *, least: float | None = None) -> Any:
         """The formula itself."""
         return self.cellwise(value)

@@ -114,6 +114,9 @@ class _Given:
     def terms(self, u: Any, v: Any, data: Any) -> ufl.Form:
         return ufl.replace(self.F, {self.u: u, self.v: v})
 
+    def vector(self, data: Any) -> None:
+        return None
+
     def energy(self, u: Any, data: Any) -> ufl.Form | None:
         return None if self.functional is None else ufl.replace(self.functional, {self.u: u})
 

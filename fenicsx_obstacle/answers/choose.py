@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.data import array_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
@@ -61,8 +60,8 @@ def penalty_parameter(problem: Problem, scene: Scene) -> float:
     if not 0 < eps < np.inf:
         raise InputError(f"{formula.place} = {formula.text}: must be positive, it is {eps:g}")
     if "h" in formula.names:
-        stiffness = [array_of(problem.data.cellwise(effect.value)) for effect in scene.effects if effect.elastic]
-        eps /= largest(problem.level.comm, stiffness[0])
+        elastic = next(effect for effect in scene.effects if effect.elastic)
+        eps /= largest(problem.level.comm, elastic.stiffness(problem.data))
     floor = smallest_eps(problem)
     if scene.tables.solve.eps == "auto":
         return max(eps, floor)

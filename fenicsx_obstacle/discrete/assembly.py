@@ -35,6 +35,7 @@ class Forms:
         below: Distance of the lower obstacle from r, or None.
         above: Likewise of the upper obstacle.
         eps: Penalty parameter.
+        point_forces: Forces at owned nodes that are no form, or None.
         multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
     """
 
@@ -48,6 +49,8 @@ class Forms:
         pair = data.level.pair
         self.v, self.rule = ufl.TestFunction(V), pair.rule(releases.cell_name(data.level.mesh))
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
+        vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
+        self.point_forces: np.ndarray | None = sum(vectors) if vectors else None  # type: ignore[assignment]
         self._a_minus_f = self._terms(self.w + self.reference)
         self._stiffness = releases.form(ufl.derivative(self._a_minus_f, self.w))
         dofs, values = data.fixed
@@ -81,6 +84,8 @@ class Forms:
     def elastic(self, out: PETSc.Vec) -> None:
         """out = a(w + r, .) - f."""
         self._assemble(out, self._form("elastic"))
+        if self.point_forces is not None:
+            out.array[:] -= self.point_forces
 
     def reaction(self, out: PETSc.Vec) -> None:
         """out = (1/eps) I((u - g)^+, .)."""
@@ -100,6 +105,9 @@ class Forms:
         """a(u, u)/2 - f(u), and the energy of the penalty."""
         comm = self.data.level.comm
         value = total(comm, fem.assemble_scalar(self._form("energy")))
+        if self.point_forces is not None:
+            own = self.data.level.owned
+            value -= total(comm, self.point_forces * (self.w.x.array + self.reference.x.array)[:own])
         return value + (total(comm, fem.assemble_scalar(self._form("contact energy"))) if penalised else 0.0)
 
     def _form(self, name: str) -> Any:
@@ -110,7 +118,8 @@ class Forms:
                 gaps = {side: None if gap is None else gap + self.eps * self.multiplier for side, gap in gaps.items()}
             gaps["eps"] = self.eps
             if name == "energy":
-                form = sum(effect.energy(self.w + self.reference, self.data) for effect in self.effects)  # type: ignore[misc]
+                u = self.w + self.reference
+                form = sum(part for effect in self.effects if (part := effect.energy(u, self.data)) is not None)
             elif name == "elastic":
                 form = self._a_minus_f
             elif name == "contact energy":
@@ -141,6 +150,8 @@ class Nodal(Forms):
         at_rest = self._terms(fem.Constant(data.level.mesh, PETSc.ScalarType(0.0)))
         if any(integral.integrand() != 0 for integral in at_rest.integrals()):
             self._assemble(self._minus_load, releases.form(at_rest))
+        if self.point_forces is not None:
+            self._minus_load.array[:] -= self.point_forces
         self._D = super().weights()
         self._lumping: PETSc.Vec | None = None
         if data.level.pair.voronoi:

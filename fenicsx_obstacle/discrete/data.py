@@ -46,12 +46,37 @@ class Data:
         self.scene, self.level = scene, level
         self._cellwise: dict[str, Cellwise] = {}
         self._on_part: dict[str, fem.Function] = {}
+        self._heights: dict[str, fem.Function] = {}
+        self._definite: set[str] = set()
         self._givers: list[tuple[str, np.ndarray]] = []  # where a boundary value stands, and the dofs that have it
 
     @cached_property
     def dx(self) -> ufl.Measure:
         """Integration over the domain."""
         return ufl.Measure("dx", domain=self.level.mesh)
+
+    @cached_property
+    def dI(self) -> ufl.Measure:
+        """The same by the pair's rule, where its points are the nodes of V_h."""
+        pair = self.level.pair
+        nodal = pair.nodal and pair.degree == 1
+        return pair.rule(releases.cell_name(self.level.mesh)).on(self.dx) if nodal else self.dx
+
+    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
+        """Forces at points as forces at owned nodes, by barycentric coordinates (collective).
+
+        Raises:
+            InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
+        """
+        from fenicsx_obstacle.discrete.points import spread  # only where a scene names points
+
+        return spread(self.level, forces, f"{self.scene.source}: {place}")
+
+    def height(self, value: Formula) -> fem.Function:
+        """Nodal interpolant in V, kept (collective on first use)."""
+        if value.place not in self._heights:
+            self._heights[value.place] = self.nodal(value)
+        return self._heights[value.place]
 
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Cellwise:
         """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).
@@ -69,6 +94,31 @@ class Data:
                 self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
             self._cellwise[value.place] = made
         return self._cellwise[value.place]
+
+    def values(self, value: Value) -> np.ndarray:
+        """The values of `cellwise` at local dofs of W, or the one there is (collective on first use)."""
+        return array_of(self.cellwise(value))
+
+    def matrix(self, rows: tuple[tuple[Formula, ...], ...]) -> ufl.core.expr.Expr:
+        """A symmetric, positive definite matrix, one per cell (collective on first use).
+
+        Raises:
+            InputError: If it is neither somewhere, or has not as many rows as points have coordinates.
+        """
+        entries = [[self.cellwise(entry) for entry in row] for row in rows]
+        if rows[0][0].place not in self._definite:
+            from fenicsx_obstacle.discrete.tensors import check_definite  # only where a scene has a matrix
+
+            check_definite(self, rows)
+            self._definite.add(rows[0][0].place)
+        return ufl.as_matrix(entries)
+
+    def eigenvalues(self, rows: tuple[tuple[Formula, ...], ...]) -> np.ndarray:
+        """Of the symmetric part, ascending, at local dofs of W, shape (dofs or 1, rows) (collective on first use)."""
+        from fenicsx_obstacle.discrete.tensors import matrices_of
+
+        matrices = matrices_of(self, rows)
+        return np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
 
     def on_part(self, value: Formula, part: int, *, least: float | None = None) -> fem.Function:
         """A formula at the nodes of the part of a [[boundary]], counted from 0 (collective on first use).

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
@@ -9,6 +11,8 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import barycentric, corners
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.words import counted
 
 ROUND_OFF = 1e-9  # of the size of a cell: how far outside a point may lie
 OFF_SURFACE = 0.1  # likewise, for surfaces in space: points of the true surface lie beside the flat cells
@@ -37,6 +41,39 @@ def locate(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     level.comm.Allreduce(MPI.IN_PLACE, nearest, MPI.MIN)
     holds = (gap <= allowed * size) & (gap <= nearest[rows] + ROUND_OFF * size)
     return rows[holds], cells[holds], weights[holds]
+
+
+def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], place: str) -> np.ndarray:
+    """Forces at points as forces at owned nodes: each loads the vertices of its cell by its barycentric coordinates.
+
+    Args:
+        level: Mesh.
+        forces: Coordinates and force of each point, the same on every rank (collective).
+        place: Where they stand, for messages.
+
+    Raises:
+        InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
+    """
+    dim = level.mesh.geometry.dim
+    if not level.pair.nests:
+        raise InputError(f"{place}: is for element P1, not for {level.pair.name}")
+    points = np.zeros((len(forces), 3))
+    for row, (at, _) in enumerate(forces):
+        if len(at) != dim:
+            raise InputError(f"{place}: a point needs {counted(dim, 'coordinate')} here, not {len(at)}")
+        points[row, :dim] = at
+    rows, cells, weights = locate(level, points)
+    found = np.bincount(rows, minlength=len(points))
+    level.comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)
+    if not found.all():
+        outside = forces[int(np.argmin(found))][0]
+        raise InputError(f"{place}: the point ({', '.join(f'{x:g}' for x in outside)}) is outside the mesh")
+    nodal = fem.Function(level.V)
+    # on an edge all cells beside it say the same: each has its share
+    share = np.array([force for _, force in forces])[rows] / found[rows]
+    np.add.at(nodal.x.array, releases.cell_dofs(level.V)[cells], weights * share[:, None])
+    releases.add_ghosts(nodal)
+    return nodal.x.array[: level.owned].copy()
 
 
 def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -55,8 +55,9 @@ class Problem:
         data.check()
         self.affine = all(effect.affine for effect in scene.effects)
         nodal = level.pair.nodal
-        if level.pair.voronoi and not self.affine:
-            raise InputError(f"{scene.source}: element {level.pair.name} is for effects that are linear in u")
+        others = [effect.key for effect in scene.effects if effect.key not in ("tension", "load")]
+        if level.pair.voronoi and others:
+            raise InputError(f"{scene.source}: element {level.pair.name} is for tension and load, not for {others[0]}")
         self.forms = forms = (Nodal if self.affine and nodal else Forms)(scene.effects, data)
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above
@@ -219,8 +220,9 @@ class Problem:
     @property
     def has_energy(self) -> bool:
         """Whether the residual is the derivative of a convex energy."""
-        energies = [effect.energy(self.forms.w, self.data) for effect in self.scene.effects]
-        return None not in energies and all(effect.convex for effect in self.scene.effects)
+        w, data, effects = self.forms.w, self.data, self.scene.effects
+        derived = (e.energy(w, data) is not None or e.terms(w, self.forms.v, data) is None for e in effects)
+        return all(effect.convex for effect in effects) and all(derived)
 
     @cached_property
     def m_matrix(self) -> bool:

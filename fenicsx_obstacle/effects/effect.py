@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
+from fenicsx_obstacle.errors import InputError
+
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
     import numpy as np
     import ufl
@@ -18,7 +20,15 @@ if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite
     from fenicsx_obstacle.scenes.formulas import Formula
     from fenicsx_obstacle.scenes.materials import Value
 
-_HOME = {"tension": "membrane", "load": "membrane", "flux": "boundary", "spring": "boundary"}
+_HOME = {
+    "tension": "membrane",
+    "load": "membrane",
+    "point_load": "points",
+    "foundation": "support",
+    "soft_obstacle": "support",
+    "flux": "boundary",
+    "spring": "boundary",
+}
 
 
 class Reader(Protocol):
@@ -34,6 +44,9 @@ class Reader(Protocol):
     def value(self, value: Any, place: str) -> Value:
         """A number, a formula, or one of these for each material."""
 
+    def number(self, value: float | str, place: str) -> float:
+        """One finite number."""
+
 
 class Sampler(Protocol):
     """Gives an effect its data on a mesh: Functions and Constants, never formulas, so that scenes share forms."""
@@ -41,12 +54,31 @@ class Sampler(Protocol):
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
 
+    def values(self, value: Value) -> np.ndarray:
+        """The values of `cellwise` at local cells, or the one there is."""
+
+    def matrix(self, rows: tuple[tuple[Formula, ...], ...]) -> Any:
+        """Symmetric, positive definite matrix with one value per cell."""
+
+    def eigenvalues(self, rows: tuple[tuple[Formula, ...], ...]) -> np.ndarray:
+        """Its eigenvalues in ascending order, shape (cells or 1, rows)."""
+
     def on_part(self, value: Formula, part: int, *, least: float | None = None) -> Any:
         """Nodal Function with the values of a formula on the part of a [[boundary]], counted from 0."""
+
+    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
+        """Forces at points as forces at owned nodes."""
+
+    def height(self, value: Formula) -> Any:
+        """Nodal Function with the values of a formula."""
 
     @property
     def dx(self) -> Any:
         """Integration over the domain."""
+
+    @property
+    def dI(self) -> Any:
+        """The same by the nodal rule, where the element has one of degree 1."""
 
     def over(self, part: int, key: str, *, nodal: bool = False) -> Any:
         """Integration over the part that a [[boundary]] gives a key, by the nodal rule of its facets if asked for."""
@@ -106,12 +138,20 @@ class Effect:
         """All formulas of its data."""
         return list(_formulas(getattr(self, field.name) for field in fields(self)))
 
-    def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form:
-        """Its part of the residual a(u, v) - f(v)."""
-        raise TypeError(f"{type(self).__name__} has no terms")
+    def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
+        """Its part of the residual a(u, v) - f(v), as far as it is a form."""
+        return None
 
     def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
         """Its part of the energy whose derivative `terms` is, or None."""
+        return None
+
+    def vector(self, data: Sampler) -> np.ndarray | None:
+        """Its part of f(v) that is no form: forces at owned nodes (collective)."""
+        return None
+
+    def stiffness(self, data: Sampler) -> np.ndarray | None:
+        """Its tension in local cells where it is elastic, for the scale of eps."""
         return None
 
     def density(self, data: NodalSampler) -> np.ndarray | None:
@@ -121,7 +161,34 @@ class Effect:
 
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
     """a(u, v) - f(v): the sum of what the effects say."""
-    return sum(effect.terms(u, v, data) for effect in effects)
+    return sum(form for effect in effects if (form := effect.terms(u, v, data)) is not None)
+
+
+def keys_of(
+    raw: Any,
+    place: str,
+    reader: Reader,
+    needed: Sequence[str],
+    optional: Sequence[str] = (),
+    one_of: Sequence[str] = (),
+) -> dict[str, Any]:
+    """A table of the scene whose keys are checked.
+
+    Raises:
+        InputError: If it is no table, a key is unknown or a needed one is missing, or all of `one_of`.
+    """
+    wanted = ", ".join((*needed, *optional))
+    if not isinstance(raw, dict):
+        raise InputError(f"{reader.source}: {place} = {raw!r}: expected a table of {wanted}")
+    for key in raw:
+        if key not in (*needed, *optional):
+            raise InputError(f"{reader.source}: {place} unknown key '{key}' (known: {wanted})")
+    for key in needed:
+        if key not in raw:
+            raise InputError(f"{reader.source}: {place}: the key '{key}' is missing")
+    if one_of and not set(one_of) & set(raw):
+        raise InputError(f"{reader.source}: {place}: needs {' or '.join(one_of)}")
+    return raw
 
 
 def _formulas(data: Iterable[Any]) -> Iterable[Value]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, NodalSampler, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, NodalSampler, Reader, Sampler, register
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 class Tension(Effect):
     """-div(tension grad u): a(u, v) = int tension grad u . grad v, Kikuchi (2.2) with mu = tension.
 
-    One positive value per cell (the paper's mu >= mu_0 > 0, (2.5)); unit: force per length.
+    One positive value per cell (the paper's mu >= mu_0 > 0, (2.5)); unit: force per length. A matrix in the scene makes
+    it an `Anisotropic` one.
     """
 
     key = "tension"
@@ -24,6 +25,17 @@ class Tension(Effect):
     term = "int tension grad u . grad v"
     unit = "force/length"
     elastic = True
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
+        if isinstance(raw, list):
+            from fenicsx_obstacle.effects.anisotropic import Anisotropic  # only where a scene has a matrix
+
+            return Anisotropic.read(raw, place, reader)
+        return cls(reader.value(raw, place))
+
+    def stiffness(self, data: Sampler) -> np.ndarray:
+        return data.values(self.value)
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner

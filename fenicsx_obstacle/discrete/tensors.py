@@ -1,0 +1,37 @@
+"""Matrices of formulas sampled in cells, and checked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.data import ROUND_OFF, Data
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.words import counted
+
+Rows = tuple[tuple[Formula, ...], ...]
+
+
+def matrices_of(data: Data, rows: Rows) -> np.ndarray:
+    """Values of a matrix of formulas at local dofs of W, shape (dofs or 1, rows, rows) (collective on first use)."""
+    entries = np.broadcast_arrays(*(data.values(entry) for row in rows for entry in row))
+    return np.stack(entries, axis=1).reshape(-1, len(rows), len(rows))
+
+
+def check_definite(data: Data, rows: Rows) -> None:
+    """Refuse a matrix that is not symmetric and positive definite everywhere (collective).
+
+    Raises:
+        InputError: Naming its place in the scene.
+    """
+    place, comm, dim = rows[0][0].place.partition("[0]")[0], data.level.comm, data.level.mesh.geometry.dim
+    if len(rows) != dim:
+        raise InputError(f"{place}: a matrix of {len(rows)} rows, but points have {counted(dim, 'coordinate')}")
+    matrices = matrices_of(data, rows)
+    skew = np.abs(matrices - matrices.transpose(0, 2, 1))
+    if largest(comm, skew) > ROUND_OFF * largest(comm, np.abs(matrices)):
+        raise InputError(f"{place}: is not symmetric; entries differ by {largest(comm, skew):.3g}")
+    least = smallest(comm, data.eigenvalues(rows))
+    if least <= 0:
+        raise InputError(f"{place}: must be positive definite; its least eigenvalue is {least:.3g}")

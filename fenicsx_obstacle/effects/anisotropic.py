@@ -1,0 +1,65 @@
+"""A tension that differs with the direction: cloth, wood, layered ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler
+from fenicsx_obstacle.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import ufl
+
+    from fenicsx_obstacle.scenes.formulas import Formula
+
+
+@dataclass(frozen=True)
+class Anisotropic(Effect):
+    """-div(tension grad u) with a matrix: a(u, v) = int (tension grad u) . grad v; unit: force per length.
+
+    Symmetric and positive definite in each cell, which is what (2.5) asks of a tensor; as many rows as the mesh has
+    coordinates.
+
+    Attributes:
+        value: Its rows, of formulas.
+    """
+
+    value: tuple[tuple[Formula, ...], ...]  # type: ignore[assignment]
+
+    key = "tension"
+    equation = "-div(tension grad u)"
+    left = True
+    term = "int (tension grad u) . grad v"
+    unit = "force/length"
+    elastic = True
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Anisotropic:
+        square = len(raw) in (2, 3) and all(isinstance(row, list) and len(row) == len(raw) for row in raw)
+        if not square or any(isinstance(entry, list | dict) for row in raw for entry in row):
+            wanted = "2 rows of 2, or 3 rows of 3, numbers or formulas"
+            raise InputError(f"{reader.source}: {place} = {raw!r}: expected {wanted}")
+        rows = (
+            tuple(reader.formula(entry, f"{place}[{i}][{j}]") for j, entry in enumerate(row))
+            for i, row in enumerate(raw)
+        )
+        return cls(tuple(rows))
+
+    @property
+    def text(self) -> str:
+        return "[" + ", ".join("[" + ", ".join(entry.text for entry in row) + "]" for row in self.value) + "]"
+
+    def stiffness(self, data: Sampler) -> np.ndarray:
+        return data.eigenvalues(self.value)[:, -1]
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        return inner(data.matrix(self.value) * grad(u), grad(v)) * data.dx
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        return 0.5 * inner(data.matrix(self.value) * grad(u), grad(u)) * data.dx

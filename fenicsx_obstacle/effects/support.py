@@ -1,0 +1,86 @@
+"""What holds a membrane from below or above at every point, elastically: a foundation, and obstacles that give way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
+
+if TYPE_CHECKING:
+    import ufl
+
+    from fenicsx_obstacle.scenes.formulas import Formula
+
+
+@register
+class Foundation(Effect):
+    """Winkler's foundation: k u on the left side, int k u v with k >= 0; unit: force per volume.
+
+    By the nodal rule I where the element has one of degree 1: diagonal, so that it keeps the signs of an M-matrix.
+    In other words a reaction term, a rate of decay, or the interest of a value.
+    """
+
+    key = "foundation"
+    equation = "foundation u"
+    left = True
+    term = "+ int foundation u v"
+    unit = "force/volume"
+    holds = True
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return data.cellwise(self.value, least=0.0) * u * v * data.dI
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI
+
+
+@register
+@dataclass(frozen=True)
+class SoftObstacle(Effect):
+    """An obstacle that gives way: k (u - upper)^+ - k (lower - u)^+ on the left side; unit of k: force per volume.
+
+    The term of (3.3) with 1/eps = k, but k is a property of the obstacle: the solution crosses it, and no eps is chosen
+    for it. By the nodal rule, as the penalty (3.4). Energy: k/2 ((u - upper)^+^2 + (lower - u)^+^2), convex.
+
+    Attributes:
+        lower: Height of what pushes up, or None.
+        upper: Height of what pushes down, or None.
+    """
+
+    lower: Formula | None = None
+    upper: Formula | None = None
+
+    key = "soft_obstacle"
+    equation = "stiffness ((u - upper)^+ - (lower - u)^+)"
+    left = True
+    term = "+ int stiffness ((u - upper)^+ - (lower - u)^+) v, nodal rule"
+    unit = "force/volume"
+    affine = False
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> SoftObstacle:
+        given = keys_of(raw, place, reader, ("stiffness",), ("lower", "upper"), one_of=("lower", "upper"))
+        sides = {side: reader.formula(given[side], f"{place}.{side}") for side in ("lower", "upper") if side in given}
+        return cls(reader.value(given["stiffness"], f"{place}.stiffness"), **sides)
+
+    @property
+    def text(self) -> str:
+        sides = [f"{side} = {g.text}" for side, g in (("lower", self.lower), ("upper", self.upper)) if g is not None]
+        return "{" + ", ".join([*sides, f"stiffness = {self.value.text}"]) + "}"
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        above, below = self._excess(u, data)
+        return data.cellwise(self.value, least=0.0) * (above - below) * v * data.dI
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        above, below = self._excess(u, data)
+        return 0.5 * data.cellwise(self.value, least=0.0) * (above**2 + below**2) * data.dI
+
+    def _excess(self, u: Any, data: Sampler) -> tuple[Any, Any]:
+        """(u - upper)^+ and (lower - u)^+."""
+        from fenicsx_obstacle.forms.penalty import positive_part
+
+        above = 0.0 if self.upper is None else positive_part(u - data.height(self.upper))
+        below = 0.0 if self.lower is None else positive_part(data.height(self.lower) - u)
+        return above, below
