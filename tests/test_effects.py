@@ -6,6 +6,7 @@ from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
@@ -289,3 +290,212 @@ def test_demo_tent():
     """Two poles hold up a sheet that sags to the ground; poles, ground and pegs balance."""
     report = solve(Scene.read(DEMOS / "tent.toml"), cells=32).report
     assert abs(report["balance"]) < 1e-6 and report["ground"] > 0
+
+
+# on the side x = 1 u touches where |y - 1/2| < 1/4, with a force per length p; the flux takes both into account
+WALL_P = "3*max(1 - 16*(y - 0.5)^2, 0)"
+WALL = {"on": "right", "lower": f"{SMOOTH} - 20*max(abs(y - 0.5) - 0.25, 0)^2",
+        "flux": f"cos(x)*cosh(y) + 2*x - {WALL_P}"}  # fmt: skip
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_obstacle_on_the_boundary(method):
+    """Signorini's problem, tension du/dn = flux + p with u >= lower on one side: orders of the membrane alone."""
+    parts = [{"on": ["left", "bottom", "top"], "value": SMOOTH}, WALL]
+    scene = membrane(load=-2, boundary=parts, exact=SMOOTH, report={"force": "integral(p, 'right')"})
+    seen = orders(scene, method)
+    assert abs(seen["l2"] - 2) < 0.1 and abs(seen["h1"] - 1) < 0.02, seen
+    record = solve(scene, method=method, cells=64).record
+    assert record["newton_iterations"] <= 6 and record["krylov_iterations"] <= 20
+    force = record["contact"]["lower"]["force"]
+    assert np.isclose(force, 3 * 0.5 * 2 / 3, rtol=2e-3)
+    assert np.isclose(record["report"]["force"], force, rtol=1e-9)
+    assert np.isclose(record["contact"]["area"], 0.5, atol=0.04)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_string_that_ends_on_a_stop(method):
+    """u'' = 1, u(0) = 0, u(1) >= -1/5: p = u'(1) = 3/10 as a force."""
+    parts = [{"on": "left", "value": 0}, {"on": "right", "lower": -0.2, "upper": 3}]
+    scene = membrane(mesh={"shape": "interval", "cells": 16}, load=-1, boundary=parts, exact="x^2/2 - 0.7*x")
+    record = solve(scene, method=method, eps=1e-10).record
+    assert record["errors"]["max"] < 1e-9
+    assert np.isclose(record["contact"]["lower"]["force"], 0.3)
+    assert record["contact"]["upper"]["force"] == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_wire_below_a_membrane(wire, method):
+    """A thin obstacle along a curve inside: u = x^2/2 - 0.35 x up to it, its force 0.3 per length."""
+    parts = [{"on": "sides", "value": 0}, {"on": "wire", "lower": -0.05}]
+    changes = {"boundary": parts, "effects.load": -1, "mesh.refine": 2}
+    scene = wire.change({**changes, "exact.u": "min(x, 1 - x)^2/2 - 0.35*min(x, 1 - x)"})
+    record = solve(scene, method=method).record
+    assert record["errors"]["max"] < 2e-3
+    assert np.isclose(record["contact"]["lower"]["force"], 0.3, rtol=5e-3)
+    assert np.isclose(record["contact"]["area"], 1)
+
+
+def test_obstacle_on_a_face():
+    """Three dimensions, and quadrilaterals: the wall of the square, drawn out along z; both paths of assembly."""
+    box = {"shape": "box", "cells": 8}
+    parts = [{"on": ["left", "bottom", "top"], "value": SMOOTH}, WALL]
+    square = {"shape": "rectangle", "cells": 8}
+    flat, solid = (solve(membrane(mesh=mesh, load=-2, boundary=parts)).record for mesh in (square, box))
+    assert np.isclose(solid["contact"]["lower"]["force"], flat["contact"]["lower"]["force"], rtol=0.03)
+    quadrilaterals = solve(membrane(load=-2, boundary=parts), element="Q1").record
+    assert np.isclose(quadrilaterals["contact"]["lower"]["force"], 1, rtol=0.02)
+    soft = {"upper": 9, "stiffness": 1}  # not reached, but not affine
+    forms = solve(membrane(load=-2, boundary=parts, soft_obstacle=soft)).record
+    assert np.isclose(forms["energy"], solve(membrane(load=-2, boundary=parts)).record["energy"], rtol=1e-8)
+
+
+def test_units_of_an_obstacle_on_the_boundary():
+    """Lengths times 1000: the same relative penetration, the same steps."""
+    parts = [{"on": ["left", "bottom", "top"], "value": 0}, {"on": "right", "lower": -0.01}]
+    for_size = lambda L: membrane(  # noqa: E731
+        mesh={"shape": "rectangle", "x": [0, L], "y": [0, L], "cells": 32}, load=-1 / L**2, boundary=parts
+    )
+    ours, plain = (solve(for_size(L)).record for L in (1000, 1))
+    assert ours["newton_iterations"] == plain["newton_iterations"]
+    assert np.isclose(ours["penetration"], plain["penetration"], rtol=1e-6)
+    assert np.isclose(ours["contact"]["lower"]["force"], plain["contact"]["lower"]["force"], rtol=1e-6)
+
+
+def test_obstacles_of_both_kinds_are_refused():
+    free = {"on": "left", "lower": 0}
+    for given, message in (
+        ({"lower": -1, "boundary": [free]}, "one or the other, not both"),
+        ({"boundary": [{"value": 0}, free]}, "lower does nothing where u is given, by no. 1"),
+        ({"boundary": [{**free, "upper": -1}]}, "lower is above upper: by 1"),
+        ({"boundary": [{"on": "right", "value": -1}, {"on": ["left", "top"], "lower": 0}]}, "lies below the lower"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solve(membrane(**given))
+    with pytest.raises(InputError, match="obstacles on the boundary are for elements P1 and Q1"):
+        solve(membrane(boundary=[free]), element="P2")
+    with pytest.raises(InputError, match="obstacles in the domain, not on its boundary"):
+        solve(membrane(boundary=[free, {"on": "right", "value": 0}]), bound=True)
+
+
+def test_demo_wall():
+    """What the rain brings flows out to the left and through the open part of the wall."""
+    answer = solve(Scene.read(DEMOS / "wall.toml"), cells=32)
+    assert abs(answer.report["balance"]) < 1e-8
+    assert 0.1 < answer.record["contact"]["area"] < 0.9
+    text = explain(answer.scene)
+    for part in ("u <= upper = sea on right", "tension du/dn = p on right", "(L/eps) I((u - upper)^+, v)"):
+        assert part in text
+
+
+RADIAL = {"mesh": {"shape": "interval"}, "axial_symmetry": True, "boundary": [{"on": "right", "value": 0}]}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_disk_as_an_interval(method, disk):
+    """A disk under a flat ceiling by its radius: orders of the membrane, force and area of two dimensions."""
+    tables = disk.change({"define.a": 0.5}).tables
+    scene = membrane(**RADIAL, load="f", upper="c", exact=tables.exact.u, define=dict(tables.define))
+    rows = [solve(scene, method=method, cells=n).record for n in (40, 80)]
+    errors = [{"h": row["h"], **row["errors"]} for row in rows]
+    assert abs(order("l2", errors[1], errors[0], "h") - 2) < 0.1
+    assert abs(order("h1", errors[1], errors[0], "h") - 1) < 0.02
+    assert np.isclose(rows[1]["contact"]["upper"]["force"], 4 * 0.5**2 / 2, rtol=5e-3)
+    flat = membrane(mesh={"shape": "disk", "cells": 64}, load="f", upper="c", define=dict(tables.define))
+    plane = solve(flat, method=method).record
+    for key in ("area", "upper"):
+        ours, theirs = rows[1]["contact"][key], plane["contact"][key]
+        ours, theirs = (one["force"] if key == "upper" else one for one in (ours, theirs))
+        assert np.isclose(2 * np.pi * ours, theirs, rtol=0.03)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_meridian_of_a_body(method):
+    """In the plane of a meridian, with flux, springs and a foundation: -(1/x) div(x grad u) = f - u."""
+    u = "y^2 - x^2/2"
+    parts = [{"on": ["bottom", "top"], "value": u}, {"on": "right", "flux": f"-1 + 2*({u})", "spring": 2}]
+    scene = above(u, u, axial_symmetry=True, foundation=1, boundary=parts)
+    check_orders(scene, method, cells=(64, 256))
+
+
+def test_axial_symmetry_that_means_nothing():
+    for changes, message in (
+        ({"axial_symmetry": 1}, "expected true"),
+        ({"mesh": {"shape": "interval", "x": [-1, 1]}}, "axial_symmetry, radius = x: must be positive"),
+        ({"mesh": {"shape": "box", "cells": 2}, "boundary": [{"value": 0}]}, "is for intervals and plane meshes"),
+        ({"point_load": [{"at": 0.5, "force": 1}]}, "with axial_symmetry a point is a ring"),
+        ({"report": {"F": "integral(normal_flux, 'right')"}}, "not for axial symmetry"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solve(membrane(**{**RADIAL, **changes}))
+
+
+def test_demo_drum():
+    """A drum under a round ceiling: the force is that of the load within the contact, the radius from its equation."""
+    answer = solve(Scene.read(DEMOS / "drum.toml"))
+    assert np.isclose(answer.report["force"], np.pi * 4 * 0.5777150035509267**2, rtol=2e-3)
+    assert answer.record["errors"]["max"] < 1e-4
+
+
+CARRIED = "(7 + 5*y)*(cos(x)*cosh(y) + 2*x) - 5*x*sin(x)*sinh(y)"  # (7 + 5 y, -5 x) . grad of SMOOTH
+WIND = ["7 + 5*y", "-5*x"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_drift(method):
+    """Cells with Pe < 1: Galerkin's method, orders of the membrane alone."""
+    scene = above(SMOOTH, f"-2 + {CARRIED} + {SMOOTH}", drift=WIND, foundation=1)
+    check_orders(scene, method)
+    assert 0 < solve(scene, method=method, cells=32).record["peclet"] < 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_drift_alone_almost(method):
+    """Pe > 10: drift, load and foundation lean alike, so that order 2 stays where nothing is touched."""
+    load = f"-2e-3 + {CARRIED} + {SMOOTH}"
+    scene = membrane(tension=1e-3, drift=WIND, foundation=1, load=load, lower=-9, exact=SMOOTH,
+                     boundary=[{"value": SMOOTH}])  # fmt: skip
+    found = [solve(scene, method=method, cells=n).record for n in (32, 64)]
+    assert found[1]["peclet"] > 10
+    rows = [{"h": row["h"], **row["errors"]} for row in found]
+    assert order("l2", rows[1], rows[0], "h") > 1.9
+
+
+@pytest.mark.parametrize("speed", [10, 1e3, 1e6])
+def test_layers_have_no_wiggles(speed):
+    """-u'' + b u' = 0 between 0 and 1: monotone whatever Pe, and where Pe < 1 with order 2."""
+    ends = [{"on": "left", "value": 0}, {"on": "right", "value": 1}]
+    string = {"mesh": {"shape": "interval", "cells": 20}, "boundary": ends}
+    answer = solve(membrane(**string, drift=[speed]))
+    own = answer.level.owned
+    points, u = answer.level.points[0, :own], answer.u.x.array[:own]
+    order_ = np.argsort(points)
+    assert np.all(np.diff(u[order_]) >= -1e-12) and smallest(COMM, u) >= -1e-12 and largest(COMM, u) <= 1 + 1e-12
+    if speed == 10:
+        exact = "(exp(10*x) - 1)/(exp(10) - 1)"
+        errors = [solve(membrane(**string, drift=[10], exact=exact), cells=n).record["errors"]["l2"] for n in (20, 40)]
+        assert abs(np.log2(errors[0] / errors[1]) - 2) < 0.06
+
+
+def test_drift_that_means_nothing():
+    for drift, message in (
+        (1, "expected a list of one number or formula per coordinate"),
+        ([1], "has 1 components, but points have 2 coordinates"),
+        ([1, "q"], "unknown name 'q'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solve(membrane(drift=drift))
+
+
+def test_demo_pollutant():
+    """0 <= u <= 1 under wind, sources and a sink: both methods agree, full and empty regions are reported."""
+    scene = Scene.read(DEMOS / "pollutant.toml")
+    text = " ".join(explain(scene).split())
+    assert "streamline upwinding" in text and "GMRES" in text and "no energy" in text
+    ours, theirs = (solve(scene, cells=32, method=method) for method in METHODS)
+    assert "GMRES" in ours.summary() and "Peclet" in ours.summary()
+    assert smallest(COMM, theirs.u.x.array) >= 0 and largest(COMM, theirs.u.x.array) <= 1
+    assert largest(COMM, np.abs(ours.u.x.array - theirs.u.x.array)) < 1e-3
+    for side in ("lower", "upper"):
+        assert ours.record["contact"][side]["force"] > 0.1
+    assert ours.record["energy"] is None

@@ -100,7 +100,11 @@ class Estimator:
         if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
             raise InputError(f"{scene.source}: the error bound needs a tension alike in all directions")
         if problem.forms.point_forces is not None:
-            raise InputError(f"{scene.source}: the energy of a point load is infinite in two dimensions: no error bound")
+            raise InputError(f"{scene.source}: the energy of a point load is infinite: there is no bound of its error")
+        if problem.data.radial:
+            raise InputError(f"{scene.source}: the error bound is for plane problems, not for axial symmetry")
+        if problem.data.thin:
+            raise InputError(f"{scene.source}: the error bound is for obstacles in the domain, not on its boundary")
         self.triangles = Triangles(problem.data)
         self.equilibration = Equilibration(self.triangles)
         self._sample_tension()

@@ -21,7 +21,7 @@ class Contact:
         pressure: p_i at owned points of I, negative against the upper obstacle.
         lower: Whether a node presses against the lower obstacle.
         upper: Likewise.
-        area: Sum of D_i over the contact nodes.
+        area: Sum of D_i over the contact nodes; of obstacles on the boundary the length there.
         lower_force: Sum of D_i p_i there, >= 0.
         upper_force: Sum of -D_i p_i there, >= 0.
         penetration: Largest distance beyond an obstacle.
@@ -56,7 +56,7 @@ def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
         pressure=pressure,
         lower=lower,
         upper=upper,
-        area=total(comm, D[lower | upper]),
+        area=total(comm, D[lower | upper]) / problem.thickness,
         lower_force=total(comm, (D * pressure)[lower]),
         upper_force=total(comm, -(D * pressure)[upper]),
         penetration=max(beyond, 0.0) + 0.0,  # no negative zero

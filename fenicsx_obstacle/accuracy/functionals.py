@@ -57,6 +57,8 @@ class Report:
                 if {"flux", NORMAL_FLUX} & formula.names:
                     raise InputError(f"{formula.place}: flux needs a tension alike in all directions and at all slopes")
         for formula in self.scene.report.values():
+            if self.data.radial and NORMAL_FLUX in formula.names:
+                raise InputError(f"{formula.place}: {NORMAL_FLUX} is for plane problems, not for axial symmetry")
             for node in ast.walk(formula.tree):
                 match node:
                     case ast.Call(func=ast.Name(id="integral"), args=[first, ast.Constant(value=str(name)) as part]):

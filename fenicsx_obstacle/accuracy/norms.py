@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.quadrature import DEGREE
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.data import Data, Weighted
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Sampler, residual
 from fenicsx_obstacle.errors import InputError
@@ -34,8 +34,10 @@ class Formulas:
     def __init__(self, data: Data):
         self.data, self.level, scene = data, data.level, data.scene
         mesh = self.level.mesh
-        self.dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
+        self.dx: Any = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
         x = ufl.SpatialCoordinate(mesh)
+        if data.radial:
+            self.dx = Weighted(self.dx, x[0])
         self._zero = x[0] - x[0]  # gives expressions without coordinates a domain, which grad needs
         axes = [x[i] if i < mesh.geometry.dim else self._zero for i in range(3)]
         self.eps = fem.Constant(mesh, PETSc.ScalarType(0.0))
@@ -58,6 +60,15 @@ class Formulas:
         except releases.UFL_ERRORS as error:
             raise InputError(f"{value.place} = {value.text}: cannot be differentiated: {error}") from None
 
+    def field(self, components: tuple[Formula, ...]) -> Any:
+        """The formulas themselves."""
+        return ufl.as_vector([self.cellwise(part) for part in components])
+
+    @property
+    def cell_size(self) -> Any:
+        """0: exact data need no upwinding."""
+        return 0.0
+
     def values(self, value: Value) -> np.ndarray:
         """Sampled."""
         return self.data.values(value)
@@ -79,7 +90,7 @@ class Formulas:
         return self.cellwise(value)
 
     @property
-    def dI(self) -> ufl.Measure:
+    def dI(self) -> Any:
         """Integration of high degree."""
         return self.dx
 

@@ -104,9 +104,13 @@ class Answer:
         size = f"{counted(r['cells_total'], 'cell')}, {counted(r['dofs'], 'unknown')}, h = {r['h']:.4g}"
         eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
         figures = self._figures()
+        if "peclet" in r:
+            how = "upwinded where it is above 1" if r["peclet"] > 1 else "so no upwinding anywhere"
+            figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
         if r["free"] == 0:
             figures.append("u is given at every node: take more cells")
-        steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], 'CG step')}"
+        linear = "GMRES step" if "peclet" in r else "CG step"
+        steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
         lines = [
             f"{r['title'] or r['scene']}",
             f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
@@ -160,7 +164,7 @@ class Answer:
         """Energy and contact, in words."""
         r, contact = self.record, self.record["contact"]
         sides = [side for side in ("lower", "upper") if side in contact]
-        figures = [f"energy {r['energy']:.10g}"]
+        figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}"]
         if sides:
             figures.append(f"contact area {contact['area']:.6g}")
             figures += [f"force on {side} obstacle {contact[side]['force']:.6g}" for side in sides]

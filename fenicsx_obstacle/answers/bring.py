@@ -77,7 +77,7 @@ def solve_form(
         raise InputError(f"eps = {eps}: must be positive and finite")
     level = of_space(u.function_space)
     given = _Given(F, u, energy)
-    scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables())
+    scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables(), thin=False)
     data = _Data(scene, level, bcs, lower, upper)
     problem = Problem(scene, level, data)
     start = u.x.array.copy()
@@ -102,7 +102,7 @@ def solve_form(
 class _Given:
     """The caller's residual as an effect: what a problem is made of."""
 
-    elastic, affine, holds = True, False, False
+    elastic, affine, holds, radial, leans = True, False, False, False, False
 
     def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
         arguments = F.arguments()
@@ -113,6 +113,9 @@ class _Given:
 
     def terms(self, u: Any, v: Any, data: Any) -> ufl.Form:
         return ufl.replace(self.F, {self.u: u, self.v: v})
+
+    def lean(self, v: Any, elastic: Any, data: Any) -> None:
+        return None
 
     def vector(self, data: Any) -> None:
         return None

@@ -17,6 +17,7 @@ METHODS = {
 }
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
 LINEAR_SOLVER = "conjugate gradients with algebraic multigrid (hypre BoomerAMG)"
+GENERAL_SOLVER = "GMRES with algebraic multigrid (hypre BoomerAMG), because the equation is not symmetric"
 DIRECT_SOLVER = "a direct solver (MUMPS), because contact couples the nodes of a cell"
 AUGMENTED = "penalty solves with augmented obstacles g + eps p: the quadratic program with u <= g at the points of I"
 

@@ -190,6 +190,16 @@ class Workbench:
             self._poisson = poisson_seconds(problem.level)
         return self._answer(scene, outcomes, eps, pressure, seconds, None if estimator is None else estimator.bound())
 
+    def _flow(self) -> dict[str, Any]:
+        """The Peclet number, where a scene has drift."""
+        problem = self.problem
+        for effect in problem.scene.effects:
+            if effect.key == "drift":
+                from fenicsx_obstacle.discrete.flow import peclet  # only where a scene names it
+
+                return {"peclet": peclet(problem.data, effect)}
+        return {}
+
     def _hierarchy(self) -> list[Multigrid]:
         """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""
         if self._grids is None:
@@ -211,7 +221,8 @@ class Workbench:
         problem, level = self.problem, self.problem.level
         contact = contact_of(problem, p)
         u = problem.heights()
-        pressure, touching = in_q(level, p), in_q(level, (contact.lower | contact.upper).astype(float))
+        pressure = in_q(level, p * problem.thickness)
+        touching = in_q(level, (contact.lower | contact.upper).astype(float))
         errors: dict[str, Any] = {} if self.exact is None else {"errors": self.exact.errors(u, pressure, eps)}
         state = problem.state()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
@@ -227,7 +238,7 @@ class Workbench:
             "cells_total": level.cells, "dofs": level.dofs,
             "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
             "h": level.h, "h_max": level.h_max, "eps": eps,
-            "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
+            **self._flow(), "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
             "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov,
             "newton_total": sum(o.iterations for o in outcomes), "krylov_total": sum(o.krylov for o in outcomes),
             "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
@@ -252,10 +263,12 @@ class Workbench:
         if self.exact is not None:
             error = fem.Function(level.V)
             error.x.array[:] = u.x.array - self.exact.nodal(eps)
+        data = problem.data
+        shown = (None, None) if data.thin else (data.lower, data.upper)
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
         return Answer(
-            scene, level, u, pressure, touching, problem.data.lower, problem.data.upper, error, history, record, bound,
+            scene, level, u, pressure, touching, *shown, error, history, record, bound,
         )  # fmt: skip
 
 

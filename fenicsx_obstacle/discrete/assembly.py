@@ -23,6 +23,7 @@ from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
 from fenicsx_obstacle.parallel import largest, total
 
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
+FAR = 1e300  # an infinite distance, in a form
 HELD = 1e16  # times the diagonal of a row that is to answer zero
 
 
@@ -35,6 +36,8 @@ class Forms:
         below: Distance of the lower obstacle from r, or None.
         above: Likewise of the upper obstacle.
         eps: Penalty parameter.
+        measure: Where contact can be: the domain, or parts of its boundary.
+        thickness: What makes weights on the boundary areas: its length times it is one; 1 in the domain.
         point_forces: Forces at owned nodes that are no form, or None.
         multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
     """
@@ -48,6 +51,11 @@ class Forms:
         self.eps = fem.Constant(data.level.mesh, PETSc.ScalarType(1.0))
         pair = data.level.pair
         self.v, self.rule = ufl.TestFunction(V), pair.rule(releases.cell_name(data.level.mesh))
+        self.measure: Any = data.dx
+        self.thickness, self._finite = 1.0, [self.below, self.above]
+        if data.thin:
+            self.measure, self.rule, self.thickness = data.parts.all("contact"), data.parts.rule, data.extent
+            self._finite = [None if gap is None else fem.Function(V) for gap in self._finite]
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
         self.point_forces: np.ndarray | None = sum(vectors) if vectors else None  # type: ignore[assignment]
@@ -70,16 +78,19 @@ class Forms:
         """D_i = I(phi_i, 1) at owned points of I: dofs of V_h, 0 at those that are none, or else of Q_h."""
         level = self.data.level
         v = self.v if level.pair.nodal else ufl.TestFunction(level.Q)
-        form = releases.form(v * self.rule.on(self.data.dx))
+        form = releases.form(v * self.rule.on(self.measure))
         out = releases.create_vector(form, v.ufl_function_space())
         self._assemble(out, form)
         values = out.array.copy()
         out.destroy()
         values[values < NO_WEIGHT * largest(level.comm, values)] = 0.0
-        return values
+        return values * self.thickness
 
     def refer(self) -> None:
         """Called when r has changed."""
+        for far, gap in zip(self._finite, (self.below, self.above), strict=True):
+            if far is not None and gap is not None and far is not gap:
+                far.x.array[:] = np.clip(gap.x.array, -FAR, FAR)
 
     def elastic(self, out: PETSc.Vec) -> None:
         """out = a(w + r, .) - f."""
@@ -113,19 +124,19 @@ class Forms:
     def _form(self, name: str) -> Any:
         """Compiled on first use (collective): the fast path needs none of these."""
         if name not in self._made:
-            gaps: dict[str, Any] = {"lower": self.below, "upper": self.above}
+            gaps: dict[str, Any] = dict(zip(("lower", "upper"), self._finite, strict=True))
             if self.multiplier is not None:
                 gaps = {side: None if gap is None else gap + self.eps * self.multiplier for side, gap in gaps.items()}
-            gaps["eps"] = self.eps
+            gaps["eps"] = self.eps if self.thickness == 1.0 else self.eps / self.thickness
             if name == "energy":
                 u = self.w + self.reference
                 form = sum(part for effect in self.effects if (part := effect.energy(u, self.data)) is not None)
             elif name == "elastic":
                 form = self._a_minus_f
             elif name == "contact energy":
-                form = penalty_energy(self.w, dI=self.rule.on(self.data.dx), **gaps)
+                form = penalty_energy(self.w, dI=self.rule.on(self.measure), **gaps)
             else:
-                form = penalty(self.w, self.v, rule=self.rule, **gaps)
+                form = penalty(self.w, self.v, rule=self.rule, measure=self.measure, **gaps)
             if name == "jacobian":
                 form = ufl.derivative(self._a_minus_f + form, self.w)
             self._made[name] = releases.form(form)

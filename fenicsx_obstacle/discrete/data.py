@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from math import factorial
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import ufl
@@ -13,15 +14,17 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import corners
+from fenicsx_obstacle.discrete.cells import corners, volumes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.scene import Scene, part_place
 from fenicsx_obstacle.scenes.tables import ACTING
 from fenicsx_obstacle.scenes.vocabulary import COORDINATES
+from fenicsx_obstacle.words import counted
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.parts import Facets, Parts
@@ -36,14 +39,31 @@ def array_of(function: Cellwise) -> np.ndarray:
     return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
 
 
+class Weighted:
+    """`integrand * Weighted` is the integral with a weight: a measure that is not that of the space itself."""
+
+    def __init__(self, measure: ufl.Measure, weight: ufl.core.expr.Expr):
+        self.measure, self.weight = measure, weight
+
+    def __call__(self, **how: Any) -> Weighted:
+        """The same with another rule: `metadata=...`, as for a measure."""
+        return Weighted(self.measure(**how), self.weight)
+
+    def __rmul__(self, integrand: Any) -> ufl.Form:
+        return integrand * self.weight * self.measure
+
+
 class Data:
     """What the effects, obstacles and boundary values of a scene are on one level.
 
     Everything is sampled on first use, which is collective, and kept.
+
+    Attributes:
+        thin: Whether obstacles are on the boundary, or on curves inside, instead of in the domain.
     """
 
     def __init__(self, scene: Scene, level: Level):
-        self.scene, self.level = scene, level
+        self.scene, self.level, self.thin = scene, level, scene.thin
         self._cellwise: dict[str, Cellwise] = {}
         self._on_part: dict[str, fem.Function] = {}
         self._heights: dict[str, fem.Function] = {}
@@ -51,12 +71,25 @@ class Data:
         self._givers: list[tuple[str, np.ndarray]] = []  # where a boundary value stands, and the dofs that have it
 
     @cached_property
-    def dx(self) -> ufl.Measure:
+    def dx(self) -> Any:
         """Integration over the domain."""
-        return ufl.Measure("dx", domain=self.level.mesh)
+        dx = ufl.Measure("dx", domain=self.level.mesh)
+        return Weighted(dx, self.radius) if self.radial else dx
+
+    @property
+    def radial(self) -> bool:
+        """Whether the scene is axially symmetric."""
+        return any(effect.radial for effect in self.scene.effects)
 
     @cached_property
-    def dI(self) -> ufl.Measure:
+    def radius(self) -> Cellwise:
+        """Distance from the axis, positive in each cell (first use is collective)."""
+        if self.level.mesh.geometry.dim > 2:
+            raise InputError(f"{self.scene.source}: [effects] axial_symmetry is for intervals and plane meshes")
+        return self.cellwise(self.scene.formula("x", "[effects] axial_symmetry, radius"), positive=True)
+
+    @cached_property
+    def dI(self) -> Any:
         """The same by the pair's rule, where its points are the nodes of V_h."""
         pair = self.level.pair
         nodal = pair.nodal and pair.degree == 1
@@ -94,6 +127,29 @@ class Data:
                 self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
             self._cellwise[value.place] = made
         return self._cellwise[value.place]
+
+    def field(self, components: tuple[Formula, ...]) -> ufl.core.expr.Expr:
+        """A vector, one per cell (collective on first use).
+
+        Raises:
+            InputError: If it has not as many components as points have coordinates.
+        """
+        dim = self.level.mesh.geometry.dim
+        if len(components) != dim:
+            place = components[0].place.partition("[0]")[0]
+            raise InputError(f"{place}: has {len(components)} components, but points have {counted(dim, 'coordinate')}")
+        return ufl.as_vector([self.cellwise(part) for part in components])
+
+    @cached_property
+    def cell_size(self) -> Cellwise:
+        """The side of each cell, sqrt(2|T|) or (6|T|)^(1/3); of other cells than simplices the grid's."""
+        mesh = self.level.mesh
+        if releases.cell_name(mesh) not in SIMPLICES:
+            return fem.Constant(mesh, PETSc.ScalarType(self.level.h))
+        sizes, dim = fem.Function(releases.functionspace(mesh, "DG", 0)), mesh.topology.dim
+        dofs = releases.cell_dofs(sizes.function_space)[:, 0]
+        sizes.x.array[dofs] = (factorial(dim) * volumes(corners(mesh)[: len(dofs)])) ** (1 / dim)
+        return sizes
 
     def values(self, value: Value) -> np.ndarray:
         """The values of `cellwise` at local dofs of W, or the one there is (collective on first use)."""
@@ -145,13 +201,12 @@ class Data:
         """Measures of the parts of the boundary on which something acts (first use is collective)."""
         from fenicsx_obstacle.discrete.parts import Parts  # only where a scene names one
 
-        found = [
-            (number, key, self.facets[number])
-            for number, part in enumerate(self.scene.tables.boundary)
-            for key in ACTING
-            if getattr(part, key) is not None
-        ]
-        return Parts(self.level, found)
+        found = []
+        for number, part in enumerate(self.scene.tables.boundary):
+            keys = [key for key in ("flux", "spring") if getattr(part, key) is not None]
+            keys += ["contact"] * (part.lower is not None or part.upper is not None)
+            found += [(number, key, self.facets[number]) for key in keys]
+        return Parts(self.level, found, radial=self.radial)
 
     def over(self, part: int, key: str, *, nodal: bool = False) -> Facets:
         """Integration over the part that a [[boundary]], counted from 0, gives a key (collective on first use)."""
@@ -238,6 +293,8 @@ class Data:
             raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
         self._check_parts()
         heights = [f.x.array for f in (self.lower, self.upper) if f is not None] + [values.x.array[dofs]]
+        if self.thin:
+            heights = [part[np.isfinite(part)] for part in heights]
         high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
         tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
         if self.lower is not None and self.upper is not None:
@@ -270,9 +327,35 @@ class Data:
                     f"{self.scene.source}: {part_place(number)} {key} does nothing where u is given, by {others}"
                 )
 
+    @cached_property
+    def extent(self) -> float:
+        """Longest side of the box around the mesh: makes an area of a length of contact (first use is collective)."""
+        x, comm = self.level.points, self.level.comm
+        return max(largest(comm, axis) - smallest(comm, axis) for axis in x)
+
     def _obstacle(self, key: str) -> fem.Function | None:
+        if self.thin:
+            return self._thin_obstacle(key)
         value = getattr(self.scene.tables.obstacle, key)
         return None if value is None else self.nodal(self.scene.formula(value, f"[obstacle] {key}"))
+
+    def _thin_obstacle(self, key: str) -> fem.Function | None:
+        """Nodal obstacle on parts of the boundary; infinitely far off elsewhere."""
+        parts = [getattr(part, key) for part in self.scene.tables.boundary]
+        if all(value is None for value in parts):
+            return None
+        function = fem.Function(self.level.V)
+        function.x.array[:] = -np.inf if key == "lower" else np.inf
+        for number, value in enumerate(parts):
+            if value is not None:
+                formula = self.scene.formula(value, f"{part_place(number)} {key}")
+                dofs = self.dofs_on(self.facets[number])
+                part = fem.Function(self.level.V)
+                part.x.array[dofs] = self._at_points(formula, self.level.points[:, dofs])
+                self._refuse_infinite(formula, part)
+                function.x.array[dofs] = part.x.array[dofs]
+        function.x.scatter_forward()
+        return function
 
     def _facets(self, on: str | tuple[str, ...] | None, where: str | None, place: str) -> np.ndarray:
         level = self.level

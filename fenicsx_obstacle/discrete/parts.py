@@ -13,7 +13,7 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.rules import facet_of, nodal_rule
+from fenicsx_obstacle.forms.rules import Rule, facet_of, nodal_rule
 
 MOST = 30  # pairs of a part and a key: each is a bit of a facet's tag
 
@@ -27,12 +27,20 @@ class Facets:
     Attributes:
         outside: Measure of those on the boundary, or None.
         inside: Measure of those inside, or None.
+        weight: A factor of all integrands, or None.
     """
 
     outside: ufl.Measure | None
     inside: ufl.Measure | None
+    weight: Any = None
+
+    def __call__(self, **how: Any) -> Facets:
+        """The same with another rule: `metadata=...`, as for a measure."""
+        outside, inside = (None if part is None else part(**how) for part in (self.outside, self.inside))
+        return Facets(outside, inside, self.weight)
 
     def __rmul__(self, integrand: Any) -> ufl.Form:
+        integrand = integrand if self.weight is None else integrand * self.weight
         parts = [] if self.outside is None else [integrand * self.outside]
         return sum(parts if self.inside is None else [*parts, integrand("+") * self.inside])
 
@@ -43,12 +51,13 @@ class Parts:
     Where several [[boundary]] give a facet the same key, the last one counts.
     """
 
-    def __init__(self, level: Level, parts: Sequence[tuple[int, str, np.ndarray]]):
+    def __init__(self, level: Level, parts: Sequence[tuple[int, str, np.ndarray]], *, radial: bool = False):
         """Tag the facets (collective).
 
         Args:
             level: Mesh.
             parts: Number of a [[boundary]], a key of it, and the local facets there.
+            radial: Give all integrals the weight x.
 
         Raises:
             InputError: If there are too many.
@@ -56,6 +65,7 @@ class Parts:
         if len(parts) > MOST:
             raise InputError(f"[[boundary]] gives more than {MOST} values; join parts that have the same")
         self.level, mesh = level, level.mesh
+        self.weight = ufl.SpatialCoordinate(mesh)[0] if radial else None
         dim = mesh.topology.dim - 1
         count = mesh.topology.index_map(dim).size_local
         tags = np.zeros(count, dtype=np.int32)
@@ -77,12 +87,22 @@ class Parts:
 
     def over(self, number: int, key: str, *, nodal: bool = False) -> Facets:
         """Integration over the part that a [[boundary]], counted from 0, gives a key."""
-        bit, measures = self._bit[number, key], []
+        found = self._with(self._bit[number, key])
+        return self.rule.on(found) if nodal else found
+
+    def all(self, key: str) -> Facets:
+        """Integration over all parts that have a key."""
+        return self._with(sum(bit for (_, other), bit in self._bit.items() if other == key))
+
+    @property
+    def rule(self) -> Rule:
+        """The nodal rule of the facets."""
+        return nodal_rule(facet_of(releases.cell_name(self.level.mesh)), self.level.pair.degree)
+
+    def _with(self, bits: int) -> Facets:
+        """Integration over the facets whose tags have one of these bits."""
+        on = []
         for measure, tags in ((self._ds, self._outside), (self._dS, self._inside)):
-            ids = tuple(tag for tag in tags if tag & bit)
-            chosen = measure(ids) if ids else None
-            if nodal and chosen is not None:
-                degree = min(self.level.pair.degree, 2)
-                chosen = nodal_rule(facet_of(releases.cell_name(self.level.mesh)), degree).on(chosen)
-            measures.append(chosen)
-        return Facets(*measures)
+            ids = tuple(tag for tag in tags if tag & bits)
+            on.append(measure(ids) if ids else None)
+        return Facets(on[0], on[1], self.weight)

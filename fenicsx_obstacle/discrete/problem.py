@@ -43,6 +43,8 @@ class Problem:
         weights: D_i = I(phi_i, 1), the area that belongs to a point of I. These points are the owned dofs, or where
             the pair is not nodal the owned dofs of Q_h.
         touchable: Whether u can touch an obstacle at a point of I.
+        thickness: What a weight is per unit of length where contact is on the boundary, else 1: p times it is a force
+            per length there.
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
@@ -55,6 +57,8 @@ class Problem:
         data.check()
         self.affine = all(effect.affine for effect in scene.effects)
         nodal = level.pair.nodal
+        if data.thin and not (nodal and level.pair.degree == 1):
+            raise InputError(f"{scene.source}: obstacles on the boundary are for elements P1 and Q1")
         others = [effect.key for effect in scene.effects if effect.key not in ("tension", "load")]
         if level.pair.voronoi and others:
             raise InputError(f"{scene.source}: element {level.pair.name} is for tension and load, not for {others[0]}")
@@ -64,6 +68,7 @@ class Problem:
         self.constrained = self.below is not None or self.above is not None
         self.fixed = np.zeros(level.owned, dtype=bool)
         self.fixed[forms.fixed] = True
+        self.thickness = forms.thickness
         self.A = forms.create_matrix()
         self.elastic, self.reaction = forms.vector(), forms.vector()
         self.weights = forms.weights()
@@ -87,6 +92,9 @@ class Problem:
         if self.constrained and total(comm, len(own)) == 0:
             # nothing else holds a floating membrane: begin with contact everywhere
             heights[:] = lower - 1.0 if self.below is not None else upper + 1.0
+            known = np.isfinite(heights)
+            if self.data.thin:  # off the obstacle: at the height of its lowest or highest place
+                heights[~known] = (smallest if self.below is not None else largest)(comm, heights[known])
         return heights
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
@@ -104,7 +112,7 @@ class Problem:
         gap = np.abs(r - heights)
         spread = largest(comm, heights) - smallest(comm, heights)
         reach = REACH * max(spread, smallest(comm, gap[gap > 0]))
-        r = np.where(gap > reach, heights, r)
+        r = np.where((gap > reach) | ~np.isfinite(r), heights, r)
         # the owner of a dof decides for all: by round-off in its point, ranks may see different obstacles nearer
         self.reference.x.array[:] = r
         self.reference.x.scatter_forward()
@@ -131,7 +139,7 @@ class Problem:
                 continue
             distance = sign * (coarse.w.x.array - theirs.x.array)
             touching = np.all(distance[ends] <= 0, axis=1) & ~self.fixed
-            w[:own][touching] = (ours.x.array[:own] + sign * distance[ends].mean(axis=1))[touching]
+            w[:own][touching] = ours.x.array[:own][touching] + sign * distance[ends[touching]].mean(axis=1)
         self.w.x.scatter_forward()
 
     def refer_to_contact(self, *, blunt: bool = False) -> bool:

@@ -51,6 +51,11 @@ class Anisotropic(Effect):
     def text(self) -> str:
         return "[" + ", ".join("[" + ", ".join(entry.text for entry in row) + "]" for row in self.value) + "]"
 
+    def along(self, direction: Any, data: Sampler) -> Any:
+        from ufl import inner
+
+        return inner(data.matrix(self.value) * direction, direction) / inner(direction, direction)
+
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.eigenvalues(self.value)[:, -1]
 

@@ -24,6 +24,8 @@ _HOME = {
     "tension": "membrane",
     "load": "membrane",
     "point_load": "points",
+    "axial_symmetry": "axial",
+    "drift": "flow",
     "foundation": "support",
     "soft_obstacle": "support",
     "flux": "boundary",
@@ -53,6 +55,13 @@ class Sampler(Protocol):
 
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
+
+    def field(self, components: tuple[Formula, ...]) -> Any:
+        """Vector with one value per cell."""
+
+    @property
+    def cell_size(self) -> Any:
+        """The side h of each cell."""
 
     def values(self, value: Value) -> np.ndarray:
         """The values of `cellwise` at local cells, or the one there is."""
@@ -108,6 +117,9 @@ class Effect:
     term: ClassVar[str] = ""  # its part of a(u, v) - f(v), for `explain`
     unit: ClassVar[str] = ""
     holds: ClassVar[bool] = False  # keeps u from floating away where it is given nowhere
+    note: ClassVar[str] = ""  # what `explain` says besides
+    leans: ClassVar[bool] = False  # its test functions are upwinded where there is drift
+    radial: ClassVar[bool] = False  # gives all integrals the weight x
     elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
@@ -150,6 +162,14 @@ class Effect:
         """Its part of f(v) that is no form: forces at owned nodes (collective)."""
         return None
 
+    def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
+        """What it adds to the test functions of the terms that lean, or None."""
+        return None
+
+    def along(self, direction: Any, data: Sampler) -> Any:
+        """Its tension in a direction, where it is elastic and linear."""
+        raise TypeError(f"{type(self).__name__} has no tension of its own")
+
     def stiffness(self, data: Sampler) -> np.ndarray | None:
         """Its tension in local cells where it is elastic, for the scale of eps."""
         return None
@@ -161,7 +181,13 @@ class Effect:
 
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
     """a(u, v) - f(v): the sum of what the effects say."""
-    return sum(form for effect in effects if (form := effect.terms(u, v, data)) is not None)
+    elastic = next((effect for effect in effects if effect.elastic), None)
+    leaning = v
+    for effect in effects:
+        if elastic is not None and (lean := effect.lean(v, elastic, data)) is not None:
+            leaning = leaning + lean
+    forms = (effect.terms(u, leaning if effect.leans else v, data) for effect in effects)
+    return sum(form for form in forms if form is not None)
 
 
 def keys_of(

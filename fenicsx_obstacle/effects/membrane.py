@@ -34,6 +34,9 @@ class Tension(Effect):
             return Anisotropic.read(raw, place, reader)
         return cls(reader.value(raw, place))
 
+    def along(self, direction: Any, data: Sampler) -> Any:
+        return data.cellwise(self.value, positive=True)
+
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value)
 
@@ -56,6 +59,7 @@ class Load(Effect):
     key = "load"
     equation = "load"
     term = "- int load v"
+    leans = True
     unit = "force/area"
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:

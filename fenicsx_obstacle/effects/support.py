@@ -25,6 +25,7 @@ class Foundation(Effect):
     equation = "foundation u"
     left = True
     term = "+ int foundation u v"
+    leans = True
     unit = "force/volume"
     holds = True
 

@@ -26,7 +26,7 @@ def penalty(
     lower: Any = None,
     upper: Any = None,
     rule: Rule | None = None,
-    measure: ufl.Measure | None = None,
+    measure: Any = None,
 ) -> ufl.Form:
     """The term that makes a residual F(u; v) the penalised obstacle problem: `F += penalty(u, v, upper=g, eps=eps)`.
 
@@ -66,7 +66,7 @@ def penalty(
     return (above - below) * v * dI
 
 
-def penalty_energy(u: Any, *, eps: Any, dI: ufl.Measure, lower: Any = None, upper: Any = None) -> ufl.Form:
+def penalty_energy(u: Any, *, eps: Any, dI: Any, lower: Any = None, upper: Any = None) -> ufl.Form:
     """I((u - g)^+ ^2, 1) / (2 eps), of which `penalty` is the derivative."""
     above = 0 if upper is None else positive_part(u - upper)
     below = 0 if lower is None else positive_part(lower - u)

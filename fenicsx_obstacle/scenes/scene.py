@@ -174,6 +174,8 @@ class Scene(Vocabulary):
             raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
         for number, part in enumerate(typed.boundary):
             self._check_part(part, f"{source}: {part_place(number)}")
+        if self.thin and (typed.obstacle.lower, typed.obstacle.upper) != (None, None):
+            raise InputError(f"{source}: [obstacle] and obstacles in [[boundary]]: one or the other, not both")
 
     def _check_part(self, part: BoundaryTable, place: str) -> None:
         acting = [key for key in ACTING if getattr(part, key) is not None]
@@ -187,6 +189,11 @@ class Scene(Vocabulary):
             raise InputError(f"{place}: 'on' and 'where' exclude each other")
         if part.where is not None and "distance" in self.needs(self.formula(part.where, "")):
             raise InputError(f"{place} where: 'distance' is 0 all over the boundary")
+
+    @property
+    def thin(self) -> bool:
+        """Whether obstacles are on the boundary, or on curves inside."""
+        return any(part.lower is not None or part.upper is not None for part in self.tables.boundary)
 
     @property
     def eps(self) -> float | str:
@@ -227,6 +234,8 @@ class Scene(Vocabulary):
         if len(elastic) > 1:
             raise InputError(f"{self.source}: [effects] names {' and '.join(elastic)}: a membrane has one tension")
         effects = [find(key).read(value, f"[effects] {key}", self) for key, value in self.tables.effects.items()]
+        if {"axial_symmetry", "point_load"} <= set(self.tables.effects):
+            raise InputError(f"{self.source}: [effects] point_load: with axial_symmetry a point is a ring")
         for number, part in enumerate(self.tables.boundary):
             for key in sorted(known("boundary")):
                 raw = getattr(part, key)
@@ -261,7 +270,7 @@ class Scene(Vocabulary):
         parts += [(value, f"[obstacle] {key}") for key, value in (("lower", obstacle.lower), ("upper", obstacle.upper))]
         for number, part in enumerate(self.tables.boundary):
             place = part_place(number)
-            parts += [(part.value, f"{place} value"), (part.where, f"{place} where")]
+            parts += [(getattr(part, key), f"{place} {key}") for key in ("value", "where", "lower", "upper")]
         found: list[Value] = [self.formula(value, place) for value, place in parts if value is not None]
         return found + [formula for effect in self.effects for formula in effect.formulas]
 

@@ -41,16 +41,18 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 class BoundaryTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """[[boundary]]: where, and the value of u there, or what acts there: tension du/dn = flux - spring u."""
+    """[[boundary]]: where, and the value of u there, or what acts: tension du/dn = flux - spring u + p of obstacles."""
 
     on: str | tuple[str, ...] | None = None
     where: str | None = None
     value: Value | None = None
     flux: Value | None = None
     spring: Value | None = None
+    lower: Value | None = None
+    upper: Value | None = None
 
 
-ACTING = ("flux", "spring")  # keys of [[boundary]] beside `value`
+ACTING = ("flux", "spring", "lower", "upper")  # keys of [[boundary]] beside `value`
 
 
 class RatesTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -4,9 +4,18 @@ from __future__ import annotations
 
 from textwrap import fill
 
-from fenicsx_obstacle.answers.choose import AUGMENTED, DIRECT_SOLVER, LINEAR_SOLVER, METHODS, NESTED, nested
+from fenicsx_obstacle.answers.choose import (
+    AUGMENTED,
+    DIRECT_SOLVER,
+    GENERAL_SOLVER,
+    LINEAR_SOLVER,
+    METHODS,
+    NESTED,
+    nested,
+)
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.scene import Scene, part_place
+from fenicsx_obstacle.scenes.tables import BoundaryTable
 from fenicsx_obstacle.words import counted, plain
 
 
@@ -48,13 +57,14 @@ def _equation(scene: Scene) -> list[str]:
     inside = [effect for effect in scene.effects if effect.table == "effects"]
     left = [effect.equation for effect in inside if effect.left]
     right = [effect.equation for effect in inside if not effect.left and effect.equation]
-    contact = ["p"] if _sides(scene) else []
+    contact = ["p"] if _sides(scene) and not scene.thin else []
     return [f"{' + '.join(left)} = {' + '.join(right + contact) or '0'}"]
 
 
 def _sides(scene: Scene) -> list[str]:
-    obstacle = scene.tables.obstacle
-    return [side for side in ("lower", "upper") if getattr(obstacle, side) is not None]
+    """The obstacles there are, in the domain or on its boundary."""
+    places = scene.tables.boundary if scene.thin else [scene.tables.obstacle]
+    return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
 
 
 def _obstacles(scene: Scene) -> list[str]:
@@ -62,9 +72,11 @@ def _obstacles(scene: Scene) -> list[str]:
     lines = []
     for side in _sides(scene):
         relation, sign = signs[side]
-        lines.append(f"{relation} = {plain(getattr(scene.tables.obstacle, side))}")
+        found = [(getattr(scene.tables.obstacle, side), "")]
+        found += [(getattr(part, side), f" {_where(part)}") for part in scene.tables.boundary]
+        lines += [f"{relation} = {plain(value)}{where}" for value, where in found if value is not None]
         lines.append(f"p {sign} 0 where u touches {side}, p = 0 elsewhere; the force on it is reported >= 0")
-    return lines or ["none: p = 0, one linear solve"]
+    return lines or ["none: p = 0"]
 
 
 def _boundary(scene: Scene) -> list[str]:
@@ -75,12 +87,13 @@ def _boundary(scene: Scene) -> list[str]:
         names = (part.on,) if isinstance(part.on, str) else part.on or ()
         listed |= set(names)
         everywhere |= part.on is None and part.where is None
-        place = f"where {part.where}" if part.where else f"on {', '.join(names) or 'the whole boundary'}"
+        place = _where(part)
         if part.value is not None:
             lines.append(f"u = {plain(part.value)} {place}")
         acting = [effect for effect in scene.effects if getattr(effect, "part", None) == number]
-        if acting:
-            right = " ".join(effect.equation for effect in acting)
+        touches = part.lower is not None or part.upper is not None
+        if acting or touches:
+            right = " ".join([effect.equation for effect in acting] + ["+ p"] * touches).removeprefix("+ ")
             lines.append(f"tension du/dn = {right} {place}; along a curve inside, its jump")
     if not everywhere:
         sides = _named_sides(scene)
@@ -89,6 +102,11 @@ def _boundary(scene: Scene) -> list[str]:
         if free or not sides or any(p.where for p in tables.boundary):
             lines.append(f"free: tension du/dn = 0 on {place}")
     return lines
+
+
+def _where(part: BoundaryTable) -> str:
+    names = (part.on,) if isinstance(part.on, str) else part.on or ()
+    return f"where {part.where}" if part.where else f"on {', '.join(names) or 'the whole boundary'}"
 
 
 def _named_sides(scene: Scene) -> tuple[str, ...]:
@@ -107,18 +125,22 @@ def _discrete(scene: Scene) -> list[str]:
     sides = _sides(scene)
     terms = ["a(u, v)"]
     penalised = scene.tables.solve.method != "vi"
+    rule = "(L/eps) I" if scene.thin else "(1/eps) I"
     if penalised and "upper" in sides:
-        terms.append("+ (1/eps) I((u - upper)^+, v)")
+        terms.append(f"+ {rule}((u - upper)^+, v)")
     if penalised and "lower" in sides:
-        terms.append("- (1/eps) I((lower - u)^+, v)")
+        terms.append(f"- {rule}((lower - u)^+, v)")
     space = f"V_h, continuous {scene.pair.name.partition('-')[0]}"
     lines = [f"{' '.join(terms)} = f(v) for all v in {space}, v = 0 where u is given" + "   (3.4)" * bool(sides)]
     if not penalised and sides:
         lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]
+    lines += [effect.note for effect in scene.effects if effect.note]
     lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in scene.effects if effect.term))
     if sides:
-        lines.append(f"I: {scene.pair.words}   (3.5), (3.6)")
-        signs = {"upper": "-(u - upper)^+ / eps", "lower": "(lower - u)^+ / eps"}
+        of_facets = "nodal rule of the facets where obstacles are; L: longest side of the box around the mesh"
+        lines.append(f"I: {of_facets if scene.thin else scene.pair.words}   (3.5), (3.6)")
+        times = "L " if scene.thin else ""
+        signs = {"upper": f"-{times}(u - upper)^+ / eps", "lower": f"{times}(lower - u)^+ / eps"}
         pressure = " + ".join(signs[side] for side in sides) if penalised else "(a(u, phi_i) - f(phi_i)) / I(phi_i, 1)"
         if not penalised and not scene.pair.nodal:
             pressure = "the multiplier"
@@ -149,17 +171,31 @@ def _mesh(scene: Scene) -> str:
 
 def _solver(scene: Scene) -> list[str]:
     if not _sides(scene):
-        return [f"PETSc SNES, one linear solve: {LINEAR_SOLVER}"]
+        steps = "one linear solve" if all(effect.affine for effect in scene.effects) else "Newton steps"
+        levels = NESTED if nested(scene) else _linear_solver(scene)
+        return [f"PETSc SNES, {steps}: {levels}"]
     method, pair = scene.tables.solve.method, scene.pair
     prefix = "vi" if method == "vi" and pair.nodal else "penalty"
     return [
-        AUGMENTED if method == "vi" and not pair.nodal else METHODS[method],
+        AUGMENTED if method == "vi" and not pair.nodal else METHODS[method].replace(*_search(scene)),
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
         f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
         if nested(scene)
-        else f"each step: {LINEAR_SOLVER if pair.nodal else DIRECT_SOLVER}, on the finest level alone",
+        else f"each step: {_linear_solver(scene)}, on the finest level alone",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
+
+
+def _search(scene: Scene) -> tuple[str, str]:
+    """What the line search goes by, in place of the energy where there is none."""
+    convex = all(effect.convex for effect in scene.effects)
+    return "on the energy", "on the energy" if convex else "on the norm of the residual, for there is no energy,"
+
+
+def _linear_solver(scene: Scene) -> str:
+    if not scene.pair.nodal:
+        return DIRECT_SOLVER
+    return LINEAR_SOLVER if all(effect.symmetric for effect in scene.effects) else GENERAL_SOLVER
 
 
 def _exact(scene: Scene) -> list[str]:

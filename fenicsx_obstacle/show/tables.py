@@ -123,7 +123,8 @@ def difference(found: Mapping[str, Any], first: str, second: str) -> str:
     for side, forces in found["force"].items():
         if None not in forces:
             lines.append(f"  force on {side} obstacle: " + " and ".join(f"{force:.6g}" for force in forces))
-    lines.append("  energy: " + " and ".join(f"{energy:.8g}" for energy in found["energy"]))
+    if None not in found["energy"]:
+        lines.append("  energy: " + " and ".join(f"{energy:.8g}" for energy in found["energy"]))
     if found["outside"]:
         lines.append(f"  {counted(found['outside'], 'node')} of the finer mesh outside of the other: not counted")
     return "\n".join(lines)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.solvers.multigrid import Multigrid
@@ -43,7 +45,8 @@ def solve_nested(
         else:
             problem.begin_from(before)
             if problem.constrained:
-                relax(problem, stiffness * problem.weights)
+                none = np.zeros(len(problem.weights))
+                relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
         finest = grid is grids[-1]
         try:
             outcomes.append(solve(problem, multigrid=grid, **({} if finest else ON_THE_WAY)))

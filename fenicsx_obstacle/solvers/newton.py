@@ -43,8 +43,9 @@ def solve_penalty(
     """Solve (3.4) from the problem's present state (collective).
 
     Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
-    finite; (3.4)* checks that they do. Should they repeat, a line search on the convex energy breaks the cycle. A
-    residual that is not linear has the line search from the start.
+    finite; (3.4)* checks that they do. Should they repeat, a line search on the convex energy breaks the cycle, or on
+    the norm of the residual where there is no energy. A residual that is not linear and has an energy begins with the
+    line search.
 
     Args:
         problem: Holds the start, then the solution.
@@ -90,9 +91,9 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
 
     A line search ends where the round-off of the energy hides any descent: full steps go on from there.
     """
-    if user_has_set("penalty_snes_linesearch_type") or not problem.has_energy:
+    if user_has_set("penalty_snes_linesearch_type"):
         return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)
-    searches = ("basic", "bt", "basic") if problem.affine else ("bt", "basic")
+    searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
         if not outcome.converged and outcome.reason != GREW:
@@ -108,7 +109,8 @@ def _attempt(
     shrinking = Shrinking(problem) if must_shrink else None
     stopping = Stopping(problem, watch_cycles=full, shrinking=shrinking, **how)
     options = {**NEWTON, "snes_linesearch_type": search}
-    return run(problem, "penalty", options, stopping, objective=objective or search == "bt", multigrid=multigrid)
+    objective |= search == "bt" and problem.has_energy
+    return run(problem, "penalty", options, stopping, objective=objective, multigrid=multigrid)
 
 
 def joined(first: Outcome, second: Outcome) -> Outcome:

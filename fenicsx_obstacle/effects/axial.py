@@ -1,0 +1,35 @@
+"""Axial symmetry: a body of revolution by its meridian, a disk by its radius."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from fenicsx_obstacle.effects.effect import Effect, Reader, register
+from fenicsx_obstacle.errors import InputError
+
+
+@register
+@dataclass(frozen=True)
+class AxialSymmetry(Effect):
+    """The weight x in every integral, x >= 0 being the distance from the axis: -(1/x) div(x tension grad u) = load + p.
+
+    It is what integrals over the body become, divided by 2 pi. For elements of degree 1 the weight is x at the middle
+    of each cell, so that nodes on the axis have an area of contact too; a side on the axis is free by itself. Areas and
+    forces are per radian.
+    """
+
+    value: None = None  # type: ignore[assignment]
+
+    key = "axial_symmetry"
+    radial = True
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> AxialSymmetry:
+        if raw is not True:
+            raise InputError(f"{reader.source}: {place} = {raw!r}: expected true, or nothing")
+        return cls()
+
+    @property
+    def text(self) -> str:
+        return "true: x is the distance from the axis, the weight of every integral; areas and forces are per radian"

@@ -1,0 +1,72 @@
+"""Drift: what is carried along by a flow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
+from fenicsx_obstacle.errors import InputError
+
+if TYPE_CHECKING:
+    import ufl
+
+    from fenicsx_obstacle.scenes.formulas import Formula
+
+
+@register
+@dataclass(frozen=True)
+class Drift(Effect):
+    """drift . grad u on the left side: int (drift . grad u) v; unit: force per area, for u in units of length.
+
+    It is not symmetric, and there is no energy. With the Peclet number Pe = |drift| h/(2 tension) of a cell, Galerkin's
+    method has wiggles where Pe > 1. There, and only there, the test functions of drift, load and foundation lean
+    upstream (Brooks and Hughes 1982, with the upwinding max(0, 1 - 1/Pe)):
+
+        v + tau drift . grad v,   tau = max(0, |drift| h/2 - tension)/|drift|^2.
+
+    In one dimension that makes an M-matrix. As h tends to 0 the method becomes Galerkin's, cell by cell. The contact
+    pressure does not lean: where Pe > 1 it is smeared by tau.
+
+    Attributes:
+        value: Components of the drift.
+    """
+
+    value: tuple[Formula, ...]  # type: ignore[assignment]
+
+    key = "drift"
+    equation = "drift . grad u"
+    left = True
+    term = "+ int (drift . grad u) v"
+    note = (
+        "drift: in cells with a Peclet number |drift| h/(2 tension) above 1 the test functions of drift, load and "
+        "foundation lean upstream, v + tau drift . grad v (streamline upwinding); elsewhere Galerkin's method"
+    )
+    unit = "force/area"
+    symmetric = False
+    convex = False
+    leans = True
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Drift:
+        if not isinstance(raw, list) or not 1 <= len(raw) <= 3 or any(isinstance(part, list | dict) for part in raw):
+            wanted = "a list of one number or formula per coordinate"
+            raise InputError(f"{reader.source}: {place} = {raw!r}: expected {wanted}")
+        return cls(tuple(reader.formula(part, f"{place}[{axis}]") for axis, part in enumerate(raw)))
+
+    @property
+    def text(self) -> str:
+        return "[" + ", ".join(part.text for part in self.value) + "]"
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        return inner(data.field(self.value), grad(u)) * v * data.dx
+
+    def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
+        from ufl import conditional, grad, gt, inner, max_value, sqrt
+
+        b = data.field(self.value)
+        squared = inner(b, b)
+        excess = max_value(sqrt(squared) * data.cell_size / 2 - elastic.along(b, data), 0.0)
+        return conditional(gt(squared, 0.0), excess / squared, 0.0) * inner(b, grad(v))
