@@ -60,6 +60,10 @@ class Formulas:
         except releases.UFL_ERRORS as error:
             raise InputError(f"{value.place} = {value.text}: cannot be differentiated: {error}") from None
 
+    def number(self, value: float) -> fem.Constant:
+        """The number."""
+        return self.data.number(value)
+
     def field(self, components: tuple[Formula, ...]) -> Any:
         """The formulas themselves."""
         return ufl.as_vector([self.cellwise(part) for part in components])
@@ -109,8 +113,8 @@ class Formulas:
 
 
 def squared_energy_norm(scene: Scene, e: Any, data: Sampler) -> Any:
-    """a(e, e) = ||mu^(1/2) grad e||^2 as a form: twice the energy of the elastic effects."""
-    return sum(2 * cast(Any, effect.energy(e, data)) for effect in scene.effects if effect.elastic)
+    """||mu^(1/2) grad e||^2 as a form, mu the tension where it does not depend on the slope: a(e, e) then."""
+    return sum(cast(Any, effect.squared_norm(e, data)) for effect in scene.effects if effect.elastic)
 
 
 class Exact:

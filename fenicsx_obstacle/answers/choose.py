@@ -27,12 +27,21 @@ def nested(scene: Scene) -> bool:
 
     Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
     at the nodes of spaces that nest. (3.4)* is the paper's own iteration, which starts without contact;
-    `start = "cold"` asks for the same of the other methods. Whatever is not nested is solved on the finest level
-    alone, with `LINEAR_SOLVER`, or `DIRECT_SOLVER` where the pair is not nodal.
+    `start = "cold"` asks for the same of the other methods. Whatever is not nested is solved with `LINEAR_SOLVER`,
+    `GENERAL_SOLVER` or, where the pair is not nodal, `DIRECT_SOLVER`.
     """
     table = scene.tables.solve
     simple = all(effect.affine and effect.symmetric and effect.convex for effect in scene.effects)
     return simple and scene.pair.nests and table.start == "nested" and table.method != "successive"
+
+
+def stepwise(scene: Scene) -> bool:
+    """Whether a scene that truncated multigrid does not serve is still solved level by level, for better starts.
+
+    Newton's method then has the region of convergence of the coarsest mesh, and few steps on the finest.
+    """
+    table = scene.tables.solve
+    return not nested(scene) and scene.pair.nests and table.start == "nested" and table.method != "successive"
 
 
 def chain(problem: Problem) -> list[Problem]:

@@ -6,7 +6,7 @@ import logging
 import shlex
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import contact_of
 from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter
+from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter, stepwise
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.problem import Problem
@@ -92,6 +92,7 @@ class Workbench:
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(scene, level)
         self._grids: list[Multigrid] | None = None
+        self._problems: list[Problem] | None = None
         self._solved_below = before is not None and nested(scene)
         if before is not None and self._solved_below:
             below = before._hierarchy()
@@ -113,7 +114,7 @@ class Workbench:
         while meshes[-1].coarse is not None:
             meshes.append(meshes[-1].coarse)
         del self.problem
-        self._grids = self._report = self._exact = self._estimator = None
+        self._grids = self._problems = self._report = self._exact = self._estimator = None
         releases.free(level.comm for level in meshes)
 
     def refined(self, marked: np.ndarray) -> Workbench:
@@ -160,7 +161,9 @@ class Workbench:
         problem, scene = self.problem, scene or self.problem.scene
         estimator = self.estimator if bound else None  # refuses before anything is solved
         levels_serve = nested(scene) and problem.level.coarse is not None
-        grids = self._hierarchy() if levels_serve else []
+        grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
+        if stepwise(scene) and problem.level.coarse is not None:
+            grids = self._chain()
         start = time.perf_counter()
         method, eps = scene.tables.solve.method, None
         if problem.forms.multiplier is not None:  # of an earlier solve
@@ -176,7 +179,7 @@ class Workbench:
         if grids:
             stiffness = np.inf if eps is None else 1.0 / eps
             if self._solved_below:
-                outcomes = solve_nested(grids[-1:], solver, stiffness, grids[-2].problem)
+                outcomes = solve_nested(grids[-1:], solver, stiffness, self._hierarchy()[-2].problem)
             else:
                 outcomes = solve_nested(grids, solver, stiffness)
         else:
@@ -199,6 +202,14 @@ class Workbench:
 
                 return {"peclet": peclet(problem.data, effect)}
         return {}
+
+    def _chain(self) -> list[Problem]:
+        """Problems of all levels, kept like the problem of the finest (first use is collective)."""
+        if self._problems is None:
+            start = time.perf_counter()
+            self._problems = chain(self.problem)
+            self.setup_seconds += time.perf_counter() - start
+        return self._problems
 
     def _hierarchy(self) -> list[Multigrid]:
         """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""

@@ -128,6 +128,10 @@ class Data:
             self._cellwise[value.place] = made
         return self._cellwise[value.place]
 
+    def number(self, value: float) -> fem.Constant:
+        """A number that is not compiled into forms."""
+        return fem.Constant(self.level.mesh, PETSc.ScalarType(value))
+
     def field(self, components: tuple[Formula, ...]) -> ufl.core.expr.Expr:
         """A vector, one per cell (collective on first use).
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite
 _HOME = {
     "tension": "membrane",
     "load": "membrane",
+    "large_slope": "slopes",
+    "power_law": "slopes",
     "point_load": "points",
     "axial_symmetry": "axial",
     "drift": "flow",
@@ -55,6 +57,9 @@ class Sampler(Protocol):
 
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
+
+    def number(self, value: float) -> Any:
+        """A number that is not compiled into forms."""
 
     def field(self, components: tuple[Formula, ...]) -> Any:
         """Vector with one value per cell."""
@@ -161,6 +166,11 @@ class Effect:
     def vector(self, data: Sampler) -> np.ndarray | None:
         """Its part of f(v) that is no form: forces at owned nodes (collective)."""
         return None
+
+    def squared_norm(self, e: Any, data: Sampler) -> ufl.Form | None:
+        """The square of the energy norm of a difference, where it is elastic."""
+        energy = self.energy(e, data)
+        return None if energy is None else 2 * energy
 
     def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
         """What it adds to the test functions of the terms that lean, or None."""

@@ -12,6 +12,7 @@ from fenicsx_obstacle.answers.choose import (
     METHODS,
     NESTED,
     nested,
+    stepwise,
 )
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.scene import Scene, part_place
@@ -172,7 +173,7 @@ def _mesh(scene: Scene) -> str:
 def _solver(scene: Scene) -> list[str]:
     if not _sides(scene):
         steps = "one linear solve" if all(effect.affine for effect in scene.effects) else "Newton steps"
-        levels = NESTED if nested(scene) else _linear_solver(scene)
+        levels = NESTED if nested(scene) else f"{_linear_solver(scene)}, {_levels(scene)}"
         return [f"PETSc SNES, {steps}: {levels}"]
     method, pair = scene.tables.solve.method, scene.pair
     prefix = "vi" if method == "vi" and pair.nodal else "penalty"
@@ -181,9 +182,13 @@ def _solver(scene: Scene) -> list[str]:
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
         f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
         if nested(scene)
-        else f"each step: {_linear_solver(scene)}, on the finest level alone",
+        else f"each step: {_linear_solver(scene)}, {_levels(scene)}",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
+
+
+def _levels(scene: Scene) -> str:
+    return "each level starts from the next coarser one" if stepwise(scene) else "on the finest level alone"
 
 
 def _search(scene: Scene) -> tuple[str, str]:

@@ -21,12 +21,16 @@ ON_THE_WAY = {"least": 1, "tolerance": 1e-2}
 
 
 def solve_nested(
-    grids: Sequence[Multigrid], solve: Callable[..., Outcome], stiffness: float, before: Problem | None = None
+    grids: Sequence[Multigrid | Problem],
+    solve: Callable[..., Outcome],
+    stiffness: float,
+    before: Problem | None = None,
 ) -> list[Outcome]:
     """Solve on each level from the coarsest on (collective).
 
     Args:
-        grids: The multigrid of each level; the problem of the last holds the solution afterwards.
+        grids: The multigrid of each level, or its problem where multigrid does not serve; the last problem holds the
+            solution afterwards.
         solve: Solves a problem from its present state, given `multigrid`, and `ON_THE_WAY`.
         stiffness: Of the obstacle, 1/eps or infinite.
         before: The problem of the level below the first of these, holding its solution; by default there is none.
@@ -39,17 +43,18 @@ def solve_nested(
     """
     outcomes: list[Outcome] = []
     for grid in grids:
-        problem = grid.problem
+        multigrid = grid if isinstance(grid, Multigrid) else None
+        problem = grid.problem if isinstance(grid, Multigrid) else grid
         if before is None:
             problem.refer(problem.cold_start())
         else:
             problem.begin_from(before)
-            if problem.constrained:
+            if problem.constrained and multigrid is not None:
                 none = np.zeros(len(problem.weights))
                 relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
         finest = grid is grids[-1]
         try:
-            outcomes.append(solve(problem, multigrid=grid, **({} if finest else ON_THE_WAY)))
+            outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY)))
         except NotConverged:
             if finest:
                 raise
