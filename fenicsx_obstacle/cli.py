@@ -36,6 +36,13 @@ def _start_log(context: click.Context, parameter: click.Parameter, level: str | 
     start_log(level)
 
 
+def _load_plugins(context: click.Context, parameter: click.Parameter, files: tuple[str, ...]) -> None:
+    from fenicsx_obstacle.effects.plugin import load_plugin
+
+    for file in files:
+        load_plugin(file)
+
+
 def _options(*names: str) -> Callable[[Any], Any]:
     """The shared options of these names, as one decorator."""
     shared = {
@@ -49,6 +56,15 @@ def _options(*names: str) -> Callable[[Any], Any]:
         "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
         "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
         "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
+        "plugin": click.option(
+            "--plugin",
+            multiple=True,
+            metavar="FILE",
+            callback=_load_plugins,
+            expose_value=False,
+            is_eager=True,
+            help="Python file with effects of your own (docs/effects.md).",
+        ),
         "quiet": click.option("--quiet", is_flag=True, help="Errors only."),
         "log": click.option(
             "--log",
@@ -75,7 +91,10 @@ def _options(*names: str) -> Callable[[Any], Any]:
 @click.option("--tol", type=float, metavar="R", help="Relative energy error to reach; chooses meshes and eps.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--budget", metavar="LIMIT", help="Stop earlier with the best answer: 60s, 8GB, '1e6 unknowns'.")
-@_options("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "output", "json", "quiet", "log")
+@_options(
+    *("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "plugin", "output", "json", "quiet"),
+    "log",
+)
 def solve(
     scene_file: str,
     picture: bool,
@@ -115,7 +134,7 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("set", "cells", "refine", "element", "method", "start", "eps")
+@_options("set", "cells", "refine", "element", "method", "start", "eps", "plugin")
 def explain(scene_file: str, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     from fenicsx_obstacle.answers.compute import changed
@@ -130,7 +149,7 @@ def explain(scene_file: str, **given: Any) -> None:
               help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values); several make a grid.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
 @click.option("--latex", type=click.Path(path_type=Path), metavar="FILE", help="The table as LaTeX.")
-@_options("set", "cells", "refine", "element", "method", "start", "eps", "output", "json", "quiet", "log")
+@_options("set", "cells", "refine", "element", "method", "start", "eps", "plugin", "output", "json", "quiet", "log")
 def study(
     scene_file: str,
     vary: tuple[str, ...],
@@ -166,7 +185,7 @@ def study(
 @commands.command()
 @click.argument("first", type=click.Path(path_type=Path), metavar="A")
 @click.argument("second", type=click.Path(path_type=Path), metavar="B")
-@_options("json")
+@_options("plugin", "json")
 def compare(first: Path, second: Path, json_file: str | None) -> None:
     """Compare two saved results: norms, contact sets, forces.
 
@@ -186,6 +205,7 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 @commands.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.option("--output", type=click.Path(path_type=Path), metavar="FILE", help="Another file.  [RESULT/answer.png]")
+@_options("plugin")
 def plot(result: Path, output: Path | None) -> None:
     """Draw a saved result: u, contact set and pressure; its page shows the picture too.
 

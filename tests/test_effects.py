@@ -1,10 +1,18 @@
 """Effects beside tension and load: each against a solution that is known, by the penalty and by SNES VI."""
 
+import json
+import subprocess
+import sys
+from contextlib import closing
+
 import numpy as np
 import pytest
 from conftest import COMM, DEMOS, membrane
+from test_cli import CLEAN, run
 
 from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.effects.effect import Effect, _register, register
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
@@ -567,3 +575,132 @@ def test_demo_soap():
     changes = {"mesh": {"shape": "interval", "cells": 128}, "effects.axial_symmetry": True}
     radius = scene.change({**changes, "boundary": [{"on": "right", "value": 0}], "report": {}})
     assert np.isclose(solve(radius).record["contact"]["lower"]["force"], 0.4, rtol=1e-3)
+
+
+SCENES = {
+    "membrane": (membrane(load=-1, lower=-0.01), ["tension", "load"]),
+    "no obstacle": (membrane(load=-1), ["tension", "load"]),
+    "bed": (membrane(foundation=1, lower=0), ["tension", "foundation"]),
+    "awning": (Scene.read(DEMOS / "awning.toml"), ["tension", "load", "spring", "flux"]),
+    "foam": (Scene.read(DEMOS / "foam.toml"), ["tension", "load", "soft_obstacle"]),
+    "tent": (Scene.read(DEMOS / "tent.toml"), ["tension", "load"]),
+    "soap": (Scene.read(DEMOS / "soap.toml"), ["large_slope"]),
+    "drum": (Scene.read(DEMOS / "drum.toml"), ["tension", "load"]),
+    "wall": (Scene.read(DEMOS / "wall.toml"), ["tension", "load"]),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_form_has_the_integrals_of_its_effects(name):
+    """One for each effect that is one, and `explain` counts them; the penalty is one more."""
+    scene, keys = SCENES[name]
+    scene = scene.change({"mesh.cells": 8})
+    with closing(Workbench(scene)) as bench:
+        assert len(bench.problem.forms._a_minus_f.integrals()) == len(keys)
+        constrained = bench.problem.constrained
+    text = " ".join(explain(scene).split())
+    count = len(keys) + constrained
+    assert f"{count} integral" in text and all(f"{key}:" in text for key in keys)
+    assert ("the penalty included" in text) == constrained
+
+
+def figures_of(scene):
+    """What an effect that is not named must not change: the form, the steps, the energy."""
+    with closing(Workbench(scene)) as bench:
+        record = bench.answer().record
+        form = bench.problem.forms._a_minus_f
+        sizes = [len(vars(bench.problem.forms)), len(vars(bench.problem.data)), len(form.coefficients())]
+        steps = [record[key] for key in ("newton_total", "krylov_total", "energy")]
+        return [form.signature(), *sizes, *steps]
+
+
+def test_an_effect_that_is_not_named_changes_nothing(disk):
+    """The ability costs nothing: form signature, iterations, energy, arrays."""
+    before = figures_of(disk)
+
+    @register
+    class Unnamed(Effect):
+        key = "unnamed"
+        affine = symmetric = convex = False
+
+    try:
+        assert "unnamed" in explain(disk)
+        assert figures_of(disk) == before
+    finally:
+        del _register["unnamed"]
+
+
+@pytest.mark.serial
+def test_only_what_is_named_is_imported():
+    """Modules of effects, of their data and of pictures: after a solve, only those of the scene."""
+    program = """
+import sys
+from fenicsx_obstacle import Scene, solve
+effects = eval(sys.argv[1])
+solve(Scene(mesh={"shape": "rectangle", "cells": 4}, tension=1, lower=-1, **effects))
+found = [name for name in sys.modules if name.startswith("fenicsx_obstacle.effects.")]
+found += [name for name in ("fenicsx_obstacle.discrete.parts", "fenicsx_obstacle.discrete.tensors",
+          "fenicsx_obstacle.discrete.flow", "pyvista", "matplotlib", "slepc4py", "gmsh") if name in sys.modules]
+print(*sorted(name.removeprefix("fenicsx_obstacle.") for name in found))
+"""
+    for effects, wanted in (
+        ({}, "effects.effect effects.membrane"),
+        ({"foundation": 1}, "effects.effect effects.membrane effects.support"),
+        ({"boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": 1}]},
+         "discrete.parts effects.boundary effects.effect effects.membrane"),
+        ({"drift": [1, 0]}, "discrete.flow effects.effect effects.flow effects.membrane"),
+    ):  # fmt: skip
+        command = [sys.executable, "-c", program, repr(effects)]
+        done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=100, check=False)
+        assert done.stdout.strip() == wanted, done.stderr
+
+
+PLUGIN = """
+[mesh]
+shape = "rectangle"
+cells = 32
+[effects]
+tension = 1
+hardening = 20
+load = "20*(x*y)^3"
+[obstacle]
+lower = -1
+[[boundary]]
+value = "x*y"
+[exact]
+u = "x*y"
+"""
+
+
+@pytest.mark.serial
+def test_an_effect_from_outside(tmp_path):
+    """The example of docs/effects.md, under 40 lines, as a file beside the scene: solved by the command line."""
+    text = (DEMOS.parent / "docs" / "effects.md").read_text().partition("```python\n")[2].partition("```")[0]
+    assert "class Hardening" in text and len(text.splitlines()) < 40
+    (tmp_path / "hardening.py").write_text(text)
+    (tmp_path / "mine.toml").write_text(PLUGIN)
+    refused = run("solve", "mine.toml", cwd=tmp_path)
+    assert refused.returncode == 2 and "unknown effect 'hardening'" in refused.stderr
+    done = run("solve", "mine.toml", "--plugin", "hardening.py", ranks=2, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    record = json.loads((tmp_path / "out" / "mine" / "answer.json").read_text())
+    assert record["errors"]["l2"] < 2e-4 and record["contact"]["area"] == 0
+    explained = run("explain", "mine.toml", "--plugin", "hardening.py", cwd=tmp_path).stdout
+    assert "-div(tension grad u) + hardening u^3 = load + p" in explained
+    assert "not linear in u, because of hardening" in explained
+    for name, program, message in (
+        ("none.py", None, "no such Python file"),
+        ("wrong.py", "1/0", "ZeroDivisionError"),
+        ("taken.py", text.replace('"hardening"', '"load"'), "key = 'load' is taken"),
+    ):
+        if program is not None:
+            (tmp_path / name).write_text(program)
+        refused = run("explain", "mine.toml", "--plugin", name, cwd=tmp_path)
+        assert refused.returncode == 2 and message in refused.stderr
+
+
+def test_lake_costs_one_linear_solve():
+    """No contact in reach: one Newton step with any affine effects."""
+    for more in ({}, {"foundation": 3}, {"tension": [[2, 1], [1, 2]]},
+                 {"boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": 1, "flux": 0.1}]}):  # fmt: skip
+        assert solve(membrane(load=1, lower=-1, **more), cells=64).record["newton_iterations"] == 1

@@ -155,6 +155,11 @@ class Effect:
         """All formulas of its data."""
         return list(_formulas(getattr(self, field.name) for field in fields(self)))
 
+    @property
+    def integrals(self) -> int:
+        """How many integrals the residual has of it."""
+        return int(type(self).terms is not Effect.terms)
+
     def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
         """Its part of the residual a(u, v) - f(v), as far as it is a form."""
         return None
@@ -239,7 +244,14 @@ _register: dict[str, type[Effect]] = {}
 
 
 def register(effect: type[Effect]) -> type[Effect]:
-    """Class decorator: scenes may name this effect by its `key`."""
+    """Class decorator: scenes may name this effect by its `key`.
+
+    Raises:
+        InputError: If it has none, or one of this package's own.
+    """
+    home = f"{__package__}.{_HOME.get(effect.key, '')}"
+    if not effect.key.isidentifier() or (effect.key in _HOME and effect.__module__ != home):
+        raise InputError(f"effect {effect.__name__}: key = {effect.key!r} is taken, or no name")
     _register[effect.key] = effect
     return effect
 

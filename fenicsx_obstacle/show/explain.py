@@ -14,6 +14,8 @@ from fenicsx_obstacle.answers.choose import (
     nested,
     stepwise,
 )
+from fenicsx_obstacle.discrete.grids import shape_of
+from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.scene import Scene, part_place
 from fenicsx_obstacle.scenes.tables import BoundaryTable
@@ -35,6 +37,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     return [
         ("equation", _equation(scene)),
         ("data", [_datum(effect) for effect in scene.effects]),
+        ("effects", _integrals(scene)),
         ("with", [f"{name} = {formula.text}" for name, formula in scene.define.items()]),
         ("obstacle", _obstacles(scene)),
         ("boundary", _boundary(scene)),
@@ -60,6 +63,17 @@ def _equation(scene: Scene) -> list[str]:
     right = [effect.equation for effect in inside if not effect.left and effect.equation]
     contact = ["p"] if _sides(scene) and not scene.thin else []
     return [f"{' + '.join(left)} = {' + '.join(right + contact) or '0'}"]
+
+
+def _integrals(scene: Scene) -> list[str]:
+    """Each effect with its term, and how many integrals that makes."""
+    penalised = bool(_sides(scene)) and scene.tables.solve.method != "vi"
+    number = sum(effect.integrals for effect in scene.effects) + penalised
+    contact = ", the penalty included" if penalised else ""
+    without = [effect.key for effect in scene.effects if not effect.integrals]
+    no_form = f"; {', '.join(without)} without one" if without else ""
+    terms = [f"{effect.key}: {effect.term.removeprefix('+ ')}" for effect in scene.effects if effect.term]
+    return [*terms, f"{counted(number, 'integral')}{contact}{no_form}; nothing else is assembled"]
 
 
 def _sides(scene: Scene) -> list[str]:
@@ -167,17 +181,26 @@ def _mesh(scene: Scene) -> str:
     axes = {"interval": "x", "rectangle": "xy", "box": "xyz", "l-shape": "xy"}.get(table.shape or "", "")
     corners = ", ".join(f"{axis} = [{', '.join(map(plain, getattr(table, axis)))}]" for axis in axes)
     where = corners or f"radius {plain(table.radius)}, boundary vertices stay on the circle when refined"
-    return f"{table.shape}, {where}, {counted(table.cells, 'cell')} along x{refined}"
+    return f"{table.shape}, {where}, {counted(table.cells, 'cell')} along x{refined}; {_size(scene)}"
+
+
+def _size(scene: Scene) -> str:
+    """About how many unknowns there are, and the memory of a solve."""
+    shape, degree = shape_of(scene), scene.pair.degree
+    dim = len(shape.cells)
+    unknowns = shape.vertices * (degree * 2.0**scene.tables.mesh.refine) ** dim
+    return f"about {unknowns:.3g} unknowns, {max(unknowns * BYTES_PER_VERTEX[dim] / 1e6, 1):.2g} MB and what is loaded"
 
 
 def _solver(scene: Scene) -> list[str]:
     if not _sides(scene):
         steps = "one linear solve" if all(effect.affine for effect in scene.effects) else "Newton steps"
         levels = NESTED if nested(scene) else f"{_linear_solver(scene)}, {_levels(scene)}"
-        return [f"PETSc SNES, {steps}: {levels}"]
+        return [_why(scene), f"PETSc SNES, {steps}: {levels}"]
     method, pair = scene.tables.solve.method, scene.pair
     prefix = "vi" if method == "vi" and pair.nodal else "penalty"
     return [
+        _why(scene),
         AUGMENTED if method == "vi" and not pair.nodal else METHODS[method].replace(*_search(scene)),
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
         f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
@@ -185,6 +208,15 @@ def _solver(scene: Scene) -> list[str]:
         else f"each step: {_linear_solver(scene)}, {_levels(scene)}",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
+
+
+def _why(scene: Scene) -> str:
+    """What of the equation decides on the solver."""
+    bent = [effect.key for effect in scene.effects if not effect.affine]
+    skew = [effect.key for effect in scene.effects if not effect.symmetric]
+    linear = f"not linear in u, because of {', '.join(bent)}" if bent else "linear in u"
+    symmetric = f"not symmetric, because of {', '.join(skew)}" if skew else "symmetric"
+    return f"without contact the equation is {linear}, and its derivative {symmetric}; therefore:"
 
 
 def _levels(scene: Scene) -> str:
