@@ -11,6 +11,7 @@ grad u_h itself keeps the flux near on irregular meshes.)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import ufl
@@ -21,7 +22,7 @@ from fenicsx_obstacle.accuracy.fans import Fans
 from fenicsx_obstacle.accuracy.quadrature import rule
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous
 from fenicsx_obstacle.discrete.data import array_of
-from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.materials import Value
 
@@ -101,16 +102,17 @@ class Equilibration:
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
         self.others = [effect.key for effect in effects]
-        if not effects:
+        self._terms: Any = None
+        if not any(effect.integrals for effect in effects):
             return
         broken = releases.functionspace(self.level.mesh, "DG", 1)
         self._u, v = fem.Function(self.level.V), ufl.TestFunction(broken)
-        self._terms = releases.form(sum(effect.terms(self._u, v, self.triangles.data) for effect in effects))
+        self._terms = releases.form(residual(effects, self._u, v, self.triangles.data))
         self._moments_of_others = fem.Function(broken)
 
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
         """Moments of the load less those of other effects at u (collective)."""
-        if not self.others:
+        if self._terms is None:
             return self.moments
         self._u.x.array[:] = u
         vector = releases.vec(self._moments_of_others)
