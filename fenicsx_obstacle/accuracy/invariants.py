@@ -81,7 +81,7 @@ def _equilibrium(s: Solved) -> Finding:
         form = effect.terms(u, one, data)
         if density is not None:  # lumped with the weights of its pair
             net -= total(g.comm, density * g.D)
-        elif any(integral.integrand() != 0 for integral in form.integrals()):
+        elif form is not None and any(integral.integrand() != 0 for integral in form.integrals()):
             net += total(g.comm, fem.assemble_scalar(releases.form(form)))
     contact, edge = total(g.comm, (g.D * s.p)[g.free]), total(g.comm, s.elastic[problem.fixed])
     return Finding("loads, contact and edges balance", "(3.4), v = 1", abs(net - contact - edge),
