@@ -42,7 +42,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("obstacle", _obstacles(scene)),
         ("boundary", _boundary(scene)),
         ("discrete", _discrete(scene)),
-        ("mesh", [_mesh(scene)]),
+        ("mesh", [_mesh(scene), *_size(scene)]),
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
@@ -181,15 +181,18 @@ def _mesh(scene: Scene) -> str:
     axes = {"interval": "x", "rectangle": "xy", "box": "xyz", "l-shape": "xy"}.get(table.shape or "", "")
     corners = ", ".join(f"{axis} = [{', '.join(map(plain, getattr(table, axis)))}]" for axis in axes)
     where = corners or f"radius {plain(table.radius)}, boundary vertices stay on the circle when refined"
-    return f"{table.shape}, {where}, {counted(table.cells, 'cell')} along x{refined}; {_size(scene)}"
+    return f"{table.shape}, {where}, {counted(table.cells, 'cell')} along x{refined}"
 
 
-def _size(scene: Scene) -> str:
-    """About how many unknowns there are, and the memory of a solve."""
+def _size(scene: Scene) -> list[str]:
+    """About how many unknowns there are, and the memory of a solve; nothing of meshes that are yet to be read."""
+    if scene.tables.mesh.shape is None:
+        return []
     shape, degree = shape_of(scene), scene.pair.degree
     dim = len(shape.cells)
     unknowns = shape.vertices * (degree * 2.0**scene.tables.mesh.refine) ** dim
-    return f"about {unknowns:.3g} unknowns, {max(unknowns * BYTES_PER_VERTEX[dim] / 1e6, 1):.2g} MB and what is loaded"
+    megabytes = max(unknowns * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
+    return [f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB beside the libraries"]
 
 
 def _solver(scene: Scene) -> list[str]:
