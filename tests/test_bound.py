@@ -2,7 +2,6 @@
 
 import itertools
 import json
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -22,8 +21,6 @@ from fenicsx_obstacle.accuracy.triangles import halved_rule
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.effects import effect
-from fenicsx_obstacle.effects.effect import Effect, register
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
 from fenicsx_obstacle.scenes import catalogue
@@ -228,13 +225,10 @@ def test_units_and_heights_change_nothing():
 
 def test_what_it_does_not_know_is_said():
     """Other effects, curved domains, jumps of boundary values: an indicator; other elements: an error."""
-    with foundation():
-        scene = membrane(load=1, upper=0.05, foundation=20)
-        bench = Workbench(scene)
-        bound = bench.answer(bound=True).bound
-        assert not bound.guaranteed and "foundation" in bound.words
-        assert bound.algebraic < 1e-8 * bound.total  # its forces are in the balance nevertheless
-        assert 0.5 < bound.discretisation / solve(membrane(load=1, upper=0.05), bound=True).bound.discretisation < 2
+    bound = solve(membrane(load=1, upper=0.05, foundation=20), bound=True).bound
+    assert not bound.guaranteed and "foundation" in bound.words
+    assert bound.algebraic < 1e-8 * bound.total  # its forces are in the balance nevertheless
+    assert 0.5 < bound.discretisation / solve(membrane(load=1, upper=0.05), bound=True).bound.discretisation < 2
     polygon = solve(Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=4), bound=True).bound
     assert not polygon.guaranteed and "polygon" in polygon.words
     torn = membrane(load=1, boundary=[{"value": 0}, {"on": "top", "value": 1}])
@@ -242,24 +236,6 @@ def test_what_it_does_not_know_is_said():
     for mesh in ({"shape": "interval"}, {"shape": "box", "cells": 4}, {"shape": "rectangle", "cell": "quadrilateral"}):
         with pytest.raises(InputError, match="P1 on triangles"):
             solve(Scene(mesh=mesh, tension=1, load=1), bound=True)
-
-
-@contextmanager
-def foundation():
-    """An effect of the user's own, k u."""
-
-    @register
-    class Foundation(Effect):
-        key, equation = "foundation", "foundation u"
-
-        def terms(self, u, v, data):
-            return data.cellwise(self.value) * u * v * data.dx
-
-        def energy(self, u, data):
-            return 0.5 * data.cellwise(self.value) * u**2 * data.dx
-
-    yield
-    del effect._register["foundation"]
 
 
 def test_held_curves_inside():
