@@ -64,6 +64,7 @@ class Equilibration:
         oscillation: ||f - f_0||_T, shape (cells,).
         mass: int phi_i at owned vertices.
         free: Whether u is not given at an owned vertex.
+        missing: Force at owned vertices that the load's formula gives more than what the solver makes of it.
     """
 
     def __init__(self, triangles: Triangles):
@@ -85,9 +86,8 @@ class Equilibration:
         self._sample_load(loads)
         self._area = self.fans.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0]
         self.mass = self.fans.at_vertices(self._area)
-        # what the solver's load gives more than the formula's
-        more = (self._solver_load * triangles.area / 3)[:, None] - self.moments
-        self._solver_gap = self.fans.at_vertices(self.fans.gather(more)[0]) / self.mass if loads else 0.0
+        less = self.moments - (self._solver_load * triangles.area / 3)[:, None]
+        self.missing = self.fans.at_vertices(self.fans.gather(less)[0]) if loads else np.zeros(len(self.mass))
         x, y = triangles.x[..., 0], triangles.x[..., 1]
         scale = 1 / (4 * triangles.area * self.mu)[:, None]
         # the edge opposite to a vertex, and from each vertex to the middle of the cell
@@ -177,7 +177,7 @@ class Equilibration:
         drops, correction = fans.gather(beta + self._all_moments(u), correction)
         residual = np.where(self.free, -fans.at_vertices(drops) / self.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
-        of_solver = np.where(self.free, residual - self._solver_gap, 0.0)
+        of_solver = np.where(self.free, residual + self.missing / self.mass, 0.0)
         solver_rest = self._multipliers(of_solver, touches_lower, touches_upper)[2]
         lower, upper = (
             self._along_the_boundary(values, touches)

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.bound import Bound
 
 _log = logging.getLogger(__name__)
-BULK = 0.5  # share of the squared bound in the cells that are refined (Doerfler)
+BULK = 0.5  # share of the bound in the cells that are refined (Doerfler)
+LEAST = 0.1
+ENOUGH = 3.0  # cells with this share of the bound, refined, lower it by 1: cut into four, their norms lose 3/8
 BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
 
@@ -105,7 +107,10 @@ class _Adaptation:
                 why = self._finished(answer, bench.estimator.rim.torn > 0)
                 if why is not None:
                     break
-                finer = bench.refined(_marked(_bound(answer).indicator, self.comm))
+                # the last mesh need not be finer than it has to be
+                beyond = 1 - self._limit(answer) / _bound(answer).total
+                share = min(BULK, max(LEAST, ENOUGH * beyond))
+                finer = bench.refined(_marked(_bound(answer).indicator, share, self.comm))
                 benches.enter_context(closing(finer))
                 if finer.problem.level.dofs > self.budget.unknowns:
                     why = "the budget of unknowns"
@@ -137,18 +142,22 @@ class _Adaptation:
         _log.info("%d unknowns: error at most %.3g", record["dofs"], bound.total)
         return answer
 
+    def _limit(self, answer: Answer) -> float:
+        """The tolerance in the unit of the energy norm."""
+        bound = _bound(answer)
+        if not self.relative:
+            return self.tolerance
+        if bound.relative is None and bound.total > 0:
+            raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
+        return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
+
     def _may_lower_eps(self, answer: Answer) -> bool:
         """Whether eps is ours to choose: what the user gave is kept."""
         return answer.record["eps"] is not None and not self.given
 
     def _finished(self, answer: Answer, torn: bool) -> str | None:
         """None to go on, "" at the tolerance, otherwise what stopped it (collective)."""
-        bound = _bound(answer)
-        limit = self.tolerance
-        if self.relative:
-            if bound.relative is None and bound.total > 0:
-                raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
-            limit *= bound.total / bound.relative if bound.relative else 0.0
+        bound, limit = _bound(answer), self._limit(answer)
         if bound.total <= limit:
             return ""
         if torn:
@@ -172,13 +181,13 @@ def _bound(answer: Answer) -> Bound:
     return answer.bound
 
 
-def _marked(indicator: np.ndarray, comm: MPI.Comm) -> np.ndarray:
-    """The fewest owned cells that carry `BULK` of the sum over all ranks (collective)."""
+def _marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:
+    """The fewest owned cells that carry a share of the sum over all ranks (collective)."""
     everything = total(comm, indicator)
     low, high = 0.0, largest(comm, indicator)
     while high - low > 1e-9 * high:
         middle = (low + high) / 2
-        enough = total(comm, indicator[indicator >= middle]) >= BULK * everything
+        enough = total(comm, indicator[indicator >= middle]) >= share * everything
         low, high = (middle, high) if enough else (low, middle)
     # cells alike by symmetry are marked together, whatever their last digit
     return indicator >= low * (1 - 1e-6)

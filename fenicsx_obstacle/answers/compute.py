@@ -144,6 +144,8 @@ class Workbench:
             from fenicsx_obstacle.accuracy.bound import Estimator  # only where it is asked for
 
             self._estimator = Estimator(self.problem)
+            if self.problem.affine:
+                self._estimator.lend_load()
         return self._estimator
 
     def answer(self, scene: Scene | None = None, *, yardstick: bool = False, bound: bool = False) -> Answer:

@@ -164,23 +164,28 @@ class Nodal(Forms):
         if self.point_forces is not None:
             self._minus_load.array[:] -= self.point_forces
         self._D = super().weights()
-        self._lumping: PETSc.Vec | None = None
+        self._besides: np.ndarray | None = None  # forces at owned nodes that are in no form
         if data.level.pair.voronoi:
             self._lump(voronoi_areas(data.level.V))
 
     def _lump(self, D: np.ndarray) -> None:
         """Take these weights for I, and F_i = f(x_i) D_i, or -(A g + f)/D would not tend to the pressure."""
-        self._lumping, zero = self.vector(), fem.Constant(self.data.level.mesh, PETSc.ScalarType(0.0))
+        zero = fem.Constant(self.data.level.mesh, PETSc.ScalarType(0.0))
         for effect in self.effects:
             f = effect.density(self.data)
             if f is None:
                 continue
             part = self.vector()
             self._assemble(part, releases.form(effect.terms(zero, self.v, self.data)))
-            self._lumping.array[:] -= f * D + part.array_r
+            self.add_forces(f * D + part.array_r)
             part.destroy()
-        self._minus_load.axpy(1.0, self._lumping)
         self._D = D
+
+    def add_forces(self, forces: np.ndarray) -> None:
+        """Add forces at owned nodes to the load (collective)."""
+        self._besides = forces if self._besides is None else self._besides + forces
+        self._minus_load.array[:] -= forces
+        self.refer()
 
     def weights(self) -> np.ndarray:
         return self._D
@@ -213,9 +218,9 @@ class Nodal(Forms):
     def energy(self, *, penalised: bool) -> float:
         value = super().energy(penalised=False)
         own, comm = len(self._D), self.data.level.comm
-        if self._lumping is not None:
+        if self._besides is not None:
             heights = (self.w.x.array + self.reference.x.array)[:own]
-            value += total(comm, self._lumping.array_r * heights)
+            value -= total(comm, self._besides * heights)
         if penalised:
             value += total(comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
         return value

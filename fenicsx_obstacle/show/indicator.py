@@ -13,8 +13,8 @@ from fenicsx_obstacle.parallel import gathered, on_root
 from fenicsx_obstacle.show.figures import figure, save
 
 NAME = "bound.png"
-DECADES = 2  # of shares that are told apart
-MOST = 0.5  # of the squared bound
+DECADES = 4  # of shares that are told apart
+MOST = 0.5  # of the bound
 
 
 def draw_bound(bound: Bound, arrays: dict[str, np.ndarray], comm: MPI.Comm, path: Path) -> str:
@@ -34,7 +34,7 @@ def draw_bound(bound: Bound, arrays: dict[str, np.ndarray], comm: MPI.Comm, path
 
 def _draw(indicator: np.ndarray, arrays: dict[str, np.ndarray], bound: Bound, path: Path) -> str:
     shares = np.sort(indicator)[::-1].cumsum() / max(indicator.sum(), 1e-300)
-    words = f"{(np.searchsorted(shares, MOST) + 1) / len(shares):.1%} of the cells carry half of the squared bound"
+    words = f"{(np.searchsorted(shares, MOST) + 1) / len(shares):.1%} of the cells carry half of the bound"
     page, axes = figure(6.4, 5.2)
     _cells(page, axes, indicator, arrays)
     most = "at most" if bound.guaranteed else "about"
@@ -46,7 +46,7 @@ def _draw(indicator: np.ndarray, arrays: dict[str, np.ndarray], bound: Bound, pa
 def _cells(page: Any, axes: Any, indicator: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
     from matplotlib.colors import LogNorm
 
-    shares = np.sqrt(indicator / max(indicator.sum(), 1e-300))
+    shares = indicator / max(indicator.sum(), 1e-300)
     top = max(shares.max(), 1e-300)
     low = top / 10**DECADES
     x, y, _ = arrays["points"].T
