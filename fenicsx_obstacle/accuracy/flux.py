@@ -21,7 +21,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.fans import Fans
 from fenicsx_obstacle.accuracy.quadrature import rule
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous
-from fenicsx_obstacle.discrete.data import array_of
+from fenicsx_obstacle.discrete.samples import array_of
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.materials import Value

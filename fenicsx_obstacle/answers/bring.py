@@ -135,7 +135,7 @@ class _Data(Data):
         values.x.scatter_forward()
         dofs = [np.asarray(bc.dof_indices()[0]) for bc in bcs]
         self.fixed = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)])).astype(np.int32), values
-        self._givers.append(("solve_form: a value of bcs", self.fixed[0]))
+        self.givers.append(("solve_form: a value of bcs", self.fixed[0]))
 
     def _taken(self, g: Any) -> fem.Function:
         taken = fem.Function(self.level.V)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import factorial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
@@ -16,27 +15,17 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, volumes
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.samples import Cellwise, Samples, array_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
-from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.scenes.materials import Value
 from fenicsx_obstacle.scenes.scene import Scene, part_place
-from fenicsx_obstacle.scenes.tables import ACTING
-from fenicsx_obstacle.scenes.vocabulary import COORDINATES
 from fenicsx_obstacle.words import counted
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.parts import Facets, Parts
-
-Cellwise: TypeAlias = fem.Function | fem.Constant
-INWARD = 1e-6  # of the way to the middle of the cell
-ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
-
-
-def array_of(function: Cellwise) -> np.ndarray:
-    """Values at local dofs, or the one there is."""
-    return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
 
 
 class Weighted:
@@ -53,22 +42,23 @@ class Weighted:
         return integrand * self.weight * self.measure
 
 
-class Data:
+class Data(Samples):
     """What the effects, obstacles and boundary values of a scene are on one level.
 
     Everything is sampled on first use, which is collective, and kept.
 
     Attributes:
         thin: Whether obstacles are on the boundary, or on curves inside, instead of in the domain.
+        givers: Where each boundary value stands, and the dofs that have it.
     """
 
     def __init__(self, scene: Scene, level: Level):
-        self.scene, self.level, self.thin = scene, level, scene.thin
-        self._cellwise: dict[str, Cellwise] = {}
+        super().__init__(scene, level)
+        self.thin = scene.thin
         self._on_part: dict[str, fem.Function] = {}
         self._heights: dict[str, fem.Function] = {}
         self._definite: set[str] = set()
-        self._givers: list[tuple[str, np.ndarray]] = []  # where a boundary value stands, and the dofs that have it
+        self.givers: list[tuple[str, np.ndarray]] = []
 
     @cached_property
     def dx(self) -> Any:
@@ -110,23 +100,6 @@ class Data:
         if value.place not in self._heights:
             self._heights[value.place] = self.nodal(value)
         return self._heights[value.place]
-
-    def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Cellwise:
-        """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).
-
-        A Constant if all are the same.
-
-        Raises:
-            InputError: If it is not finite, or not positive, or below the least, somewhere, or a material has no value.
-        """
-        if value.place not in self._cellwise:
-            made = self._sample_cells(value)
-            if positive:
-                self._refuse(value, made, array_of(made) <= 0, "must be positive; it is")
-            if least is not None:
-                self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
-            self._cellwise[value.place] = made
-        return self._cellwise[value.place]
 
     def number(self, value: float) -> fem.Constant:
         """A number that is not compiled into forms."""
@@ -216,31 +189,6 @@ class Data:
         """Integration over the part that a [[boundary]], counted from 0, gives a key (collective on first use)."""
         return self.parts.over(part, key, nodal=nodal)
 
-    def nodal(self, value: Formula, values: Mapping[str, float] | None = None) -> fem.Function:
-        """Nodal interpolant in V, with values of further names (collective).
-
-        Raises:
-            InputError: If it is not finite somewhere.
-        """
-        function = fem.Function(self.level.V)
-        self._sample(function, value, values)
-        return function
-
-    def at_nodes(self, value: Value) -> np.ndarray:
-        """Values of a formula at owned nodes (collective).
-
-        Raises:
-            InputError: If it is given by materials, which share nodes, or is not finite somewhere.
-        """
-        if isinstance(value, Materials):
-            raise InputError(f"{value.place}: element {self.level.pair.name} takes one formula for all materials")
-        return self.nodal(value).x.array[: self.level.owned]
-
-    @cached_property
-    def distance(self) -> fem.Function:
-        """Nodal distance to the boundary (first use is collective)."""
-        return self.nodal(self.scene.formula("distance", "distance"))
-
     @cached_property
     def lower(self) -> fem.Function | None:
         """Nodal lower obstacle (first use is collective)."""
@@ -278,58 +226,9 @@ class Data:
             self._refuse_infinite(formula, function)
             values.x.array[dofs] = function.x.array[dofs]
             fixed[dofs] = True
-            self._givers.append((f"{formula.place} = {formula.text}", dofs))
+            self.givers.append((f"{formula.place} = {formula.text}", dofs))
         values.x.scatter_forward()
         return np.flatnonzero(fixed).astype(np.int32), values
-
-    def check(self) -> None:
-        """Refuse obstacles that cross and boundary values beyond them: no u could satisfy both (collective).
-
-        Where a boundary value is beyond an obstacle by round-off only, the obstacle gives way.
-
-        Raises:
-            InputError: Naming the place and the gap.
-        """
-        comm, source = self.level.comm, self.scene.source
-        dofs, values = self.fixed
-        holds = any(effect.holds for effect in self.scene.effects)
-        if self.lower is None and self.upper is None and total(comm, len(dofs)) == 0 and not holds:
-            raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
-        self._check_parts()
-        heights = [f.x.array for f in (self.lower, self.upper) if f is not None] + [values.x.array[dofs]]
-        if self.thin:
-            heights = [part[np.isfinite(part)] for part in heights]
-        high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
-        tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
-        if self.lower is not None and self.upper is not None:
-            crossing = self.lower.x.array - self.upper.x.array
-            self._refuse_gap(crossing, tolerance, f"{source}: [obstacle] lower is above upper")
-        for obstacle, sign, word in ((self.lower, 1, "lower"), (self.upper, -1, "upper")):
-            if obstacle is None:
-                continue
-            beyond = np.full(len(values.x.array), -np.inf)
-            beyond[dofs] = sign * (obstacle.x.array - values.x.array)[dofs]
-            side = "below" if word == "lower" else "above"
-            self._refuse_beyond(beyond, tolerance, values, obstacle, f"lies {side} the {word} obstacle")
-            obstacle.x.array[beyond > 0] = values.x.array[beyond > 0]
-
-    def _check_parts(self) -> None:
-        """Refuse what acts where u is given (collective)."""
-        if all(part.value is not None for part in self.scene.tables.boundary):
-            return
-        held = np.unique(np.concatenate([np.empty(0, np.int32), *self.held]))
-        for number, part in enumerate(self.scene.tables.boundary):
-            both = np.isin(self.facets[number], held)
-            if part.value is None and total(self.level.comm, np.count_nonzero(both)) > 0:
-                key = next(key for key in ACTING if getattr(part, key) is not None)
-                others = " and ".join(
-                    f"no. {other + 1}"
-                    for other, facets in enumerate(self.held)
-                    if total(self.level.comm, np.count_nonzero(np.isin(facets, self.facets[number]))) > 0
-                )
-                raise InputError(
-                    f"{self.scene.source}: {part_place(number)} {key} does nothing where u is given, by {others}"
-                )
 
     @cached_property
     def extent(self) -> float:
@@ -385,129 +284,3 @@ class Data:
                 what = "no facet of the mesh lies on it; a part inside must be embedded in its domain"
                 raise InputError(f"{self.scene.source}: {place} on = '{name}': {what}")
         return np.unique(np.concatenate([level.facets[name] for name in names])).astype(np.int32)
-
-    def _points(self, V: fem.FunctionSpace) -> np.ndarray:
-        """Points of the local dofs, shape (3, dofs)."""
-        if V is self.level.V:
-            return self.level.points
-        points = np.array(V.tabulate_dof_coordinates().T)
-        if V is self.level.W and self.level.pair.degree > 1:
-            # what jumps between cells has its value from within
-            dofs = releases.cell_dofs(V)
-            middle = corners(self.level.mesh).mean(axis=1).T[:, :, None]
-            points[:, dofs] += INWARD * (middle - points[:, dofs])
-        return points
-
-    def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
-        if self.uniform(formula):
-            function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), values)
-        else:
-            function.x.array[:] = self._at_points(formula, self._points(function.function_space), values)
-            function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
-        self._refuse_infinite(formula, function)
-
-    def uniform(self, value: Value) -> bool:
-        """Whether a value is the same number everywhere."""
-        return isinstance(value, Formula) and not self.scene.needs(value) & {*COORDINATES, "distance"}
-
-    def _sample_cells(self, value: Value) -> Cellwise:
-        if isinstance(value, Formula) and self.uniform(value):
-            number = self.scene.at_points(value, np.zeros((3, 1)))[0]
-            constant = fem.Constant(self.level.mesh, PETSc.ScalarType(number))
-            self._refuse_infinite(value, constant)
-            return constant
-        function = fem.Function(self.level.W)
-        if isinstance(value, Materials):
-            self._sample_materials(function, value)
-        else:
-            self._sample(function, value)
-        return function
-
-    def _sample_materials(self, function: fem.Function, value: Materials) -> None:
-        """Each formula in the cells of its material: every cell must have one value (collective)."""
-        groups, comm, points = self.level.groups, self.level.comm, self._points(self.level.W)
-        values, times = function.x.array, np.zeros(len(function.x.array), dtype=int)
-        for name, formula in value.parts.items():
-            if name not in groups:
-                hint = nearest(name, groups) if groups else "; the mesh has no named groups of cells"
-                raise InputError(f"{value.place}: no material named '{name}'" + hint)
-            inside = self.level.indicator(name)
-            values[inside] = self._at_points(formula, points[:, inside])
-            times += inside
-        for name in groups:
-            if total(comm, np.count_nonzero(self.level.indicator(name) & (times == 0))) > 0:
-                raise InputError(f"{value.place} = {value.text}: no value for the material '{name}'")
-        for bad, what in ((times == 0, "no value for a cell without material"), (times > 1, "two values for a cell")):
-            found = self._first(function, bad)
-            if found is not None:
-                raise InputError(f"{value.place} = {value.text}: {what} at {self._at(found[1])}")
-        function.x.scatter_forward()
-        self._refuse_infinite(value, function)
-
-    @cached_property
-    def boundary_distance(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Distance to the boundary of points (n, 3) (first use is collective)."""
-        from fenicsx_obstacle.discrete.distance import BoundaryDistance  # with scipy: only where a scene names it
-
-        return BoundaryDistance(self.level)
-
-    def _at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, float] | None = None) -> np.ndarray:
-        """Values at points (3, n) (collective if the formula names the distance)."""
-        named = "distance" in self.scene.needs(formula)
-        known = {**(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
-        return self.scene.at_points(formula, x, known)
-
-    def _refuse_infinite(self, formula: Value, function: Cellwise) -> None:
-        self._refuse(formula, function, ~np.isfinite(array_of(function)), "is not a finite number: it is")
-
-    def _refuse(self, formula: Value, function: Cellwise, bad: np.ndarray, what: str) -> None:
-        """All ranks raise if any value is bad, naming one place (collective)."""
-        if isinstance(function, fem.Constant):
-            if bad.any():
-                raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}")
-            return
-        found = self._first(function, bad)
-        if found is not None:
-            raise InputError(f"{formula.place} = {formula.text}: {what} {found[0]:g} at {self._at(found[1])}")
-
-    def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
-        """Value and place of the first bad dof, the same on every rank (collective)."""
-        points, values = self._points(function.function_space).T, function.x.array
-        mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
-        return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
-
-    def _refuse_beyond(
-        self, beyond: np.ndarray, tolerance: float, values: fem.Function, obstacle: fem.Function, where: str
-    ) -> None:
-        """Likewise for boundary values beyond an obstacle, naming who gave the value (collective)."""
-        found = self._worst(beyond, tolerance)
-        if found is not None:
-            _, point, dof = found
-            mine = None
-            if dof is not None:
-                giver = next(place for place, dofs in reversed(self._givers) if dof in dofs)
-                mine = f"{giver} {where}: {values.x.array[dof]:.6g} against {obstacle.x.array[dof]:.6g}"
-            message = next(text for text in self.level.comm.allgather(mine) if text is not None)
-            raise InputError(f"{message} at {self._at(point)}, so that no u satisfies both")
-
-    def _refuse_gap(self, excess: np.ndarray, tolerance: float, message: str) -> None:
-        """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
-        found = self._worst(excess, tolerance)
-        if found is not None:
-            raise InputError(f"{message}: by {found[0]:.3g} at {self._at(found[1])}")
-
-    def _worst(self, excess: np.ndarray, tolerance: float) -> tuple[float, np.ndarray, int | None] | None:
-        """The largest excess above the tolerance, its place, and the dof there on ranks that have it (collective).
-
-        Of places alike it is the first by coordinates, whatever the partition.
-        """
-        gap = largest(self.level.comm, excess)
-        if gap <= tolerance:
-            return None
-        dofs = np.flatnonzero(excess >= gap * (1 - 1e-9))
-        mine = min(((self.level.points[:, dof].tolist(), int(dof)) for dof in dofs), default=None)
-        point = min(one[0] for one in self.level.comm.allgather(mine) if one is not None)
-        return gap, np.array(point), None if mine is None or mine[0] != point else mine[1]
-
-    def _at(self, point: np.ndarray) -> str:
-        return "(" + ", ".join(f"{x:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"

@@ -6,7 +6,8 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.data import Data, array_of
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.samples import array_of
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.parallel import largest
 

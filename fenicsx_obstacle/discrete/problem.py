@@ -14,6 +14,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.admissible import check_admissible
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
@@ -54,7 +55,7 @@ class Problem:
         """Assemble what stays; `data` is by default what the scene's formulas are on the level."""
         self.scene, self.level = scene, level
         self.data = data = Data(scene, level) if data is None else data
-        data.check()
+        check_admissible(data)
         self.affine = all(effect.affine for effect in scene.effects)
         nodal = level.pair.nodal
         if data.thin and not (nodal and level.pair.degree == 1):

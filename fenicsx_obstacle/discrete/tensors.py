@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.data import ROUND_OFF, Data
+from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.words import counted
 
+ROUND_OFF = 1e-10  # of the entries
 Rows = tuple[tuple[Formula, ...], ...]
 
 

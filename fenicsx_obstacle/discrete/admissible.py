@@ -1,0 +1,101 @@
+"""Whether any u can satisfy a scene: boundary values between the obstacles, obstacles that do not cross."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes.scene import part_place
+from fenicsx_obstacle.scenes.tables import ACTING
+
+ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
+
+
+def check_admissible(data: Data) -> None:
+    """Refuse obstacles that cross and boundary values beyond them: no u could satisfy both (collective).
+
+    Where a boundary value is beyond an obstacle by round-off only, the obstacle gives way.
+
+    Raises:
+        InputError: Naming the place and the gap.
+    """
+    comm, source = data.level.comm, data.scene.source
+    dofs, values = data.fixed
+    holds = any(effect.holds for effect in data.scene.effects)
+    if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
+        raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
+    _check_parts(data)
+    heights = [f.x.array for f in (data.lower, data.upper) if f is not None] + [values.x.array[dofs]]
+    if data.thin:
+        heights = [part[np.isfinite(part)] for part in heights]
+    high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
+    tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
+    if data.lower is not None and data.upper is not None:
+        crossing = data.lower.x.array - data.upper.x.array
+        _refuse_gap(data, crossing, tolerance, f"{source}: [obstacle] lower is above upper")
+    for obstacle, sign, word in ((data.lower, 1, "lower"), (data.upper, -1, "upper")):
+        if obstacle is None:
+            continue
+        beyond = np.full(len(values.x.array), -np.inf)
+        beyond[dofs] = sign * (obstacle.x.array - values.x.array)[dofs]
+        side = "below" if word == "lower" else "above"
+        _refuse_beyond(data, beyond, tolerance, values, obstacle, f"lies {side} the {word} obstacle")
+        obstacle.x.array[beyond > 0] = values.x.array[beyond > 0]
+
+
+def _check_parts(data: Data) -> None:
+    """Refuse what acts where u is given (collective)."""
+    if all(part.value is not None for part in data.scene.tables.boundary):
+        return
+    held = np.unique(np.concatenate([np.empty(0, np.int32), *data.held]))
+    for number, part in enumerate(data.scene.tables.boundary):
+        both = np.isin(data.facets[number], held)
+        if part.value is None and total(data.level.comm, np.count_nonzero(both)) > 0:
+            key = next(key for key in ACTING if getattr(part, key) is not None)
+            others = " and ".join(
+                f"no. {other + 1}"
+                for other, facets in enumerate(data.held)
+                if total(data.level.comm, np.count_nonzero(np.isin(facets, data.facets[number]))) > 0
+            )
+            raise InputError(
+                f"{data.scene.source}: {part_place(number)} {key} does nothing where u is given, by {others}"
+            )
+
+
+def _refuse_beyond(
+    data: Data, beyond: np.ndarray, tolerance: float, values: fem.Function, obstacle: fem.Function, where: str
+) -> None:
+    """Likewise for boundary values beyond an obstacle, naming who gave the value (collective)."""
+    found = _worst(data, beyond, tolerance)
+    if found is not None:
+        _, point, dof = found
+        mine = None
+        if dof is not None:
+            giver = next(place for place, dofs in reversed(data.givers) if dof in dofs)
+            mine = f"{giver} {where}: {values.x.array[dof]:.6g} against {obstacle.x.array[dof]:.6g}"
+        message = next(text for text in data.level.comm.allgather(mine) if text is not None)
+        raise InputError(f"{message} at {data.at(point)}, so that no u satisfies both")
+
+
+def _refuse_gap(data: Data, excess: np.ndarray, tolerance: float, message: str) -> None:
+    """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
+    found = _worst(data, excess, tolerance)
+    if found is not None:
+        raise InputError(f"{message}: by {found[0]:.3g} at {data.at(found[1])}")
+
+
+def _worst(data: Data, excess: np.ndarray, tolerance: float) -> tuple[float, np.ndarray, int | None] | None:
+    """The largest excess above the tolerance, its place, and the dof there on ranks that have it (collective).
+
+    Of places alike it is the first by coordinates, whatever the partition.
+    """
+    gap = largest(data.level.comm, excess)
+    if gap <= tolerance:
+        return None
+    dofs = np.flatnonzero(excess >= gap * (1 - 1e-9))
+    mine = min(((data.level.points[:, dof].tolist(), int(dof)) for dof in dofs), default=None)
+    point = min(one[0] for one in data.level.comm.allgather(mine) if one is not None)
+    return gap, np.array(point), None if mine is None or mine[0] != point else mine[1]

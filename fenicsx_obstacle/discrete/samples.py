@@ -1,0 +1,172 @@
+"""Formulas sampled on a mesh: at nodes, in cells, at points; what is not finite is refused with its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import corners
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes.formulas import Formula, nearest
+from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.vocabulary import COORDINATES
+
+Cellwise: TypeAlias = fem.Function | fem.Constant
+INWARD = 1e-6  # of the way to the middle of the cell
+
+
+def array_of(function: Cellwise) -> np.ndarray:
+    """Values at local dofs, or the one there is."""
+    return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
+
+
+class Samples:
+    """The formulas of a scene on one level."""
+
+    def __init__(self, scene: Scene, level: Level):
+        self.scene, self.level = scene, level
+        self._cellwise: dict[str, Cellwise] = {}
+
+    def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Cellwise:
+        """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).
+
+        A Constant if all are the same.
+
+        Raises:
+            InputError: If it is not finite, or not positive, or below the least, somewhere, or a material has no value.
+        """
+        if value.place not in self._cellwise:
+            made = self._sample_cells(value)
+            if positive:
+                self._refuse(value, made, array_of(made) <= 0, "must be positive; it is")
+            if least is not None:
+                self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
+            self._cellwise[value.place] = made
+        return self._cellwise[value.place]
+
+    def nodal(self, value: Formula, values: Mapping[str, float] | None = None) -> fem.Function:
+        """Nodal interpolant in V, with values of further names (collective).
+
+        Raises:
+            InputError: If it is not finite somewhere.
+        """
+        function = fem.Function(self.level.V)
+        self._sample(function, value, values)
+        return function
+
+    def at_nodes(self, value: Value) -> np.ndarray:
+        """Values of a formula at owned nodes (collective).
+
+        Raises:
+            InputError: If it is given by materials, which share nodes, or is not finite somewhere.
+        """
+        if isinstance(value, Materials):
+            raise InputError(f"{value.place}: element {self.level.pair.name} takes one formula for all materials")
+        return self.nodal(value).x.array[: self.level.owned]
+
+    @cached_property
+    def distance(self) -> fem.Function:
+        """Nodal distance to the boundary (first use is collective)."""
+        return self.nodal(self.scene.formula("distance", "distance"))
+
+    @cached_property
+    def boundary_distance(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Distance to the boundary of points (n, 3) (first use is collective)."""
+        from fenicsx_obstacle.discrete.distance import BoundaryDistance  # with scipy: only where a scene names it
+
+        return BoundaryDistance(self.level)
+
+    def uniform(self, value: Value) -> bool:
+        """Whether a value is the same number everywhere."""
+        return isinstance(value, Formula) and not self.scene.needs(value) & {*COORDINATES, "distance"}
+
+    def _points(self, V: fem.FunctionSpace) -> np.ndarray:
+        """Points of the local dofs, shape (3, dofs)."""
+        if V is self.level.V:
+            return self.level.points
+        points = np.array(V.tabulate_dof_coordinates().T)
+        if V is self.level.W and self.level.pair.degree > 1:
+            # what jumps between cells has its value from within
+            dofs = releases.cell_dofs(V)
+            middle = corners(self.level.mesh).mean(axis=1).T[:, :, None]
+            points[:, dofs] += INWARD * (middle - points[:, dofs])
+        return points
+
+    def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
+        if self.uniform(formula):
+            function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), values)
+        else:
+            function.x.array[:] = self._at_points(formula, self._points(function.function_space), values)
+            function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
+        self._refuse_infinite(formula, function)
+
+    def _sample_cells(self, value: Value) -> Cellwise:
+        if isinstance(value, Formula) and self.uniform(value):
+            number = self.scene.at_points(value, np.zeros((3, 1)))[0]
+            constant = fem.Constant(self.level.mesh, PETSc.ScalarType(number))
+            self._refuse_infinite(value, constant)
+            return constant
+        function = fem.Function(self.level.W)
+        if isinstance(value, Materials):
+            self._sample_materials(function, value)
+        else:
+            self._sample(function, value)
+        return function
+
+    def _sample_materials(self, function: fem.Function, value: Materials) -> None:
+        """Each formula in the cells of its material: every cell must have one value (collective)."""
+        groups, comm, points = self.level.groups, self.level.comm, self._points(self.level.W)
+        values, times = function.x.array, np.zeros(len(function.x.array), dtype=int)
+        for name, formula in value.parts.items():
+            if name not in groups:
+                hint = nearest(name, groups) if groups else "; the mesh has no named groups of cells"
+                raise InputError(f"{value.place}: no material named '{name}'" + hint)
+            inside = self.level.indicator(name)
+            values[inside] = self._at_points(formula, points[:, inside])
+            times += inside
+        for name in groups:
+            if total(comm, np.count_nonzero(self.level.indicator(name) & (times == 0))) > 0:
+                raise InputError(f"{value.place} = {value.text}: no value for the material '{name}'")
+        for bad, what in ((times == 0, "no value for a cell without material"), (times > 1, "two values for a cell")):
+            found = self._first(function, bad)
+            if found is not None:
+                raise InputError(f"{value.place} = {value.text}: {what} at {self.at(found[1])}")
+        function.x.scatter_forward()
+        self._refuse_infinite(value, function)
+
+    def _at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, float] | None = None) -> np.ndarray:
+        """Values at points (3, n) (collective if the formula names the distance)."""
+        named = "distance" in self.scene.needs(formula)
+        known = {**(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
+        return self.scene.at_points(formula, x, known)
+
+    def _refuse_infinite(self, formula: Value, function: Cellwise) -> None:
+        self._refuse(formula, function, ~np.isfinite(array_of(function)), "is not a finite number: it is")
+
+    def _refuse(self, formula: Value, function: Cellwise, bad: np.ndarray, what: str) -> None:
+        """All ranks raise if any value is bad, naming one place (collective)."""
+        if isinstance(function, fem.Constant):
+            if bad.any():
+                raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}")
+            return
+        found = self._first(function, bad)
+        if found is not None:
+            raise InputError(f"{formula.place} = {formula.text}: {what} {found[0]:g} at {self.at(found[1])}")
+
+    def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
+        """Value and place of the first bad dof, the same on every rank (collective)."""
+        points, values = self._points(function.function_space).T, function.x.array
+        mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
+        return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
+
+    def at(self, point: np.ndarray) -> str:
+        return "(" + ", ".join(f"{x:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
