@@ -12,7 +12,6 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.accuracy.invariants import Finding, beside_inequality, falling, of_one, same, violated
-from fenicsx_obstacle.accuracy.round_off import round_off
 from fenicsx_obstacle.accuracy.solved import EPSILON, Ground, Solved
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -155,7 +154,7 @@ class _Court:
         vi = self.known.get(("vi", None))
         if number is not None and vi is not None:
             findings += beside_inequality(solved, vi.solved)
-            record["digits"] = round_off(self.bench.problem, solved.p, number)
+            record["digits"] = dict(record["round_off"])
             off = largest(self.ground.comm, np.abs(solved.p - vi.solved.p))
             record["digits"]["off"] = off / max(largest(self.ground.comm, np.abs(vi.solved.p)), 1e-300)
         for trial in before:
@@ -204,7 +203,7 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
     room, room_p = room + rounded, room_p + np.where(g.touchable, 4 * g.diagonal * rounded / np.maximum(g.D, 1e-300), 0)
     size = max(largest(g.comm, np.abs(old.p)), 1e-300)
     moved = largest(g.comm, d[g.touchable]) / size
-    record["digits"] = {"moved": moved, **round_off(solved.ground.problem, solved.p, solved.eps)}
+    record["digits"] = {"moved": moved, **record["round_off"]}
     steps = abs(record["newton_iterations"] - before.iterations)
     return [
         Finding("other units: steps", "equations scale", steps, 1),
