@@ -48,21 +48,22 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
     """
     if MPI.COMM_WORLD.size > 1:
         raise InputError("hard starts processes of its own, also on several ranks: run it on one")
-    start, found = time.perf_counter(), []
+    start, comm, lines = time.perf_counter(), MPI.COMM_WORLD, ""
+    found: list[tuple[Figures, list[Row]]] = []
     wanted = cases() if name is None else (case(name),)
     widths = [max(len(getattr(one, key)) for one in wanted) for key in ("name", "family")]
     say(_line(HEADS, widths))
     for one, rows in run(wanted):
         figures = figures_of(one, rows)
         found.append((figures, rows))
+        lines += "".join(json.dumps(row) + "\n" for row in rows)
+        on_root(comm, write_text, folder / LINES, lines)
         say(_line(_cells(figures), widths))
         for row in rows:
             if row["verdict"] == FAILED:
                 say(f"    {_which(row)} FAILED: {row['message']}")
     rows = [row for _, part in found for row in part]
     all_figures = [figures for figures, _ in found]
-    comm = MPI.COMM_WORLD
-    on_root(comm, write_text, folder / LINES, "".join(json.dumps(row) + "\n" for row in rows))
     on_root(comm, write_text, folder / TABLES, markdown(all_figures))
     _draw(panels(found), "Hard scenes: steps over eps", folder / STEPS)
     _draw(digits_panels(rows), "Digits of the contact pressure", folder / DIGITS)
