@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
+from conftest import COMM, DEMOS, membrane
 from mpi4py import MPI
 from test_cli import CLEAN
 
@@ -37,6 +37,8 @@ def test_the_list():
     assert sum(not one.awaits for one in cases()) >= 40
     assert {path.stem for path in FOLDER.glob("*.toml")} - {"suite"} <= {one.scene or one.name for one in cases()}
     assert all(one.hard for one in cases())
+    told = (DEMOS.parent / "docs" / "stability.md").read_text()
+    assert all(f"| {one.name} |" in told for one in cases())
     assert {one.name for one in cases() if one.awaits} == {"pollutant", "american_put", "minimal_surface"}
     with pytest.raises(InputError, match="did you mean 'ridge'"):
         case("rigde")

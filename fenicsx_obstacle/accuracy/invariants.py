@@ -75,6 +75,8 @@ def _equilibrium(s: Solved) -> Finding:
     g = s.ground
     problem, data = g.problem, g.problem.data
     one, u = fem.Constant(problem.level.mesh, PETSc.ScalarType(1.0)), problem.heights()
+    u.x.array[: problem.level.owned] = s.w + s.r
+    u.x.scatter_forward()
     net = 0.0  # a(u, 1) - f(1)
     for effect in problem.scene.effects:
         density = effect.density(data) if problem.level.pair.voronoi else None

@@ -102,13 +102,22 @@ def _described(figures: Figures) -> list[str]:
     one = figures.case
     if one.awaits:
         return [one.name, one.hard, *[""] * (len(MARKDOWN) - 3), f"awaits {one.awaits}"]
-    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in figures.verdicts.items())
+    verdicts = _verdicts(figures)
     if figures.unknowns is None:
         return [one.name, one.hard, *[""] * (len(MARKDOWN) - 3), verdicts]
     steps = ", ".join(str(figures.steps[method]) for method in ("vi", *METHODS))
     numbers = [_number(value) for value in (figures.penetration, figures.work, figures.off, figures.plain)]
     return [one.name, one.hard, str(figures.unknowns), "holds" if figures.monotone else "-", steps, *numbers,
             _share(figures.moved), verdicts]  # fmt: skip
+
+
+def _verdicts(figures: Figures) -> str:
+    """All alike, or how many were refused or have failed."""
+    count = figures.verdicts
+    few = [f"{count[verdict]} {verdict}" for verdict in (REFUSED, FAILED) if count[verdict]]
+    if not count[RIGHT]:
+        return ", ".join(few) if count[FAILED] else REFUSED
+    return ", ".join(["right", *few])
 
 
 def _cells(figures: Figures) -> tuple[Any, ...]:
