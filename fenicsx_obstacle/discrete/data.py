@@ -256,11 +256,14 @@ class Data:
         """All ranks raise if any value is bad, naming one place (collective)."""
         if isinstance(function, fem.Constant):
             if bad.any():
-                raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}")
+                because = self.scene.infinite(formula, np.zeros(3))
+                raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}{because}")
             return
         found = self._first(function, bad)
         if found is not None:
-            raise InputError(f"{formula.place} = {formula.text}: {what} {found[0]:g} at {self._at(found[1])}")
+            value, point = found
+            because = self.scene.infinite(formula, point)
+            raise InputError(f"{formula.place} = {formula.text}: {what} {value:g} at {self._at(point)}{because}")
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
         """Value and place of the first bad dof, the same on every rank (collective)."""

@@ -11,14 +11,13 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.hard import case, cases
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.theory import drawing
 from fenicsx_obstacle.studies.hard.figures import RESOLVED, Figures, digits_panels, figures_of, panels
 from fenicsx_obstacle.studies.hard.judge import FAILED, METHODS, REFUSED, RIGHT, Row
-from fenicsx_obstacle.studies.hard.suite import run
+from fenicsx_obstacle.studies.hard.suite import one_rank, run
 from fenicsx_obstacle.studies.theory.statement import Found, Panel
 from fenicsx_obstacle.words import counted
 
@@ -46,8 +45,7 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
     Raises:
         InputError: If there is no such scene, or on several ranks.
     """
-    if MPI.COMM_WORLD.size > 1:
-        raise InputError("hard starts processes of its own, also on several ranks: run it on one")
+    one_rank()
     start, comm, lines = time.perf_counter(), MPI.COMM_WORLD, ""
     found: list[tuple[Figures, list[Row]]] = []
     wanted = cases() if name is None else (case(name),)

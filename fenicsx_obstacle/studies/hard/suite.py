@@ -13,8 +13,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from mpi4py import MPI
 
 from fenicsx_obstacle.accuracy.invariants import violated
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.hard import Case
 from fenicsx_obstacle.studies.hard.judge import FAILED, METHODS, RIGHT, TRIAL, Row
 from fenicsx_obstacle.studies.hard.ranks import agree_on
@@ -30,6 +32,16 @@ _MPI = ("OMPI_COMM", "OMPI_ARGV", "OMPI_APP", "OMPI_COMMAND", "PMIX", "PRTE", "P
 def clean() -> dict[str, str]:
     """The environment without what an MPI process finds in it; choices for MPI itself stay."""
     return {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
+
+
+def one_rank() -> None:
+    """Refuse to start processes of their own from each of several ranks.
+
+    Raises:
+        InputError: On several ranks.
+    """
+    if MPI.COMM_WORLD.size > 1:
+        raise InputError("hard starts processes of its own, also on several ranks: run it on one")
 
 
 def run(cases: Sequence[Case]) -> Iterator[tuple[Case, list[Row]]]:
