@@ -249,23 +249,36 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 
 @commands.command()
 @click.argument("name", metavar="[NAME]", required=False)
+@click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: so many random scenes.")
 @click.option("--broken", is_flag=True, help="Instead: input that is wrong in every way, and what is said about it.")
+@click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
 @click.option("--output", type=_Place(), default=Path("out/hard"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
 @_options("json", "quiet", "log")
-def hard(name: str | None, broken: bool, output: Path, json_file: str | None, quiet: bool) -> int:
+def hard(
+    name: str | None, count: int | None, broken: bool, faults: bool, output: Path, json_file: str | None, quiet: bool
+) -> int:
     """Hard scenes: every answer checked against the theory, and a verdict: right, refused or FAILED.
 
     NAME is one scene of the suite; all of them without it. Exit status 3 if anything has failed.
     """
     from fenicsx_obstacle.show.broken import show_broken
+    from fenicsx_obstacle.show.chance import show_random
+    from fenicsx_obstacle.show.faults import show_faults
     from fenicsx_obstacle.show.hard import show_hard
     from fenicsx_obstacle.show.progress import progress
 
+    if (name is not None) + broken + faults + (count is not None) > 1:
+        raise InputError("hard: NAME, --random, --broken and --faults exclude each other")
     _check_places(output, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else _say
     with progress("hard", quiet=quiet):
-        rows = show_broken(output, say) if broken else show_hard(name, output, say)
+        if broken:
+            rows = show_broken(output, say)
+        elif faults:
+            rows = show_faults(output, say)
+        else:
+            rows = show_hard(name, output, say) if count is None else show_random(count, output, say)
     if json_file is not None:
         _write_json(json_file, rows)
     return 3 if any(row["verdict"] == "FAILED" for row in rows) else 0

@@ -20,8 +20,8 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import sums_nowhere_negative
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.solvers.stopping import TOLERANCE
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.stopping import NOTHING, TOLERANCE
 
 EPSILON = float(np.finfo(float).eps)
 FEW = 8 * EPSILON  # of |A| |u| in a row of some seven entries
@@ -159,6 +159,10 @@ class Ground:
         forces = problem.load + total(self.comm, np.abs(elastic[problem.fixed])) + total(self.comm, pressing)
         noise = np.where(self.free, FEW * (self.diagonal * (np.abs(w) + np.abs(r)) + pressing), 0.0)
         below, above = problem.gaps()
+        # where all data are zero solvers take for nothing what they cannot compare with any force
+        nearest = smallest(self.comm, [np.abs(gap[gap != 0]).min(initial=np.inf) for gap in (below, above)])
+        if np.isfinite(nearest):
+            noise = noise + np.where(self.free, NOTHING * nearest * self.diagonal, 0.0)
         state = problem.state()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()

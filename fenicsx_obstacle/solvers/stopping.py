@@ -125,6 +125,10 @@ class Stopping:
             self._seen.clear()
         return CONTINUE
 
+    def begin_again(self) -> None:
+        """Go on with another SNES, which counts its iterations from 0."""
+        self._krylov = 0
+
     @property
     def active(self) -> np.ndarray:
         """Owned nodes in contact at the last state."""

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import queue
-import signal
 import subprocess
-import sys
-import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +12,7 @@ from pathlib import Path
 
 from fenicsx_obstacle.studies.broken.case import LIMIT, Broken, complaint
 from fenicsx_obstacle.studies.broken.collection import collect, prepare
+from fenicsx_obstacle.studies.processes import end, launch, records
 
 EVERY = {1: 8, 3: 24}  # which cases have processes of their own: each so manyth, and what only a process can show
 AT_ONCE = {1: 2, 3: 1}
@@ -66,18 +62,6 @@ def run(root: Path, environment: Mapping[str, str], ranks: Sequence[int] = (1, 3
                 within = within[within.index(number) + 1 :]
 
 
-def launch(ranks: int, *arguments: str) -> list[str]:
-    """The command that runs Python with these arguments on so many ranks."""
-    mpirun = ["mpirun", "-q", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
-    return [*mpirun, sys.executable, *arguments]
-
-
-def end(process: subprocess.Popen[str]) -> None:
-    """End a process that leads a session, with all that it has started."""
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
 def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mapping[str, str]) -> Tried:
     folder = root / f"alone-{ranks}" / str(number)
     case.lay_out(folder)
@@ -104,16 +88,8 @@ def _within(
 ) -> Iterator[tuple[Tried, int]]:
     """Cases in one process, until one of them ends it."""
     command = launch(ranks, "-m", "fenicsx_obstacle.studies.broken.inside", str(root))
-    process = subprocess.Popen(command, env=environment, text=True, errors="replace", start_new_session=True,
-                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)  # fmt: skip
-    assert process.stdin is not None and process.stdout is not None
-    process.stdin.write(json.dumps(list(numbers)) + "\n")
-    process.stdin.close()
-    lines: queue.Queue[str] = queue.Queue()
-    threading.Thread(target=_forward, args=(process.stdout, lines), daemon=True).start()
     begun: int | None = numbers[0]
-    while line := _next(lines):
-        record = json.loads(line)
+    for record in records(command, environment, PATIENCE, json.dumps(list(numbers)) + "\n"):
         if "begins" in record:
             begun = record["begins"]
             continue
@@ -121,21 +97,5 @@ def _within(
         case, folder = cases[number], root / f"inside-{ranks}" / str(number)
         wrong = complaint(case, record["status"], record["said"], record["seconds"], folder)
         yield Tried(case, ranks, False, record["said"], record["seconds"], wrong), number
-    if process.poll() is None:
-        end(process)
     if begun is not None:
         yield Tried(cases[begun], ranks, False, "", PATIENCE, "took the process down, or did not end"), begun
-
-
-def _forward(stream: Iterator[str], lines: queue.Queue[str]) -> None:
-    for line in stream:
-        lines.put(line)
-    lines.put("")
-
-
-def _next(lines: queue.Queue[str]) -> str:
-    """The next line; empty at the end, or where none comes."""
-    try:
-        return lines.get(timeout=PATIENCE)
-    except queue.Empty:
-        return ""
