@@ -35,13 +35,18 @@ def save(answer: Answer, folder: Path) -> None:
     with new_files(comm, folder) as scratch:
 
         def write() -> None:
-            (scratch / "scene.toml").write_text(_scene_there(answer.scene, folder).toml())
-            (scratch / "answer.json").write_text(json.dumps(dict(answer.record), indent=1) + "\n")
-            (scratch / "history.csv").write_text(_history(answer.history))
-            with h5py.File(scratch / "fields.h5", "w") as file:
-                for name, values in arrays.items():
-                    file[name] = values
-            (scratch / "fields.xdmf").write_text(_xdmf(arrays))
+            contents = {
+                "scene.toml": _scene_there(answer.scene, folder).toml().encode(),
+                "answer.json": (json.dumps(dict(answer.record), indent=1) + "\n").encode(),
+                "history.csv": _history(answer.history).encode(),
+                "fields.h5": _hdf5(arrays),
+                "fields.xdmf": _xdmf(arrays).encode(),
+            }
+            try:
+                for name, content in contents.items():
+                    (scratch / name).write_bytes(content)
+            except OSError as error:
+                raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
 
         on_root(comm, write)
 
@@ -133,6 +138,15 @@ def gather(answer: Answer) -> dict[str, np.ndarray]:
         arrays["gap"] = np.min(gaps, axis=0)
     arrays["gdim"] = np.array(level.mesh.geometry.dim)
     return arrays
+
+
+def _hdf5(arrays: dict[str, np.ndarray]) -> bytes:
+    """An HDF5 file; made in memory, since the library ends the process where a disk is full."""
+    with h5py.File("fields.h5", "w", driver="core", backing_store=False) as file:
+        for name, values in arrays.items():
+            file[name] = values
+        file.flush()
+        return bytes(file.id.get_file_image())
 
 
 def _history(steps: tuple[Step, ...]) -> str:

@@ -129,9 +129,8 @@ def _kill(
     elif how == "SIGTERM":
         os.killpg(process.pid, signal.SIGTERM)
     else:
-        pythons = [
-            pid for pid in _session(process.pid) if "fenicsx_obstacle" in _words(pid) and "-n" not in _words(pid)
-        ]
+        words = {pid: _words(pid) for pid in _session(process.pid)}
+        pythons = [pid for pid, found in words.items() if "fenicsx_obstacle" in found and "-n" not in found]
         if pythons:
             os.kill(choose.choice(pythons), signal.SIGKILL)
     wrong = ""
