@@ -4,7 +4,8 @@ A state w leaves the residual r = A w + ... + D (u - g)^+/eps - f at free dofs. 
 (A + theta D/eps) e = r with some 0 <= theta_i <= 1, since t^+ is monotone and Lipschitz; for the inequality likewise
 with theta_i = 0 or infinite. Hence, with r taken to contain the round-off of its own evaluation,
 
-    |e| <= A^-1 |r|  at every node, where A is an M-matrix, and   ||e||_a <= R, R^2 = |r|' A^-1 |r|,   everywhere,
+    |e| <= A^-1 |r|  at every node, and   ||e||_a <= R, R^2 = |r|' A^-1 |r|,   where A is an M-matrix,
+    ||e||_a <= R,  R^2 = r' A^-1 r,   everywhere,
 
 and two answers to one problem agree within the sum of these: no tolerance is chosen by hand.
 """
@@ -176,6 +177,9 @@ class Ground:
         # heights themselves are rounded
         z = z + slip + last
         R = float(np.sqrt(total(self.comm, left * z)) + np.sqrt(total(self.comm, self.diagonal * last**2)))
+        if self.held and not self.monotone:  # r' A^-1 r may exceed |r|' A^-1 |r| then
+            signed = np.where(self.free, elastic - self.D * p, 0.0)
+            R += float(np.sqrt(max(total(self.comm, signed * self.lift(signed)), 0.0)))
         return Solved(self, eps, w, r, np.array(p), elastic, below, above, energy, forces,
                       total(self.comm, noise), span, z, R)  # fmt: skip
 

@@ -160,7 +160,7 @@ def _session(leader: int) -> list[int]:
 
 def _left(leader: int) -> list[int]:
     """Those that are there a while after its end."""
-    for _ in range(40):
+    for _ in range(150):
         left = [pid for pid in _session(leader) if pid != leader]
         if not left:
             return []
