@@ -180,7 +180,7 @@ def energy_round_off(s: Solved) -> float:
     """How far the energy is known (collective): slopes are differences of rounded heights, sums are rounded, and
     the state is off by z."""
     g = s.ground
-    last = EPSILON * largest(g.comm, np.abs(s.w + s.r))
+    last = EPSILON * largest(g.comm, np.abs(s.w) + np.abs(s.r))
     stiff = total(g.comm, g.problem.nodal.diagonal)
     parts = abs(s.energy or 0.0) + s.forces * last / EPSILON
     second = s.R**2 if np.isfinite(s.R) else 0.0
