@@ -18,6 +18,7 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
+from fenicsx_obstacle.solvers.stopping import NOTHING
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.studies.hard.units import Units, all_units
 
@@ -118,6 +119,11 @@ class _Court:
     def other_units(self, comm: MPI.Comm) -> Iterator[Row]:
         """The same in other units: within one step as many, and the same answer."""
         size = max((trial.solved.range for trial in self.known.values()), default=1.0)
+        gaps = [
+            gap[np.isfinite(gap)] for trial in self.known.values() for gap in (trial.solved.below, trial.solved.above)
+        ]
+        far = max((largest(comm, np.abs(gap)) for gap in gaps), default=0.0)
+        size = size if size > NOTHING**0.5 * far else far  # a u of round-off has no size
         for units in all_units(size, self.bench.problem.level.shape is not None):
             start = time.perf_counter()
             scene = units.of(self.scene)
