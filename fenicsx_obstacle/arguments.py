@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
+
+MOST = 1000  # values of one key
 
 
 def values_of(text: str, key: str) -> list[Any]:
@@ -19,14 +22,16 @@ def values_of(text: str, key: str) -> list[Any]:
     if match is None:
         return [_value(part) for part in text.split(",")]
     first, last = _value(match[1]), _value(match[2])
-    if isinstance(first, str) or isinstance(last, str) or first <= 0 or last <= 0:
+    if not all(isinstance(end, int | float) and 0 < end < math.inf for end in (first, last)):
         raise InputError(f"--vary {key}={text}: the ends of a range are positive numbers; give a list A,B,C otherwise")
     whole = isinstance(first, int) and isinstance(last, int)
     if match[3] is not None:
         count = int(match[3])
-        if count < 1:
-            raise InputError(f"--vary {key}={text}: at least one value")
-        steps = [first * (last / first) ** (i / max(count - 1, 1)) for i in range(count)]
+        if not 1 <= count <= MOST:
+            raise InputError(f"--vary {key}={text}: 1 to {MOST} values, not {match[3]}")
+        ends, intervals = (math.log(first), math.log(last)), max(count - 1, 1)
+        steps = [first, *(math.exp(ends[0] + (ends[1] - ends[0]) * i / intervals) for i in range(1, count - 1)), last]
+        del steps[count:]
     else:
         factor = 10.0 if key in ("eps", "solve.eps") else 2.0
         ratio = factor if last >= first else 1 / factor
@@ -44,7 +49,7 @@ def varied(item: str) -> tuple[str, list[Any]]:
         InputError: If it is not.
     """
     key, equals, text = item.partition("=")
-    if not equals or not text:
+    if not equals or not text or not key.strip():
         raise InputError(f"--vary {item}: expected KEY=LIST, such as cells=16..128")
     return key.strip(), values_of(text.strip(), key.strip())
 
@@ -73,6 +78,6 @@ def typed(given: dict[str, Any]) -> dict[str, Any]:
 
 def _setting(item: str) -> tuple[str, Any]:
     key, equals, text = item.partition("=")
-    if not equals or not text:
+    if not equals or not text or not key.strip():
         raise InputError(f"--set {item}: expected KEY=VALUE, such as define.ecc=0.9")
     return key.strip(), _value(text.strip())

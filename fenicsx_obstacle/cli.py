@@ -14,6 +14,18 @@ from fenicsx_obstacle.arguments import typed, varied
 from fenicsx_obstacle.errors import InputError
 
 
+class _Place(click.Path):
+    """A file or folder; an empty name, as an unset variable of a shell leaves it, is none."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("an empty name", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class _Ordered(click.Group):
     """Commands in the order of their definition."""
 
@@ -53,7 +65,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
         "start": click.option("--start", metavar="NAME", help="nested (from coarse grids on) or cold.  [nested]"),
         "eps": click.option("--eps", metavar="E", help="Penalty parameter: auto, a number, or a formula in h.  [auto]"),
         "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
-        "output": click.option("--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for results."),
+        "output": click.option("--output", type=_Place(), metavar="DIR", help="Folder for results."),
         "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
         "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
         "plugin": click.option(
@@ -113,13 +125,14 @@ def solve(
     Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv and
     report.html into out/SCENE.
     """
+    scene = _read(scene_file)  # a mistake in it is told before finite elements are loaded
     from fenicsx_obstacle.answers.adapt import solve
     from fenicsx_obstacle.answers.compute import changed
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_answer
 
-    scene = changed(_read(scene_file), typed(given))
+    scene = changed(scene, typed(given))
     folder = output or Path("out") / scene.name
     _check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
@@ -137,10 +150,11 @@ def solve(
 @_options("set", "cells", "refine", "element", "method", "start", "eps", "plugin")
 def explain(scene_file: str, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
+    scene = _read(scene_file)
     from fenicsx_obstacle.answers.compute import changed
     from fenicsx_obstacle.show.explain import explain
 
-    _say(explain(changed(_read(scene_file), typed(given))))
+    _say(explain(changed(scene, typed(given))))
 
 
 @commands.command()
@@ -148,7 +162,7 @@ def explain(scene_file: str, **given: Any) -> None:
 @click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
               help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values); several make a grid.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
-@click.option("--latex", type=click.Path(path_type=Path), metavar="FILE", help="The table as LaTeX.")
+@click.option("--latex", type=_Place(), metavar="FILE", help="The table as LaTeX.")
 @_options("set", "cells", "refine", "element", "method", "start", "eps", "plugin", "output", "json", "quiet", "log")
 def study(
     scene_file: str,
@@ -166,13 +180,12 @@ def study(
     study disk.toml --vary eps=1e-1..1e-8              against the SNES VI solution, h fixed
     study ball.toml --vary cells=16..128 --eps "h^2"   against the exact solution
     """
+    scene, values = _read(scene_file), dict(varied(item) for item in vary)
+    if len(values) < len(vary):
+        raise InputError("--vary: the same key twice; give all its values in one list")
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_study
 
-    scene = _read(scene_file)
-    values = dict(varied(item) for item in vary)
-    if len(values) < len(vary):
-        raise InputError("--vary: the same key twice; give all its values in one list")
     folder = output or Path("out") / scene.name / "-".join(values)
     _check_places(folder, json_file, latex)
     say = (lambda text: None) if quiet or json_file == "-" else _say
@@ -183,8 +196,8 @@ def study(
 
 
 @commands.command()
-@click.argument("first", type=click.Path(path_type=Path), metavar="A")
-@click.argument("second", type=click.Path(path_type=Path), metavar="B")
+@click.argument("first", type=_Place(), metavar="A")
+@click.argument("second", type=_Place(), metavar="B")
 @_options("plugin", "json")
 def compare(first: Path, second: Path, json_file: str | None) -> None:
     """Compare two saved results: norms, contact sets, forces.
@@ -203,8 +216,8 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 
 
 @commands.command()
-@click.argument("result", type=click.Path(path_type=Path))
-@click.option("--output", type=click.Path(path_type=Path), metavar="FILE", help="Another file.  [RESULT/answer.png]")
+@click.argument("result", type=_Place())
+@click.option("--output", type=_Place(), metavar="FILE", help="Another file.  [RESULT/answer.png]")
 @_options("plugin")
 def plot(result: Path, output: Path | None) -> None:
     """Draw a saved result: u, contact set and pressure; its page shows the picture too.
@@ -235,7 +248,7 @@ def scenes(name: str | None) -> None:
 
 @commands.command()
 @click.argument("number", metavar="[NO]", required=False)
-@click.option("--output", type=click.Path(path_type=Path), default=Path("out/theory"), metavar="DIR",
+@click.option("--output", type=_Place(), default=Path("out/theory"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/theory]")  # fmt: skip
 @_options("json", "quiet", "log")
 def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
@@ -256,28 +269,43 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 
 @commands.command()
 @click.argument("name", metavar="[NAME]", required=False)
-@click.option("--output", type=click.Path(path_type=Path), default=Path("out/hard"), metavar="DIR",
+@click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: so many random scenes.")
+@click.option("--broken", is_flag=True, help="Instead: input that is wrong in every way, and what is said about it.")
+@click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
+@click.option("--output", type=_Place(), default=Path("out/hard"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
 @_options("json", "quiet", "log")
-def hard(name: str | None, output: Path, json_file: str | None, quiet: bool) -> int:
+def hard(
+    name: str | None, count: int | None, broken: bool, faults: bool, output: Path, json_file: str | None, quiet: bool
+) -> int:
     """Hard scenes: every answer checked against the theory, and a verdict: right, refused or FAILED.
 
     NAME is one scene of the suite; all of them without it. Exit status 3 if anything has failed.
     """
+    from fenicsx_obstacle.show.broken import show_broken
+    from fenicsx_obstacle.show.chance import show_random
+    from fenicsx_obstacle.show.faults import show_faults
     from fenicsx_obstacle.show.hard import show_hard
     from fenicsx_obstacle.show.progress import progress
 
+    if (name is not None) + broken + faults + (count is not None) > 1:
+        raise InputError("hard: NAME, --random, --broken and --faults exclude each other")
     _check_places(output, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else _say
     with progress("hard", quiet=quiet):
-        rows = show_hard(name, output, say)
+        if broken:
+            rows = show_broken(output, say)
+        elif faults:
+            rows = show_faults(output, say)
+        else:
+            rows = show_hard(name, output, say) if count is None else show_random(count, output, say)
     if json_file is not None:
         _write_json(json_file, rows)
     return 3 if any(row["verdict"] == "FAILED" for row in rows) else 0
 
 
 @commands.command()
-@click.option("--output", type=click.Path(path_type=Path), default=Path("out/demo"), metavar="DIR",
+@click.option("--output", type=_Place(), default=Path("out/demo"), metavar="DIR",
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
     """The main job on the scenes of demos/: eps- and h-study, tables, pictures."""
@@ -309,12 +337,12 @@ def _check_places(folder: Path, json_file: str | None, latex: Path | None = None
     """Refuse places that cannot be written to before anything is computed (collective)."""
     from mpi4py import MPI
 
-    from fenicsx_obstacle.parallel import check_folder
+    from fenicsx_obstacle.parallel import check_file, check_folder
 
     check_folder(MPI.COMM_WORLD, folder)
     for option, file in (("--json", json_file), ("--latex", latex)):
-        if file is not None and Path(file).is_dir():
-            raise InputError(f"{option} {file}: is a folder; name a file")
+        if file is not None and file != "-":
+            check_file(MPI.COMM_WORLD, Path(file), option)
 
 
 def _write_json(file: str, records: Sequence[Any]) -> None:

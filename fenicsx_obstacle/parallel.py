@@ -99,8 +99,25 @@ def check_folder(comm: MPI.Comm, folder: Path) -> None:
     on_root(comm, probe)
 
 
-def make_folder(folder: Path) -> list[Path]:
-    """Make a folder with all above it (one rank).
+def check_file(comm: MPI.Comm, file: Path, option: str) -> None:
+    """Likewise for a file that an option names (collective).
+
+    Raises:
+        InputError: If it is a folder, or its folder cannot be made or written to.
+    """
+
+    def probe() -> None:
+        if file.is_dir():
+            raise InputError(f"{option} {file}: is a folder; name a file")
+        if not _is_device(file):
+            scratch, made = _scratch(file.parent, option)
+            remove_empty([scratch, *made])
+
+    on_root(comm, probe)
+
+
+def make_folder(folder: Path, option: str = "--output") -> list[Path]:
+    """Make a folder with all above it, which this option names (one rank).
 
     Returns:
         Those that were not there before, the innermost first.
@@ -114,8 +131,8 @@ def make_folder(folder: Path) -> list[Path]:
     except OSError as error:
         remove_empty(missing)
         if isinstance(error, FileExistsError | NotADirectoryError):
-            raise InputError(f"{folder}: is a file, or lies in one; --output names a folder") from None
-        raise InputError(f"{folder}: {error.strerror}; choose another folder with --output") from None
+            raise InputError(f"{folder}: is a file, or lies in one; choose another place with {option}") from None
+        raise InputError(f"{folder}: {error.strerror}; choose another place with {option}") from None
     return missing
 
 
@@ -126,21 +143,38 @@ def remove_empty(folders: Sequence[Path]) -> None:
             folder.rmdir()
 
 
-def _scratch(folder: Path) -> tuple[Path, list[Path]]:
+def _scratch(folder: Path, option: str = "--output") -> tuple[Path, list[Path]]:
     """A new folder within `folder`, and what was made for it."""
-    made = make_folder(folder)
+    made = make_folder(folder, option)
     try:
         return Path(tempfile.mkdtemp(prefix=".new-", dir=folder)), made
     except OSError as error:
-        raise InputError(f"{folder}: {error.strerror}; choose another folder with --output") from None
+        remove_empty(made)
+        raise InputError(f"{folder}: {error.strerror}; choose another place with {option}") from None
+
+
+def _is_device(path: Path) -> bool:
+    """Whether it is there and neither a file nor a folder: a device such as /dev/null, or a pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file in one step: to a temporary name, then renamed (one rank)."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_name(f".{path.name}.part")
-    scratch.write_text(text)
-    scratch.replace(path)
+    """Write a file in one step: to a temporary name, then renamed; devices and pipes as they are (one rank).
+
+    Raises:
+        InputError: If it cannot be written; an earlier file of this name stays.
+    """
+    scratch = path if _is_device(path) else path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch.write_text(text)
+        if scratch != path:
+            scratch.replace(path)
+    except OSError as error:
+        if scratch != path:
+            with suppress(OSError):
+                scratch.unlink()
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def total(comm: MPI.Comm, value: Any) -> float:

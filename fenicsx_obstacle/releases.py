@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
 import os
 import time
 from collections.abc import Iterable
@@ -23,6 +24,7 @@ from dolfinx import fem, geometry, io
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.corealg.traversal import unique_pre_traversal
 
 VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
 OLD = VERSION < (0, 7)  # ufl elements, AdjacencyList dofmaps
@@ -148,6 +150,12 @@ def create_vector(linear: Any, V: fem.FunctionSpace) -> PETSc.Vec:
 def expression(value: Any, V: fem.FunctionSpace) -> fem.Expression:
     """UFL expression evaluated at the nodes of V."""
     return fem.Expression(value, called(V.element.interpolation_points))
+
+
+def finite(expression: Any) -> bool:
+    """Whether all numbers in a UFL expression are finite: FFCx writes others into C, where they mean nothing."""
+    nodes = unique_pre_traversal(expression)
+    return all(math.isfinite(float(node)) for node in nodes if isinstance(node, ufl.constantvalue.RealValue))
 
 
 def diagonal(name: str) -> Any:

@@ -32,7 +32,7 @@ class Formulas:
     """
 
     def __init__(self, data: Data):
-        self.data, self.level, scene = data, data.level, data.scene
+        self.data, self.level, self.scene = data, data.level, data.scene
         mesh = self.level.mesh
         self.dx: Any = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
         x = ufl.SpatialCoordinate(mesh)
@@ -44,19 +44,19 @@ class Formulas:
         self.alphabet = ufl_alphabet()
         values = (*axes, ufl.sqrt(ufl.inner(x, x)), releases.atan2(axes[1], axes[0]))
         self.names: dict[str, Any] = {**CONSTANTS, "eps": self.eps, **dict(zip(COORDINATES, values, strict=True))}
-        for key, formula in scene.define.items():
-            # a name used in sampled data only may hold what UFL cannot differentiate
-            try:
-                self.names[key] = formula.evaluate(self.names, self.alphabet)
-            except (InputError, KeyError):
-                continue
 
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
         """The formula itself; of materials each within its own cells (then collective)."""
         if isinstance(value, Materials):
             return sum(self._inside(name) * self.cellwise(formula) for name, formula in value.parts.items())
+        needed = self.scene.needs(value)  # others may hold what UFL cannot differentiate
         try:
-            return value.evaluate(self.names, self.alphabet) + self._zero
+            for key in (key for key in self.scene.define if key in needed - set(self.names)):
+                self.names[key] = self.scene.define[key].evaluate(self.names, self.alphabet)
+            expression = value.evaluate(self.names, self.alphabet) + self._zero
+            if not releases.finite(expression):
+                raise ValueError("it holds an infinite number, or not a number")
+            return expression
         except releases.UFL_ERRORS as error:
             raise InputError(f"{value.place} = {value.text}: cannot be differentiated: {error}") from None
 
@@ -145,6 +145,9 @@ class Exact:
             u: Solution, in V.
             pressure: Contact pressure, in the same space at every call; 0 where u is given, whatever the exact one is.
             eps: Of the penalty, None without.
+
+        Raises:
+            InputError: If the exact solution, its gradient or pressure is not a number somewhere.
         """
         comm = self.problem.level.comm
         self.formulas.eps.value = eps or 0.0
@@ -152,6 +155,8 @@ class Exact:
         l2, gradient, energy = (
             total(comm, fem.assemble_scalar(form)) for form in (self._l2, self._gradient, self._energy)
         )
+        _refuse_nan(l2, self.formula, "it is")
+        _refuse_nan(gradient, self.formula, "its gradient is")
         return {
             "energy": math.sqrt(energy), "h1": math.sqrt(l2 + gradient), "l2": math.sqrt(l2),
             "max": largest(comm, np.abs(self.nodal(eps) - u.x.array)), **self._of_pressure(pressure),
@@ -167,6 +172,7 @@ class Exact:
             self._pressure_l2 = releases.form(error**2 * self.formulas.dx)
         self._p.x.array[:] = pressure.x.array
         squared = total(self.problem.level.comm, fem.assemble_scalar(self._pressure_l2))
+        _refuse_nan(squared, self._pressure, "it is")
         return {"pressure_l2": math.sqrt(squared)}
 
     def nodal(self, eps: float | None) -> np.ndarray:
@@ -177,6 +183,11 @@ class Exact:
     def dual(self) -> DualNorm:
         """Dual norm of pressure errors (first use is collective)."""
         return DualNorm(self.problem.data, self.formula)
+
+
+def _refuse_nan(squared: float, formula: Formula, what: str) -> None:
+    if math.isnan(squared):
+        raise InputError(f"{formula.place} = {formula.text}: {what} not a number somewhere between the nodes")
 
 
 class DualNorm:

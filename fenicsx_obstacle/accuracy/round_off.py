@@ -24,8 +24,8 @@ def round_off(problem: Problem, p: np.ndarray, eps: float | None) -> dict[str, f
         eps: Penalty parameter, or None.
 
     Returns:
-        from_heights: Of the pressure that u and obstacle, as they are stored, would give.
-        line: What theory says of it, machine epsilon |g| / (eps |p|).
+        from_heights: Of the pressure that u and obstacle, as they are stored, give: what is lost, as it happens.
+        line: What theory says may be lost, machine epsilon |g| / (eps |p|).
         left: What round-off may leave in `p`.
         None without pressure, or without eps.
     """

@@ -4,7 +4,8 @@ A state w leaves the residual r = A w + ... + D (u - g)^+/eps - f at free dofs. 
 (A + theta D/eps) e = r with some 0 <= theta_i <= 1, since t^+ is monotone and Lipschitz; for the inequality likewise
 with theta_i = 0 or infinite. Hence, with r taken to contain the round-off of its own evaluation,
 
-    |e| <= A^-1 |r|  at every node, where A is an M-matrix, and   ||e||_a <= R, R^2 = |r|' A^-1 |r|,   everywhere,
+    |e| <= A^-1 |r|  at every node, and   ||e||_a <= R, R^2 = |r|' A^-1 |r|,   where A is an M-matrix,
+    ||e||_a <= R,  R^2 = r' A^-1 r,   everywhere,
 
 and two answers to one problem agree within the sum of these: no tolerance is chosen by hand.
 """
@@ -20,8 +21,8 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import sums_nowhere_negative
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.solvers.stopping import TOLERANCE
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.stopping import NOTHING, TOLERANCE
 
 EPSILON = float(np.finfo(float).eps)
 FEW = 8 * EPSILON  # of |A| |u| in a row of some seven entries
@@ -159,6 +160,10 @@ class Ground:
         forces = problem.load + total(self.comm, np.abs(elastic[problem.fixed])) + total(self.comm, pressing)
         noise = np.where(self.free, FEW * (self.diagonal * (np.abs(w) + np.abs(r)) + pressing), 0.0)
         below, above = problem.gaps()
+        # where all data are zero solvers take for nothing what they cannot compare with any force
+        nearest = smallest(self.comm, [np.abs(gap[gap != 0]).min(initial=np.inf) for gap in (below, above)])
+        if np.isfinite(nearest):
+            noise = noise + np.where(self.free, NOTHING * nearest * self.diagonal, 0.0)
         state = problem.state()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
@@ -172,6 +177,9 @@ class Ground:
         # heights themselves are rounded
         z = z + slip + last
         R = float(np.sqrt(total(self.comm, left * z)) + np.sqrt(total(self.comm, self.diagonal * last**2)))
+        if self.held and not self.monotone:  # r' A^-1 r may exceed |r|' A^-1 |r| then
+            signed = np.where(self.free, elastic - self.D * p, 0.0)
+            R += float(np.sqrt(max(total(self.comm, signed * self.lift(signed)), 0.0)))
         return Solved(self, eps, w, r, np.array(p), elastic, below, above, energy, forces,
                       total(self.comm, noise), span, z, R)  # fmt: skip
 

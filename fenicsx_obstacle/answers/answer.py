@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.levels import Level
 
 
+LOST = 1e-3  # relative round-off of a pressure that is worth telling
 DEEP = 0.01  # of the range of u: penetration that shows in forces and contact sets
 
 
@@ -123,6 +124,7 @@ class Answer:
             lines.append(
                 f"  penetration is {share:.1%} of the range of u: for figures take a smaller eps, or --method vi"
             )
+        lines += self._round_off()
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
         if "bound" in r:
@@ -137,6 +139,21 @@ class Answer:
             values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
             lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))
         return "\n".join(lines)
+
+    def _round_off(self) -> list[str]:
+        """What floating point leaves of the pressure, in words, where that is little."""
+        found, lines = self.record.get("round_off", {}), []
+        if (found.get("left") or 0.0) > LOST:
+            lines.append(
+                f"  heights so far from 0 leave the pressure a round-off of {found['left']:.1g}: count them from the "
+                "obstacle's"
+            )
+        if (found.get("line") or 0.0) > LOST:
+            lines.append(
+                f"  eps is below what heights resolve: p was found from u - obstacle; from u and obstacle as they are "
+                f"saved its error would be {found['line']:.1g}"
+            )
+        return lines
 
     def _enclosure(self) -> list[str]:
         """How near u is to the inequality's solution on the same mesh, in words."""

@@ -17,6 +17,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import smallest
 from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.stopping import Step
@@ -80,11 +81,14 @@ def solve_form(
     scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables(), thin=False)
     data = _Data(scene, level, bcs, lower, upper)
     problem = Problem(scene, level, data)
+    data._finite(u, "u, the start,")
     start = u.x.array.copy()
     dofs, values = data.fixed
     start[dofs] = values.x.array[dofs]
     low, high = problem.obstacles()
     problem.refer(np.clip(start, low, high))
+    if energy is not None:
+        _refuse_no_minimum(problem)
     if eps is None:
         outcome = solve_vi(problem)
         p = residual_pressure(problem)
@@ -97,6 +101,20 @@ def solve_form(
     pressure.x.array[: len(p)] = p
     pressure.x.scatter_forward()
     return FormAnswer(u, pressure, contact, outcome.iterations, outcome.history)
+
+
+def _refuse_no_minimum(problem: Problem) -> None:
+    """A convex energy gives the derivative of F a positive diagonal (collective)."""
+    state = problem.state()
+    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
+    least = smallest(problem.level.comm, diagonal.array_r[~problem.fixed])
+    for owner in (state, diagonal):
+        owner.destroy()
+    if least <= 0:
+        raise InputError(
+            f"solve_form: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
+            "is a sign wrong? without energy= any solution of the equation is taken"
+        )
 
 
 class _Given:
@@ -129,13 +147,24 @@ class _Data(Data):
 
     def __init__(self, scene: Any, level: Level, bcs: Sequence[Any], lower: Any, upper: Any):
         super().__init__(scene, level)
-        self.lower, self.upper = (None if g is None else self._taken(g) for g in (lower, upper))
+        taken = (None if g is None else self._taken(g) for g in (lower, upper))
+        self.lower, self.upper = (
+            None if g is None else self._finite(g, name) for g, name in zip(taken, ("lower", "upper"), strict=True)
+        )
         values = fem.Function(level.V)
         fem.set_bc(values.x.array, list(bcs))
         values.x.scatter_forward()
+        self._finite(values, "a value of bcs")
         dofs = [np.asarray(bc.dof_indices()[0]) for bc in bcs]
         self.fixed = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)])).astype(np.int32), values
         self.givers.append(("solve_form: a value of bcs", self.fixed[0]))
+
+    def _finite(self, function: fem.Function, what: str) -> fem.Function:
+        """The function; all ranks raise if it is not finite somewhere (collective)."""
+        found = self._first(function, ~np.isfinite(function.x.array))
+        if found is not None:
+            raise InputError(f"solve_form: {what} is not a finite number: it is {found[0]:g} at {self.at(found[1])}")
+        return function
 
     def _taken(self, g: Any) -> fem.Function:
         taken = fem.Function(self.level.V)

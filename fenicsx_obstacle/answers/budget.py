@@ -45,4 +45,6 @@ class Budget:
                 limits[name] = float(match[1]) * factor
             except ValueError:
                 raise InputError(f"--budget {text}: {match[1]} is not a number") from None
+            if not 0 < limits[name] < math.inf:
+                raise InputError(f"--budget {text}: limits are positive and finite")
         return cls(**limits)

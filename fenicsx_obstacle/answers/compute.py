@@ -19,6 +19,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import contact_of
 from fenicsx_obstacle.accuracy.norms import Exact
+from fenicsx_obstacle.accuracy.round_off import round_off
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter, stepwise
 from fenicsx_obstacle.discrete import levels
@@ -263,6 +264,8 @@ class Workbench:
             "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
             "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
+        if problem.constrained and problem.affine and level.pair.nodal:
+            record["round_off"] = round_off(problem, p, eps)
         if bound is not None:
             true = record.get("errors", {}).get("energy")
             record["bound"] = {**bound.record, "effectivity": bound.total / true if true else None}

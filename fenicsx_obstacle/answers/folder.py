@@ -35,13 +35,18 @@ def save(answer: Answer, folder: Path) -> None:
     with new_files(comm, folder) as scratch:
 
         def write() -> None:
-            (scratch / "scene.toml").write_text(_scene_there(answer.scene, folder).toml())
-            (scratch / "answer.json").write_text(json.dumps(dict(answer.record), indent=1) + "\n")
-            (scratch / "history.csv").write_text(_history(answer.history))
-            with h5py.File(scratch / "fields.h5", "w") as file:
-                for name, values in arrays.items():
-                    file[name] = values
-            (scratch / "fields.xdmf").write_text(_xdmf(arrays))
+            contents = {
+                "scene.toml": _scene_there(answer.scene, folder).toml().encode(),
+                "answer.json": (json.dumps(dict(answer.record), indent=1) + "\n").encode(),
+                "history.csv": _history(answer.history).encode(),
+                "fields.h5": _hdf5(arrays),
+                "fields.xdmf": _xdmf(arrays).encode(),
+            }
+            try:
+                for name, content in contents.items():
+                    (scratch / name).write_bytes(content)
+            except OSError as error:
+                raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
 
         on_root(comm, write)
 
@@ -49,19 +54,20 @@ def save(answer: Answer, folder: Path) -> None:
 def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     """Read an answer (collective)."""
 
-    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], str]:
+    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], tuple[Step, ...]]:
         for name in ("answer.json", "fields.h5", "scene.toml", "history.csv"):
             if not (folder / name).exists():
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
         try:
             with h5py.File(folder / "fields.h5") as file:
                 arrays = {name: values[()] for name, values in file.items()}
-            record = json.loads((folder / "answer.json").read_text())
         except (OSError, ValueError) as error:
-            raise InputError(f"{folder}: the saved answer is damaged: {error}") from None
-        return record, arrays, (folder / "history.csv").read_text()
+            raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
+        if missing := sorted({"points", "cells", "gdim", "u", "pressure", "contact"} - set(arrays)):
+            raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(missing)}")
+        return _record(folder), arrays, _steps(folder)
 
-    record, arrays, history = on_root(comm, load)
+    record, arrays, steps = on_root(comm, load)
     mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")
     gdim, kind = int(arrays.pop("gdim")), _CELL[cells.shape[1]]
     mine = slice(None) if comm.rank == 0 else slice(0, 0)
@@ -74,14 +80,32 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     for name in set(arrays) - set(DERIVED):
         fields[name] = fem.Function(V)
         fields[name].x.array[:] = arrays[name][saved]
-    steps = tuple(
-        Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
-        for r in csv.DictReader(io.StringIO(history))
-    )
     return Answer(
         Scene.read(folder / "scene.toml"), level, fields["u"], fields["pressure"], fields["contact"],
         fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
     )  # fmt: skip
+
+
+def _record(folder: Path) -> dict[str, Any]:
+    try:
+        record = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+        if not isinstance(record, dict) or not {"scene", "h", "eps", "contact"} <= set(record):
+            raise ValueError("it holds no figures")
+        return record
+    except (OSError, ValueError) as error:
+        raise InputError(f"{folder}: the saved answer is damaged: answer.json: {error}") from None
+
+
+def _steps(folder: Path) -> tuple[Step, ...]:
+    try:
+        rows = list(csv.DictReader(io.StringIO((folder / "history.csv").read_text(encoding="utf-8"))))
+        steps = [Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
+                 for r in rows]  # fmt: skip
+        if not steps:
+            raise ValueError("it holds no steps")
+        return tuple(steps)
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise InputError(f"{folder}: the saved answer is damaged: history.csv: {error}") from None
 
 
 def _scene_there(scene: Scene, folder: Path) -> Scene:
@@ -114,6 +138,15 @@ def gather(answer: Answer) -> dict[str, np.ndarray]:
         arrays["gap"] = np.min(gaps, axis=0)
     arrays["gdim"] = np.array(level.mesh.geometry.dim)
     return arrays
+
+
+def _hdf5(arrays: dict[str, np.ndarray]) -> bytes:
+    """An HDF5 file; made in memory, since the library ends the process where a disk is full."""
+    with h5py.File("fields.h5", "w", driver="core", backing_store=False) as file:
+        for name, values in arrays.items():
+            file[name] = values
+        file.flush()
+        return bytes(file.id.get_file_image())
 
 
 def _history(steps: tuple[Step, ...]) -> str:

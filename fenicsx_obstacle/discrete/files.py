@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import h5py
 import numpy as np
 from dolfinx import io
 from dolfinx import mesh as dmesh
@@ -13,6 +16,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.meshing import meshed
+from fenicsx_obstacle.discrete.soundness import refuse_unsound
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
@@ -35,6 +40,8 @@ def read(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
 def _check(path: Path) -> None:
     if not path.exists():
         raise InputError(f"{path}: no such mesh file ([mesh] file, relative to the scene)")
+    if not path.is_file():  # a pipe might wait for ever
+        raise InputError(f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a mesh file")
     if path.suffix not in (".msh", ".geo", ".xdmf"):
         raise InputError(f"{path}: a mesh file ends in .msh, .geo (Gmsh) or .xdmf")
 
@@ -57,23 +64,28 @@ def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
 
 def _open_gmsh(path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
     """Load the model on rank 0: its dimension, the space it lies in, its physical names."""
-    try:
-        import gmsh
-    except ImportError:
-        raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)") from None
+    if find_spec("gmsh") is None:
+        raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)")
+    with meshed(path) if path.suffix == ".geo" else nullcontext(path) as mesh:
+        return _load_gmsh(mesh, path)
+
+
+def _load_gmsh(mesh: Path, path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
+    """Load a .msh file; `path` is what the user gave."""
+    import gmsh
+
     gmsh.initialize([], False)
     gmsh.option.setNumber("General.Terminal", 0)
     try:
-        gmsh.open(str(path))
-        if path.suffix == ".geo":
-            gmsh.model.mesh.generate(gmsh.model.getDimension())
+        gmsh.open(str(mesh))
+        gmsh.model.mesh.renumberNodes()  # DOLFINx wants no gaps
         return _inspect_gmsh(gmsh.model, path)
     except InputError:
         gmsh.finalize()
         raise
     except Exception as error:  # gmsh raises the base class, whatever is wrong with the file
         gmsh.finalize()
-        raise InputError(f"{path}: Gmsh cannot read it: {error}") from None
+        raise InputError(f"{path}: Gmsh cannot read it: {error}; is it whole?") from None
 
 
 def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
@@ -101,7 +113,11 @@ def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, list[tuple[str, int
         if not np.isin(model.mesh.getNodesForPhysicalGroup(d, tag)[0], in_cells).all():
             name = model.getPhysicalName(d, tag) or str(tag)
             raise InputError(f"{path}: '{name}' is not on the mesh; a part inside must be embedded in its domain")
-    coordinates = np.asarray(model.mesh.getNodes()[1]).reshape(-1, 3)
+    tags, places, _ = model.mesh.getNodes()
+    coordinates, numbers = np.asarray(places).reshape(-1, 3), np.argsort(tags)
+    of_cells = np.concatenate([model.mesh.getElements(dim, tag)[2][0] for _, tag in model.getEntities(dim)
+                               if len(model.mesh.getElements(dim, tag)[2])])  # fmt: skip
+    refuse_unsound(path, coordinates[numbers], np.searchsorted(np.sort(tags), of_cells).reshape(-1, dim + 1))
     flat = np.abs(coordinates).max(axis=0) > 1e-12 * np.abs(coordinates).max()
     gdim = max(dim, int(np.flatnonzero(flat).max(initial=0)) + 1)
     names = [(model.getPhysicalName(d, tag) or str(tag), d, tag) for d, tag in model.getPhysicalGroups()]
@@ -136,8 +152,27 @@ def _grids(path: Path) -> tuple[str, list[str]]:
     grids = [grid for grid in tree.iter("Grid") if grid.find("Topology") is not None]
     if not grids:
         raise InputError(f"{path}: holds no mesh")
-    for item in tree.iter("DataItem"):
-        data = path.parent / (item.text or "").strip().partition(":")[0]
-        if item.get("Format") == "HDF" and not data.exists():
-            raise InputError(f"{path}: its data file {data} is missing")
+    points, cells = (_array(path, grids[0].find(f"{part}/DataItem"), part) for part in ("Geometry", "Topology"))
+    if cells.shape[1] in (2, 3, 4) and cells.dtype.kind in "iu":  # others are refused by their kind
+        refuse_unsound(path, points, cells)
     return grids[0].get("Name", "mesh"), [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]
+
+
+def _array(path: Path, item: ElementTree.Element | None, part: str) -> np.ndarray:
+    """The numbers of an XDMF DataItem, two-dimensional."""
+    if item is None:
+        raise InputError(f"{path}: its {part} holds no data")
+    shape, text = (item.get("Dimensions") or "").split(), (item.text or "").strip()
+    try:
+        if item.get("Format") == "HDF":
+            name, _, inside = text.partition(":")
+            part, data = f"{part} in {name}", path.parent / name
+            if not data.is_file():
+                raise InputError(f"{path}: its data file {data} is missing")
+            with h5py.File(data) as file:
+                array = np.asarray(file[inside][()])
+        else:
+            array = np.array(text.split(), dtype=np.int64 if part == "Topology" else np.float64)
+        return array.reshape([int(number) for number in shape] if len(shape) == 2 else array.shape)
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: its {part} cannot be read: {error}") from None

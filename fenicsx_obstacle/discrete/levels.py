@@ -152,7 +152,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     level, refine = _begin(scene, comm)
     for _ in range(refine):
         dim = level.mesh.topology.dim
-        check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, "'refine' fewer times")
+        check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
         level = refined(level)
     return level if pair is P1 else of_pair(level, pair)
 
@@ -178,10 +178,14 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
-        check_memory(shape.vertices * (2.0**refine * pair.degree) ** dim, dim, comm, "take fewer 'cells'")
+        unknowns = shape.vertices * (2.0**refine * pair.degree) ** dim
+        check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
         mesh, sides, h, halvings = coarsest_grid(shape, comm)
         level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
-    pair.rule(releases.cell_name(level.mesh))
+    try:
+        pair.rule(releases.cell_name(level.mesh))
+    except InputError as error:
+        raise InputError(f"{scene.source}: [solve] {error}") from None
     if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
     return level, refine

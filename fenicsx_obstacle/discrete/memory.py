@@ -14,15 +14,16 @@ def fits(unknowns: float, dim: int, comm: MPI.Comm) -> bool:
     return unknowns * BYTES_PER_VERTEX[dim] < _free_memory(comm) and unknowns * 6 <= 2**31
 
 
-def check_memory(unknowns: float, dim: int, comm: MPI.Comm, remedy: str) -> None:
+def check_memory(unknowns: float, dim: int, comm: MPI.Comm, source: str, remedy: str) -> None:
     """Refuse a mesh of so many unknowns where there is no room for it (collective).
 
     Raises:
-        InputError: With the remedy.
+        InputError: Naming the scene's `source`, with the remedy.
     """
     if not fits(unknowns, dim, comm):
         needed, free = unknowns * BYTES_PER_VERTEX[dim], _free_memory(comm)
-        raise InputError(f"[mesh] needs about {needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free; {remedy}")
+        room = f"{needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free"
+        raise InputError(f"{source}: [mesh] needs about {room}; {remedy}")
 
 
 def _free_memory(comm: MPI.Comm) -> float:

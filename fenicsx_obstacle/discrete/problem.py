@@ -74,7 +74,7 @@ class Problem:
         self.elastic, self.reaction = forms.vector(), forms.vector()
         self.weights = forms.weights()
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
-        self.load = self._load()
+        self.load, self._net_load = self._loads()
         self._refuse_afloat()
         self.refer(self.cold_start())
 
@@ -91,11 +91,12 @@ class Problem:
         np.clip(heights, lower, upper, out=heights)
         heights[dofs] = values.x.array[dofs]
         if self.constrained and total(comm, len(own)) == 0:
-            # nothing else holds a floating membrane: begin with contact everywhere
-            heights[:] = lower - 1.0 if self.below is not None else upper + 1.0
+            # nothing else holds a floating membrane: begin with contact everywhere, where the load presses it
+            down = self.above is None or (self.below is not None and self._net_load <= 0)
+            heights[:] = lower - 1.0 if down else upper + 1.0
             known = np.isfinite(heights)
             if self.data.thin:  # off the obstacle: at the height of its lowest or highest place
-                heights[~known] = (smallest if self.below is not None else largest)(comm, heights[known])
+                heights[~known] = (smallest if down else largest)(comm, heights[known])
         return heights
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
@@ -303,7 +304,7 @@ class Problem:
         comm = self.level.comm
         if total(comm, np.count_nonzero(self.fixed)) > 0 or (self.below is None) == (self.above is None):
             return
-        at_rest = self.elastic.array_r.copy()  # -f, of `_load`
+        at_rest = self.elastic.array_r.copy()  # -f, of `_loads`
         self.w.x.array[:] = 1.0
         self.forms.elastic(self.elastic)
         self.w.x.array[:] = 0.0
@@ -315,16 +316,16 @@ class Problem:
             vector.destroy()
         if not shifts:  # something else than contact answers
             return
-        load = total(comm, -at_rest)
-        side, push = ("lower", -load) if self.below is not None else ("upper", load)
+        side, push = ("lower", -self._net_load) if self.below is not None else ("upper", self._net_load)
         if push <= ROUND_OFF * total(comm, np.abs(at_rest)):
             raise InputError(
-                f"{self.scene.source}: u is given nowhere, and the load, {load:.3g} in all, does not press against the "
-                f"{side} obstacle: no u is in balance; add a [[boundary]] with a value"
+                f"{self.scene.source}: u is given nowhere, and the load, {self._net_load:.3g} in all, does not press "
+                f"against the {side} obstacle: no u is in balance; add a [[boundary]] with a value"
             )
 
-    def _load(self) -> float:
-        """Sum of |f_i| over free dofs: the elastic residual of u = 0, as long as w and r are 0."""
+    def _loads(self) -> tuple[float, float]:
+        """Sum of |f_i| over free dofs, and of all f_i: minus the residual of u = 0, as long as w and r are 0."""
         self.forms.refer()
         self.forms.elastic(self.elastic)
-        return total(self.level.comm, np.abs(self.elastic.array_r[~self.fixed]))
+        comm, at_rest = self.level.comm, self.elastic.array_r
+        return total(comm, np.abs(at_rest[~self.fixed])), -total(comm, at_rest)

@@ -21,12 +21,21 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.vocabulary import COORDINATES
 
 Cellwise: TypeAlias = fem.Function | fem.Constant
+STEEP = 3.0  # quadratics through positive values stay positive up to 4 on triangles, 4.5 on squares, 3.09 on cubes
 INWARD = 1e-6  # of the way to the middle of the cell
 
 
 def array_of(function: Cellwise) -> np.ndarray:
     """Values at local dofs, or the one there is."""
     return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
+
+
+def _flatten_jumps(tension: fem.Function) -> None:
+    """Give a cell in which positive nodal values jump their mean: the polynomial through them could be negative."""
+    dofs = releases.cell_dofs(tension.function_space)
+    values = tension.x.array[dofs]
+    steep = values.max(axis=1) > STEEP * values.min(axis=1)
+    tension.x.array[dofs[steep]] = values[steep].mean(axis=1)[:, None]
 
 
 class Samples:
@@ -48,6 +57,8 @@ class Samples:
             made = self._sample_cells(value)
             if positive:
                 self._refuse(value, made, array_of(made) <= 0, "must be positive; it is")
+                if isinstance(made, fem.Function) and self.level.pair.degree > 1:
+                    _flatten_jumps(made)
             if least is not None:
                 self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
             self._cellwise[value.place] = made
@@ -156,11 +167,14 @@ class Samples:
         """All ranks raise if any value is bad, naming one place (collective)."""
         if isinstance(function, fem.Constant):
             if bad.any():
-                raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}")
+                because = self.scene.infinite(formula, np.zeros(3))
+                raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}{because}")
             return
         found = self._first(function, bad)
         if found is not None:
-            raise InputError(f"{formula.place} = {formula.text}: {what} {found[0]:g} at {self.at(found[1])}")
+            value, point = found
+            because = self.scene.infinite(formula, point)
+            raise InputError(f"{formula.place} = {formula.text}: {what} {value:g} at {self.at(point)}{because}")
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
         """Value and place of the first bad dof, the same on every rank (collective)."""

@@ -20,6 +20,8 @@ from fenicsx_obstacle.words import counted, plain
 
 MAX_LENGTH = 2000  # characters; the parser of Python itself runs out of memory at 1e5 signs
 MAX_DEPTH = 150  # nested operations
+LISTED = 40  # known names in a message
+SHOWN = 80  # characters of a formula in a message
 
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^", ast.Mod: "%"}
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -132,7 +134,13 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
 def nearest(word: str, known: Any) -> str:
     """A hint naming the known word most like `word`, or what is known."""
     close = difflib.get_close_matches(word, list(known), 1, 0.6)
-    return f"; did you mean '{close[0]}'?" if close else f" (known: {', '.join(sorted(known))})"
+    if close:
+        return f"; did you mean '{close[0]}'?"
+    if not known:
+        return " (there are none)"
+    names = sorted(known)
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return f" (known: {', '.join(names[:LISTED])}{more})"
 
 
 def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str, tuple[int, int]]) -> None:
@@ -243,7 +251,15 @@ def _column(text: str, offset: int) -> int:
 
 
 def _caret(formula: Formula, column: int, message: str) -> str:
-    return f"{formula.place}: {message}\n    {formula.text}\n    {' ' * column}^"
+    """The message, the formula, or what is near the column of a long one, and a sign below the column."""
+    text, first = formula.text, 0
+    if len(text) > SHOWN:
+        first = max(0, min(column - SHOWN // 2, len(text) - SHOWN))
+        text = text[first : first + SHOWN]
+        text = f"{'... ' if first else ''}{text}{' ...' if first + SHOWN < len(formula.text) else ''}"
+        column += 4 * bool(first) - first
+    text = "".join(sign if sign.isprintable() else " " for sign in text)
+    return f"{formula.place}: {message}\n    {text}\n    {' ' * column}^"
 
 
 NUMPY: dict[str, Callable[..., Any]] = {

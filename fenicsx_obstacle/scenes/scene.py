@@ -24,6 +24,7 @@ from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, Vocabular
 from fenicsx_obstacle.words import plain
 
 AUTO = "h^2/100"  # eps as small as makes its error a few per cent of the mesh's: solvers do not mind how small
+MAX_OPERATIONS = 5000  # of an exact solution: it is differentiated and compiled
 RESERVED = {
     *COORDINATES,
     *CONSTANTS,
@@ -203,6 +204,7 @@ class Scene(Vocabulary):
 
     def _definitions(self) -> dict[str, Formula]:
         definitions: dict[str, Formula] = {}
+        known = {*CONSTANTS, *COORDINATES, "distance"}
         for key, value in self.tables.define.items():
             place = f"[define] {key}"
             if not key.isidentifier() or keyword.iskeyword(key) or unicodedata.normalize("NFKC", key) != key:
@@ -212,12 +214,14 @@ class Scene(Vocabulary):
             if key in RESERVED:
                 raise InputError(f"{self.source}: {place}: '{key}' has a meaning already; choose another name")
             formula = self.formula(value, place)
-            formula.check_names({*definitions, *CONSTANTS, *COORDINATES, "distance"})
+            formula.check_names(known)
             definitions[key] = formula
+            known.add(key)
         return definitions
 
     def _pair(self) -> Pair:
-        name, known = self.tables.solve.element or pair_for(self.tables.mesh.cell or ""), pairs()
+        asked, known = self.tables.solve.element, pairs()
+        name = pair_for(self.tables.mesh.cell or "") if asked is None else asked
         if name not in known:
             raise InputError(f"{self.source}: [solve] element = {name!r} is not known" + nearest(name, known))
         return known[name]
@@ -264,6 +268,9 @@ class Scene(Vocabulary):
 
     def _check_exact(self, formula: Formula) -> None:
         formula.check_names({*self.known_names, "eps"})
+        if (count := self.operations(formula)) > MAX_OPERATIONS:
+            words = f"{count:.3g} operations with its definitions written out; the limit is {MAX_OPERATIONS}"
+            raise InputError(f"{formula.place}: {words}")
         if "distance" in self.needs(formula):
             raise InputError(f"{formula.place}: 'distance' is known at points only, not its gradient: not in [exact]")
 

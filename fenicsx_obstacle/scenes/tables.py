@@ -11,9 +11,11 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import nearest
+from fenicsx_obstacle.scenes.formulas import SHOWN, nearest
 
 Value = float | str  # a number or a formula
+MAX_BYTES = 1_000_000  # of a scene file
+MAX_DEPTH = 8  # of tables and lists within each other
 Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
 
@@ -116,19 +118,31 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: If the file is missing or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+        if path.exists() and not path.is_file():  # a pipe, which might wait for ever; a device, which might never end
+            raise InputError(f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a scene file")
+        if path.stat().st_size > MAX_BYTES:
+            size = path.stat().st_size / 1e6
+            raise InputError(f"{path}: {size:.3g} MB are too many for a scene; the limit is {MAX_BYTES / 1e6:g} MB")
+        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n"))
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: no such scene file") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text in UTF-8: byte {error.start} is none") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: nested too deeply") from None
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+    inner: list[Any] = [raw]
+    for _ in range(MAX_DEPTH):
+        parts = [part for value in inner for part in (value.values() if isinstance(value, dict) else value)]
+        inner = [part for part in parts if isinstance(part, dict | list)]
+    if inner:
+        raise InputError(f"{path}: nested too deeply")
+    return raw
 
 
 def checked(raw: dict[str, Any], source: str) -> Tables:
@@ -150,17 +164,33 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
     place = _place(path)
     if match := re.match(r"Object contains unknown field `(.*)`", problem):
         known, kind = _keys_at(path), "key" if path else "table or key"
-        return f"{place}unknown {kind} '{match[1]}'" + nearest(match[1], known)
+        return f"{place}unknown {kind} {_short(match[1])}" + nearest(match[1], known)
     if match := re.match(r"Object missing required field `(.*)`", problem):
         return f"{place}the key '{match[1]}' is missing"
-    found = _value_at(path, raw)
+    if path in ("define[...]", "report[...]"):
+        table = path.removesuffix("[...]")
+        key, found = next((key, value) for key, value in raw[table].items() if not _is_value(value))
+        place = f"[{table}] {key} "
+    else:
+        found = _value_at(path, raw)
     if problem.startswith("Invalid enum value"):
-        return f"{place}= {found!r} is not known" + nearest(str(found), _choices_at(path))
-    words = {"`int`": "a whole number", "`float | str`": "a number or a formula", "`str`": "a text in quotes",
-             "`object`": "a table", "`array`": "a list", " | null": ""}  # fmt: skip
+        return f"{place}= {_short(found)} is not known" + nearest(str(found), _choices_at(path))
+    words = {" | null": "", "`int`": "a whole number", "`float | str`": "a number or a formula", "`float`": "a number",
+             "`str`": "a text in quotes", "`str | array`": "a text in quotes, or a list of these", "`array`": "a list",
+             "`object`": "a table", "`bool`": "true or false", "`date`": "a date"}  # fmt: skip
     for word, plain in words.items():
         problem = problem.replace(word, plain)
-    return f"{place}= {found!r}: {problem[0].lower()}{problem[1:]}"
+    return f"{place}= {_short(found)}: {problem[0].lower()}{problem[1:]}"
+
+
+def _short(found: Any) -> str:
+    """A value as TOML's reader has it, or its beginning."""
+    text = repr(found)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."
+
+
+def _is_value(value: Any) -> bool:
+    return isinstance(value, int | float | str) and not isinstance(value, bool)
 
 
 def _place(path: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.materials import Materials
 
 COORDINATES = ("x", "y", "z", "r", "theta")
 CONSTANTS = {"pi": math.pi}
@@ -32,7 +34,7 @@ class Vocabulary:
         """Names that formulas at points may use."""
         return {*self.define, *CONSTANTS, *COORDINATES, "distance"}
 
-    def needs(self, formula: Formula) -> set[str]:
+    def needs(self, formula: Formula | Materials) -> set[str]:
         """Names that a formula uses, itself and through definitions."""
         found, new = set[str](), formula.names
         while new:
@@ -40,10 +42,26 @@ class Vocabulary:
             new = {name for key in new & set(self.define) for name in self.define[key].names} - found
         return found
 
+    def operations(self, formula: Formula) -> int:
+        """How many operations a formula has when definitions are written out in it."""
+        counts: dict[str, int] = {}
+        for key, defined in self.define.items():
+            counts[key] = _operations(defined, counts)
+        return _operations(formula, counts)
+
     def is_constant(self, name: str) -> bool:
         """Whether a known name has one value everywhere."""
         used = {name, *(self.needs(self.define[name]) if name in self.define else ())}
         return not used & {*COORDINATES, "distance"}
+
+    def infinite(self, formula: Formula | Materials, point: np.ndarray) -> str:
+        """Which definitions that a formula needs are not finite at a point, in words; empty if all are."""
+        found = []
+        for key in (key for key in self.define if key in self.needs(formula)):
+            defined = self.define[key]
+            if "distance" not in self.needs(defined) and not np.isfinite(self.at_points(defined, point.reshape(3, 1))):
+                found.append(f"[define] {key} = {defined.text}")
+        return f", because of {' and '.join(found[:2])}" if found else ""
 
     def formula(self, value: float | str, place: str) -> Formula:
         """Parse a value of this scene; `place` is its table and key."""
@@ -86,3 +104,8 @@ class Vocabulary:
         if not math.isfinite(result):
             raise InputError(f"{formula.place} = {formula.text}: is {result}")
         return result
+
+
+def _operations(formula: Formula, counts: Mapping[str, int]) -> int:
+    nodes = list(ast.walk(formula.tree))
+    return len(nodes) + sum(counts.get(node.id, 0) for node in nodes if isinstance(node, ast.Name))

@@ -11,14 +11,13 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.hard import case, cases
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.theory import drawing
 from fenicsx_obstacle.studies.hard.figures import RESOLVED, Figures, digits_panels, figures_of, panels
 from fenicsx_obstacle.studies.hard.judge import FAILED, METHODS, REFUSED, RIGHT, Row
-from fenicsx_obstacle.studies.hard.suite import run
+from fenicsx_obstacle.studies.hard.suite import one_rank, run
 from fenicsx_obstacle.studies.theory.statement import Found, Panel
 from fenicsx_obstacle.words import counted
 
@@ -46,23 +45,23 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
     Raises:
         InputError: If there is no such scene, or on several ranks.
     """
-    if MPI.COMM_WORLD.size > 1:
-        raise InputError("hard starts processes of its own, also on several ranks: run it on one")
-    start, found = time.perf_counter(), []
+    one_rank()
+    start, comm, lines = time.perf_counter(), MPI.COMM_WORLD, ""
+    found: list[tuple[Figures, list[Row]]] = []
     wanted = cases() if name is None else (case(name),)
     widths = [max(len(getattr(one, key)) for one in wanted) for key in ("name", "family")]
     say(_line(HEADS, widths))
     for one, rows in run(wanted):
         figures = figures_of(one, rows)
         found.append((figures, rows))
+        lines += "".join(json.dumps(row) + "\n" for row in rows)
+        on_root(comm, write_text, folder / LINES, lines)
         say(_line(_cells(figures), widths))
         for row in rows:
             if row["verdict"] == FAILED:
                 say(f"    {_which(row)} FAILED: {row['message']}")
     rows = [row for _, part in found for row in part]
     all_figures = [figures for figures, _ in found]
-    comm = MPI.COMM_WORLD
-    on_root(comm, write_text, folder / LINES, "".join(json.dumps(row) + "\n" for row in rows))
     on_root(comm, write_text, folder / TABLES, markdown(all_figures))
     _draw(panels(found), "Hard scenes: steps over eps", folder / STEPS)
     _draw(digits_panels(rows), "Digits of the contact pressure", folder / DIGITS)
@@ -101,13 +100,22 @@ def _described(figures: Figures) -> list[str]:
     one = figures.case
     if one.awaits:
         return [one.name, one.hard, *[""] * (len(MARKDOWN) - 3), f"awaits {one.awaits}"]
-    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in figures.verdicts.items())
+    verdicts = _verdicts(figures)
     if figures.unknowns is None:
         return [one.name, one.hard, *[""] * (len(MARKDOWN) - 3), verdicts]
     steps = ", ".join(str(figures.steps[method]) for method in ("vi", *METHODS))
     numbers = [_number(value) for value in (figures.penetration, figures.work, figures.off, figures.plain)]
     return [one.name, one.hard, str(figures.unknowns), "holds" if figures.monotone else "-", steps, *numbers,
             _share(figures.moved), verdicts]  # fmt: skip
+
+
+def _verdicts(figures: Figures) -> str:
+    """All alike, or how many were refused or have failed."""
+    count = figures.verdicts
+    few = [f"{count[verdict]} {verdict}" for verdict in (REFUSED, FAILED) if count[verdict]]
+    if not count[RIGHT]:
+        return ", ".join(few) if count[FAILED] else REFUSED
+    return ", ".join(["right", *few])
 
 
 def _cells(figures: Figures) -> tuple[Any, ...]:

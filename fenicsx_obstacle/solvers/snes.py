@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from petsc4py import PETSc
@@ -15,6 +16,8 @@ from fenicsx_obstacle.solvers.inexact import Inexact
 from fenicsx_obstacle.solvers.multigrid import SMOOTHER, Multigrid, OnInactive
 from fenicsx_obstacle.solvers.stopping import Step, Stopping, in_words
 
+_log = logging.getLogger(__name__)
+LARGEST = 200_000  # unknowns for a direct solver
 LINEAR = {
     "ksp_type": "cg",
     "ksp_norm_type": "natural",  # the energy norm: independent of eps and of units
@@ -70,6 +73,7 @@ def run(
     objective: bool = False,
     prepare: Callable[[PETSc.SNES], None] | None = None,
     multigrid: Multigrid | None = None,
+    direct: bool = False,
 ) -> Outcome:
     """Solve from the problem's present state; w is the last state whatever happens (collective).
 
@@ -82,14 +86,16 @@ def run(
         objective: Give the line search the energy.
         prepare: Called with the SNES before it solves.
         multigrid: Preconditioner, unless the user's options name another.
+        direct: Solve linear systems directly. So it is done, up to `LARGEST` unknowns, where the other way fails:
+            tensions that jump by 1e6 within a few cells defeat algebraic multigrid.
     """
     start = time.perf_counter()
-    if multigrid is not None and user_has_set(f"{name}_pc_type"):
+    if direct or user_has_set(f"{name}_pc_type"):
         multigrid = None
     linear: Mapping[str, Any] = LINEAR if problem.symmetric else GENERAL
-    if not problem.level.pair.nodal:
+    if direct or not problem.level.pair.nodal:
         linear = DIRECT  # stiff springs that couple nodes defeat algebraic multigrid
-    options = {**options, **(linear if multigrid is None else INEXACT)}
+    database = {**options, **(linear if multigrid is None else INEXACT)}
     snes = PETSc.SNES().create(problem.level.comm)
     x = problem.state()
     residual = x.duplicate()
@@ -107,7 +113,7 @@ def run(
     if objective:
         snes.setObjective(lambda _, x: problem.energy(x, penalised=penalised))
     snes.setOptionsPrefix(f"{name}_")
-    with defaults(f"{name}_", options):
+    with defaults(f"{name}_", database):
         if multigrid is not None and penalised:
             multigrid.install(snes.ksp.pc)
         snes.setFromOptions()
@@ -127,6 +133,16 @@ def run(
     )  # fmt: skip
     for owner in (snes, x, residual):
         owner.destroy()
+    failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
+    if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{name}_{key}") for key in LINEAR):
+        _log.info("a linear system could not be solved by iteration; a direct solver goes on")
+        stopping.begin_again()
+        again = run(problem, name, options, stopping, penalised=penalised, objective=objective, prepare=prepare,
+                    direct=True)  # fmt: skip
+        outcome = replace(
+            again, iterations=outcome.iterations + again.iterations, krylov=outcome.krylov + again.krylov,
+            seconds=outcome.seconds + again.seconds,
+        )  # fmt: skip
     return outcome
 
 

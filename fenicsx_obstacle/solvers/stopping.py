@@ -29,6 +29,7 @@ NOTHING = 1e-30
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
+NOT_A_NUMBER = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
 
 
@@ -105,6 +106,8 @@ class Stopping:
         _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
                   iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
         self._last, self._krylov = active, krylov
+        if not np.isfinite(unbalanced):  # on all ranks, being a sum over them
+            return NOT_A_NUMBER
         if self.shrinking is not None and self.shrinking.broken(snes.ksp, active != 0, elastic):
             return GREW
         # balance in this scale holds only with the right active set; nodes that still change then
@@ -121,6 +124,10 @@ class Stopping:
             self.exact = True  # it may have been the inexact systems
             self._seen.clear()
         return CONTINUE
+
+    def begin_again(self) -> None:
+        """Go on with another SNES, which counts its iterations from 0."""
+        self._krylov = 0
 
     @property
     def active(self) -> np.ndarray:

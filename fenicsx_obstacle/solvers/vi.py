@@ -15,6 +15,8 @@ from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, joined
 from fenicsx_obstacle.solvers.snes import Outcome, require, run
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
 
+# without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function
+LOST = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
 
@@ -48,7 +50,7 @@ def _attempts(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]
     """PETSc's line search; where it fails, because round-off is all that is left, full steps from the same start."""
     start = problem.w.x.array.copy()
     outcome = _attempt(problem, multigrid, how, VI)
-    if outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH:
+    if outcome.reason in LOST:
         problem.w.x.array[:] = start  # PETSc looks for a local minimum then, with x as its work space
         outcome = joined(outcome, _attempt(problem, multigrid, how, {**VI, "snes_linesearch_type": "basic"}))
     return outcome

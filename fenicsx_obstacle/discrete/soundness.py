@@ -1,0 +1,71 @@
+"""Whether what a mesh file holds is a mesh: finite places, cells with a volume, none twice, none out of range.
+
+DOLFINx takes such files as they come, and the first to notice is a solver, or the system that ends the process.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from fenicsx_obstacle.errors import InputError
+
+FLAT = 1e-13  # of its longest edge to the power of the dimension: what a cell's volume must exceed
+_WORDS = {2: ("interval", "length"), 3: ("triangle", "area"), 4: ("tetrahedron", "volume")}
+
+
+def refuse_unsound(path: object, points: np.ndarray, cells: np.ndarray) -> None:
+    """Refuse cells that are none (one rank).
+
+    Args:
+        path: The file, for messages.
+        points: Shape (points, 1 to 3).
+        cells: Numbers of the points of each cell, shape (cells, vertices).
+
+    Raises:
+        InputError: Naming the place.
+    """
+    cell, size = _WORDS[cells.shape[1]]
+    if cells.min(initial=0) < 0 or cells.max(initial=-1) >= len(points):
+        raise InputError(f"{path}: a {cell} has a vertex that is not in the file")
+    used = np.unique(cells)
+    lost = used[~np.isfinite(points[used]).all(axis=1)]
+    if len(lost):
+        raise InputError(f"{path}: a vertex lies at {_at(points[lost[0]])}: not a finite number")
+    corners = np.zeros((*cells.shape, 3))
+    corners[:, :, : points.shape[1]] = points[cells]
+    flat = np.flatnonzero(_sizes(corners) <= FLAT)
+    if len(flat):
+        places = ", ".join(_at(corner) for corner in corners[flat[0]])
+        raise InputError(f"{path}: the {cell} with the corners {places} has no {size}")
+    twice = _twice(cells)
+    if twice is not None:
+        places = ", ".join(_at(corner) for corner in corners[twice])
+        raise InputError(f"{path}: the {cell} with the corners {places} is there twice")
+
+
+def _sizes(corners: np.ndarray) -> np.ndarray:
+    """dim! times the volume over the longest edge to the power dim."""
+    edges = corners[:, 1:] - corners[:, :1]
+    pairs = combinations(range(corners.shape[1]), 2)
+    longest = np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs], axis=0, initial=0.0)
+    edges = edges / np.maximum(longest, np.finfo(float).tiny)[:, None, None]
+    match edges.shape[1]:
+        case 1:
+            return np.linalg.norm(edges[:, 0], axis=1)
+        case 2:
+            return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return np.abs(np.linalg.det(edges))
+
+
+def _twice(cells: np.ndarray) -> int | None:
+    """Number of a cell whose vertices another one has too."""
+    rows = np.sort(cells, axis=1)
+    order = np.lexsort(rows.T)
+    same = np.flatnonzero((rows[order][1:] == rows[order][:-1]).all(axis=1))
+    return int(order[same[0]]) if len(same) else None
+
+
+def _at(place: np.ndarray) -> str:
+    return f"({', '.join(f'{x:.4g}' for x in place)})"

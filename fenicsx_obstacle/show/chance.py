@@ -1,0 +1,48 @@
+"""What `hard --random` shows: scenes that did not hold, and how many were tried and held."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from mpi4py import MPI
+
+from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.studies.hard.draw import run
+from fenicsx_obstacle.studies.hard.judge import FAILED, Row
+from fenicsx_obstacle.studies.hard.suite import clean, one_rank
+
+LINES = "random.jsonl"
+
+
+def show_random(count: int, folder: Path, say: Callable[[str], None]) -> list[Row]:
+    """Judge so many random scenes, on one rank.
+
+    Args:
+        count: How many.
+        folder: Where JSON lines go: each scene with what was found.
+        say: Takes text.
+
+    Returns:
+        The rows.
+
+    Raises:
+        InputError: On several ranks, or without Hypothesis.
+    """
+    one_rank()
+    start, rows = time.perf_counter(), []
+    for row in run(count, clean()):
+        rows.append(row)
+        if row["verdict"] == FAILED:
+            say(f"  FAILED: {row['message']}\n    {json.dumps(row['scene'])}")
+    on_root(MPI.COMM_WORLD, write_text, folder / LINES, "".join(json.dumps(row) + "\n" for row in rows))
+    failed = sum(row["verdict"] == FAILED for row in rows)
+    kinds = Counter(f"{row['scene']['mesh']['shape']} {row['scene']['element']}" for row in rows)
+    say("scenes: " + ", ".join(f"{number} {kind}" for kind, number in kinds.most_common()))
+    answers, refused = (sum(row[key] for row in rows) for key in ("answers", "refused"))
+    say(f"random scenes: {len(rows)} tried, {len(rows) - failed} held; {answers} answers, {refused} refused below the "
+        f"floor of eps; {time.perf_counter() - start:.0f} s; scenes in {folder / LINES}")  # fmt: skip
+    return rows

@@ -1,0 +1,65 @@
+"""No solver keeps silent: what it cannot solve raises the same error on every rank, and returns nothing."""
+
+from contextlib import closing
+
+import pytest
+from conftest import COMM
+from petsc4py import PETSc
+
+from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.parallel import smallest
+from fenicsx_obstacle.studies.hard.silent import Trap, spring, traps
+
+TRAPS = {trap.name: trap for trap in traps()}
+
+
+@pytest.mark.parametrize("name", TRAPS)
+def test_trap(name):
+    """All methods, one step; not a number at one place, on one rank; no matrix, no minimum."""
+    held, said = spring(TRAPS[name], COMM)
+    assert held, said
+
+
+def test_what_is_no_trap_is_not_held():
+    """An answer is not an error."""
+    held, said = spring(Trap("none", lambda comm: None, {}), COMM)
+    assert not held
+    assert said == "an answer"
+
+
+def test_not_a_number_ends_at_once():
+    """It cannot become one again: no step is taken, where there were a thousand."""
+    with pytest.raises(NotConverged, match="not a number") as error:
+        TRAPS["form, penalty: load not a number at one node of the last rank"].spring(COMM)
+    assert error.value.iterations == 0
+
+
+JUMP = {"tension": "where(x < 1/3, 1, 1e6)", "load": "-exp(-9*(x^2 + y^2))", "boundary": [{"value": 0}]}
+
+
+def test_a_direct_solver_goes_on():
+    """Tensions that jump by 1e6 within cells of quadratic elements defeat algebraic multigrid; not if the user's
+    options say how to solve."""
+    mesh = {"shape": "rectangle", "cells": 10, "y": [0, 2], "diagonal": "crossed", "perturb": 0.2}
+    scene = Scene(mesh=mesh, **JUMP).change({"solve.element": "P2"})
+    answer = solve(scene, start="cold")
+    assert answer.record["krylov_iterations"] > answer.record["newton_iterations"]  # it was tried
+    options = PETSc.Options()
+    options["penalty_ksp_max_it"] = 3
+    try:
+        with pytest.raises(NotConverged, match="linear system"):
+            solve(scene, start="cold")
+    finally:
+        options.delValue("penalty_ksp_max_it")
+
+
+def test_jumps_of_the_tension_keep_quadratic_elements_definite():
+    """The quadratic through 1 and 1e-6 is negative in places: its matrix had a negative diagonal, and no solution."""
+    mesh = {"shape": "rectangle", "cells": 11, "y": [0, 0.5], "diagonal": "crossed", "perturb": 0.2}
+    data = {**JUMP, "tension": "where(x < 1/3, 1, 1e-6)", "lower": -0.5}
+    scene = Scene(mesh=mesh, **data).change({"solve.element": "P2"})
+    with closing(Workbench(scene)) as bench:
+        assert smallest(COMM, bench.problem.nodal.diagonal) > 0
+        assert bench.answer(scene.change({"solve.method": "vi"})).record["converged"]
