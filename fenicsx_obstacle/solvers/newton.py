@@ -82,7 +82,8 @@ def smallest_eps(problem: Problem) -> float:
     """
     if not problem.affine or not problem.level.pair.nodal:
         return 0.0
-    flexible = (problem.weights / problem.nodal.diagonal)[problem.touchable]
+    flexible = problem.weights / problem.nodal.diagonal
+    flexible *= problem.touchable
     return max(largest(problem.level.comm, flexible), 0.0) / STIFFEST
 
 
