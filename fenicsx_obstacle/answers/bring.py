@@ -120,7 +120,7 @@ def _refuse_no_minimum(problem: Problem) -> None:
 class _Given:
     """The caller's residual as an effect: what a problem is made of."""
 
-    elastic, affine, holds, radial, leans = True, False, False, False, False
+    key, elastic, affine, holds, radial, leans = "solve_form", True, False, False, False, False
 
     def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
         arguments = F.arguments()
