@@ -115,6 +115,7 @@ class _Adaptation:
                 if finer.problem.level.dofs > self.budget.unknowns:
                     why = "the budget of unknowns"
                     break
+                bench.forget_estimator()
                 bench = finer
             if yardstick:
                 answer = bench.answer(self.scene, yardstick=True, bound=True)

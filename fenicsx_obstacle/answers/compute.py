@@ -149,6 +149,10 @@ class Workbench:
                 self._estimator.lend_load()
         return self._estimator
 
+    def forget_estimator(self) -> None:
+        """Free what bounds need, some kB per node, where this mesh is only a level below another from now on."""
+        self._estimator = None
+
     def answer(self, scene: Scene | None = None, *, yardstick: bool = False, bound: bool = False) -> Answer:
         """Solve with the [solve] table of `scene` (collective).
 
