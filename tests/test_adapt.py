@@ -66,7 +66,9 @@ def test_full_contact_has_no_norm():
 def test_yardstick_keeps_the_answer():
     """The answer that is timed has the eps that was chosen, not the first one."""
     plain, timed = (solve(catalogue.scene("ball"), tol=0.1, yardstick=how).record for how in (False, True))
-    assert plain["eps"] == timed["eps"] and plain["energy"] == timed["energy"] and timed["poisson_units"] > 0
+    assert plain["eps"] == timed["eps"] and timed["poisson_units"] > 0
+    # the last digits depend on the order in which ranks send what they share
+    assert plain["energy"] == pytest.approx(timed["energy"], rel=1e-13)
 
 
 def test_an_indicator_says_so():

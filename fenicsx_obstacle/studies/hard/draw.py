@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError, ObstacleError
 from fenicsx_obstacle.studies.hard.judge import FAILED, REFUSED, RIGHT, Row
-from fenicsx_obstacle.studies.processes import launch, records
+from fenicsx_obstacle.studies.processes import launch, records, tell
 
 AT_ONCE = 2
 PATIENCE = 60.0  # seconds for one scene
@@ -25,24 +24,29 @@ SEED = 1  # the same scenes every time
 def try_all(
     count: int, seed: int, comm: MPI.Comm, done: Callable[[Row], None], begins: Callable[[Any], None] | None = None
 ) -> None:
-    """Draw scenes, the same on all ranks, and judge them (collective).
+    """Draw scenes and judge them (collective).
 
     Args:
         count: How many.
         seed: Of the drawing.
         comm: Communicator.
         done: Called with a row for each scene.
-        begins: Called with each scene before it is solved.
+        begins: Called with each scene before it is solved, on rank 0.
 
     Raises:
         InputError: Without Hypothesis.
     """
     if find_spec("hypothesis") is None:
         raise InputError("random scenes are drawn by Hypothesis, which is not there: pip install hypothesis")
+    if comm.rank != 0:
+        while (scene := comm.bcast(None)) is not None:
+            done(_judged(scene, comm))
+        return
     import hypothesis
 
     from fenicsx_obstacle.studies.hard.chance import Drawn, drawn
 
+    # one rank draws: what Hypothesis draws depends on the modules that are loaded, and not all ranks load the same
     @hypothesis.seed(seed)
     @hypothesis.settings(max_examples=count, deadline=None, database=None, phases=[hypothesis.Phase.generate],
                          suppress_health_check=list(hypothesis.HealthCheck))  # fmt: skip
@@ -50,9 +54,12 @@ def try_all(
     def one(scene: Drawn) -> None:
         if begins is not None:
             begins(scene)
-        done(_judged(scene, comm))
+        done(_judged(comm.bcast(scene), comm))
 
-    one()
+    try:
+        one()
+    finally:
+        comm.bcast(None)
 
 
 def _judged(drawn: Any, comm: MPI.Comm) -> Row:
@@ -102,8 +109,7 @@ def _share(count: int, seed: int, environment: Mapping[str, str]) -> Iterator[Ro
 
 def main() -> None:
     """Scenes and rows, a line each."""
-    say = lambda record: print(json.dumps(record), flush=True)  # noqa: E731
-    try_all(int(sys.argv[1]), int(sys.argv[2]), MPI.COMM_WORLD, say, lambda scene: say({"begins": asdict(scene)}))
+    try_all(int(sys.argv[1]), int(sys.argv[2]), MPI.COMM_WORLD, tell, lambda scene: tell({"begins": asdict(scene)}))
 
 
 if __name__ == "__main__":
