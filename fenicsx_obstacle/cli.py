@@ -348,10 +348,9 @@ def _check_places(folder: Path, json_file: str | None, latex: Path | None = None
 def _write_json(file: str, records: Sequence[Any]) -> None:
     from mpi4py import MPI
 
-    from fenicsx_obstacle.parallel import on_root, write_text
+    from fenicsx_obstacle.parallel import on_root, write_lines
 
-    text = "".join(json.dumps(dict(record)) + "\n" for record in records)
     if file == "-":
-        _say(text.rstrip("\n"))
+        _say("\n".join(json.dumps(dict(record)) for record in records))
     else:
-        on_root(MPI.COMM_WORLD, write_text, Path(file), text)
+        on_root(MPI.COMM_WORLD, write_lines, Path(file), records)

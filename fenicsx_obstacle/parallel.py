@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import shutil
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -175,6 +176,11 @@ def write_text(path: Path, text: str) -> None:
             with suppress(OSError):
                 scratch.unlink()
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def write_lines(path: Path, records: Iterable[Mapping[str, Any]]) -> None:
+    """Write JSON lines, as `write_text` does (one rank)."""
+    write_text(path, "".join(json.dumps(dict(record)) + "\n" for record in records))
 
 
 def total(comm: MPI.Comm, value: Any) -> float:

@@ -99,7 +99,7 @@ class Estimator:
             raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
         if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
             raise InputError(f"{scene.source}: the error bound needs a tension alike in all directions")
-        if problem.forms.point_forces is not None:
+        if any(effect.key == "point_load" for effect in scene.effects):
             raise InputError(f"{scene.source}: the energy of a point load is infinite: there is no bound of its error")
         if problem.data.radial:
             raise InputError(f"{scene.source}: the error bound is for plane problems, not for axial symmetry")
@@ -153,11 +153,10 @@ class Estimator:
         B2 = (Su + W) / 2 + sqrt((Su + W) ** 2 / 4 + eta_C + Su * W) + eta_g
         bound, height = min(B + norm(moved), B2), norm(self._energy(u))
         # how much of B + ||moved|| goes with a cell: its derivative, term by term
-        slope = 0.5 + S / (4 * root) if root > 0 else 1.0
-        indicator = contact / root if root > 0 else 0.0 * contact
+        slope, each = (0.5 + S / (4 * root), 1 / root) if root > 0 else (1.0, 0.0)
+        indicator = each * contact
         for times, part in ((slope, squares), (1.0, moved), (1 + slope, covered), (1 + slope, self._rim_energy)):
-            if (of_all := norm(part)) > 0:
-                indicator = indicator + times * part / of_all
+            indicator += times * part / max(norm(part), 1e-300)
         doubts, sampled_only = self._doubts(flux, unbalanced, bound, crossing)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = v

@@ -38,7 +38,7 @@ class Forms:
         eps: Penalty parameter.
         measure: Where contact can be: the domain, or parts of its boundary.
         thickness: What makes weights on the boundary areas: its length times it is one; 1 in the domain.
-        point_forces: Forces at owned nodes that are no form, or None.
+        forces: Forces at owned nodes that are in no form, or None.
         multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
     """
 
@@ -58,7 +58,7 @@ class Forms:
             self._finite = [None if gap is None else fem.Function(V) for gap in self._finite]
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
-        self.point_forces: np.ndarray | None = sum(vectors) if vectors else None  # type: ignore[assignment]
+        self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self._a_minus_f = self._terms(self.w + self.reference)
         self._stiffness = releases.form(ufl.derivative(self._a_minus_f, self.w))
         dofs, values = data.fixed
@@ -95,8 +95,8 @@ class Forms:
     def elastic(self, out: PETSc.Vec) -> None:
         """out = a(w + r, .) - f."""
         self._assemble(out, self._form("elastic"))
-        if self.point_forces is not None:
-            out.array[:] -= self.point_forces
+        if self.forces is not None:
+            out.array[:] -= self.forces
 
     def reaction(self, out: PETSc.Vec) -> None:
         """out = (1/eps) I((u - g)^+, .)."""
@@ -116,9 +116,9 @@ class Forms:
         """a(u, u)/2 - f(u), and the energy of the penalty."""
         comm = self.data.level.comm
         value = total(comm, fem.assemble_scalar(self._form("energy")))
-        if self.point_forces is not None:
+        if self.forces is not None:
             own = self.data.level.owned
-            value -= total(comm, self.point_forces * (self.w.x.array + self.reference.x.array)[:own])
+            value -= total(comm, self.forces * (self.w.x.array + self.reference.x.array)[:own])
         return value + (total(comm, fem.assemble_scalar(self._form("contact energy"))) if penalised else 0.0)
 
     def _form(self, name: str) -> Any:
@@ -161,10 +161,9 @@ class Nodal(Forms):
         at_rest = self._terms(fem.Constant(data.level.mesh, PETSc.ScalarType(0.0)))
         if any(integral.integrand() != 0 for integral in at_rest.integrals()):
             self._assemble(self._minus_load, releases.form(at_rest))
-        if self.point_forces is not None:
-            self._minus_load.array[:] -= self.point_forces
+        if self.forces is not None:
+            self._minus_load.array[:] -= self.forces
         self._D = super().weights()
-        self._besides: np.ndarray | None = None  # forces at owned nodes that are in no form
         if data.level.pair.voronoi:
             self._lump(voronoi_areas(data.level.V))
 
@@ -183,7 +182,7 @@ class Nodal(Forms):
 
     def add_forces(self, forces: np.ndarray) -> None:
         """Add forces at owned nodes to the load (collective)."""
-        self._besides = forces if self._besides is None else self._besides + forces
+        self.forces = forces if self.forces is None else self.forces + forces
         self._minus_load.array[:] -= forces
         self.refer()
 
@@ -217,12 +216,8 @@ class Nodal(Forms):
 
     def energy(self, *, penalised: bool) -> float:
         value = super().energy(penalised=False)
-        own, comm = len(self._D), self.data.level.comm
-        if self._besides is not None:
-            heights = (self.w.x.array + self.reference.x.array)[:own]
-            value -= total(comm, self._besides * heights)
         if penalised:
-            value += total(comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
+            value += total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
         return value
 
     def springs(self) -> np.ndarray:

@@ -46,7 +46,7 @@ def _mesh(geometry: str, mesh: str) -> int:
         gmsh.model.mesh.generate(gmsh.model.getDimension())
         gmsh.write(mesh)
     except Exception as error:  # gmsh raises the base class, whatever is wrong
-        print(error)
+        sys.stdout.write(f"{error}\n")
         return 1
     return 0
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
 from collections import Counter
@@ -12,7 +11,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.studies.broken.run import run
 from fenicsx_obstacle.studies.hard.suite import clean, one_rank
 
@@ -46,7 +45,7 @@ def show_broken(folder: Path, say: Callable[[str], None]) -> list[dict[str, Any]
                          "message": one.said, "complaint": one.complaint})  # fmt: skip
             if one.complaint is not None:
                 say(f"  {one.case.name}, on {one.ranks}: FAILED: {one.complaint}: {one.said.strip()[-300:]}")
-    on_root(MPI.COMM_WORLD, write_text, folder / LINES, "".join(json.dumps(row) + "\n" for row in rows))
+    on_root(MPI.COMM_WORLD, write_lines, folder / LINES, rows)
     for (ranks, alone), count in sorted(tried.items()):
         how = "each in a process of its own" if alone else "one after another in one process"
         say(f"on {ranks} rank{'s' if ranks > 1 else ''}, {how}: {count} tried, {held[ranks, alone]} held")

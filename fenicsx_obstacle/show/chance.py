@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.studies.hard.draw import run
 from fenicsx_obstacle.studies.hard.judge import FAILED, Row
 from fenicsx_obstacle.studies.hard.suite import clean, one_rank
@@ -38,7 +38,7 @@ def show_random(count: int, folder: Path, say: Callable[[str], None]) -> list[Ro
         rows.append(row)
         if row["verdict"] == FAILED:
             say(f"  FAILED: {row['message']}\n    {json.dumps(row['scene'])}")
-    on_root(MPI.COMM_WORLD, write_text, folder / LINES, "".join(json.dumps(row) + "\n" for row in rows))
+    on_root(MPI.COMM_WORLD, write_lines, folder / LINES, rows)
     failed = sum(row["verdict"] == FAILED for row in rows)
     kinds = Counter(f"{row['scene']['mesh']['shape']} {row['scene']['element']}" for row in rows)
     say("scenes: " + ", ".join(f"{number} {kind}" for kind, number in kinds.most_common()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -11,7 +10,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.studies.faults.disk import disks
 from fenicsx_obstacle.studies.faults.kill import Fault, interrupts, kills
 from fenicsx_obstacle.studies.hard.suite import clean, one_rank
@@ -46,7 +45,7 @@ def show_faults(folder: Path, say: Callable[[str], None]) -> list[dict[str, Any]
                 if fault.wrong:
                     say(f"  {fault.name}: FAILED: {fault.wrong}")
             say(f"{family}: {count} tried, {held} held")
-    on_root(MPI.COMM_WORLD, write_text, folder / LINES, "".join(json.dumps(row) + "\n" for row in rows))
+    on_root(MPI.COMM_WORLD, write_lines, folder / LINES, rows)
     failed = sum(row["verdict"] == "FAILED" for row in rows)
     say(f"faults: {len(rows)} tried, {len(rows) - failed} held; {time.perf_counter() - start:.0f} s; "
         f"all in {folder / LINES}")  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -11,7 +10,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root, write_lines, write_text
 from fenicsx_obstacle.scenes.hard import case, cases
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.theory import drawing
@@ -46,7 +45,7 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
         InputError: If there is no such scene, or on several ranks.
     """
     one_rank()
-    start, comm, lines = time.perf_counter(), MPI.COMM_WORLD, ""
+    start, comm = time.perf_counter(), MPI.COMM_WORLD
     found: list[tuple[Figures, list[Row]]] = []
     wanted = cases() if name is None else (case(name),)
     widths = [max(len(getattr(one, key)) for one in wanted) for key in ("name", "family")]
@@ -54,8 +53,7 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
     for one, rows in run(wanted):
         figures = figures_of(one, rows)
         found.append((figures, rows))
-        lines += "".join(json.dumps(row) + "\n" for row in rows)
-        on_root(comm, write_text, folder / LINES, lines)
+        on_root(comm, write_lines, folder / LINES, [row for _, part in found for row in part])
         say(_line(_cells(figures), widths))
         for row in rows:
             if row["verdict"] == FAILED:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import textwrap
@@ -13,7 +12,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.show.figures import figure, save, style
 from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Panel, find, statements
 
@@ -41,7 +40,7 @@ def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) ->
         found = one.measure(comm)
         rows += [{"number": one.number, **finding.record} for finding in found.findings]
         lines = folder / (LINES if number is None else f"{slug(one.number)}.jsonl")
-        on_root(comm, write_text, lines, "".join(json.dumps(row) + "\n" for row in rows))
+        on_root(comm, write_lines, lines, rows)
         say(f"\n{one.number}  {one.title}\n\n{table(found.findings)}")
         told = f"{time.perf_counter() - start:.0f} s"
         if found.panels:

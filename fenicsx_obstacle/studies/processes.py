@@ -13,11 +13,18 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
+import click
+
 
 def launch(ranks: int, *arguments: str) -> list[str]:
     """The command that runs Python with these arguments on so many ranks."""
     mpirun = ["mpirun", "-q", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
     return [*mpirun, sys.executable, *arguments]
+
+
+def tell(record: Mapping[str, Any]) -> None:
+    """A JSON line to the process that has started this one, for its `records`."""
+    click.echo(json.dumps(dict(record)), file=sys.__stdout__)
 
 
 def end(process: subprocess.Popen[str]) -> None:

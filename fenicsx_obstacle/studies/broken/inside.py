@@ -20,6 +20,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.studies.broken.case import Broken
 from fenicsx_obstacle.studies.broken.collection import collect
+from fenicsx_obstacle.studies.processes import tell
 
 
 def attempt(case: Broken, folder: Path) -> tuple[int, str, float]:
@@ -58,7 +59,7 @@ def main() -> None:
 
 def _say(record: dict[str, object]) -> None:
     if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(record), file=sys.__stdout__, flush=True)
+        tell(record)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ from fenicsx_obstacle.studies.processes import end, launch, records
 
 EVERY = {1: 8, 3: 24}  # which cases have processes of their own: each so manyth, and what only a process can show
 AT_ONCE = {1: 2, 3: 1}
-ATTEMPTS = 3  # to be fast enough: most of the time is the start of Python on each rank, on a machine that others use
 PATIENCE = 4 * LIMIT  # seconds after which a process is ended
 
 
@@ -54,7 +53,8 @@ def run(root: Path, environment: Mapping[str, str], ranks: Sequence[int] = (1, 3
     for count in ranks:
         apart = [k for k, case in enumerate(cases) if case.petsc or k % EVERY[count] == 0]
         with ThreadPoolExecutor(AT_ONCE[count]) as pool:
-            yield from pool.map(lambda k: _alone(root, cases[k], k, count, environment), apart)  # noqa: B023
+            started = [pool.submit(_alone, root, cases[k], k, count, environment) for k in apart]
+            yield from (one.result() for one in started)
         within = [k for k, case in enumerate(cases) if not case.petsc]
         while within:
             for tried, number in _within(root, cases, within, count, environment):
@@ -66,20 +66,17 @@ def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mappi
     folder = root / f"alone-{ranks}" / str(number)
     case.lay_out(folder)
     command = launch(ranks, "-m", "fenicsx_obstacle", *case.command())
-    for _ in range(ATTEMPTS):
-        start = time.perf_counter()
-        process = subprocess.Popen(
-            command, cwd=folder, env=environment, text=True, errors="replace", start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        )  # fmt: skip
-        try:
-            said, status = process.communicate(timeout=PATIENCE)[1], process.returncode
-        except subprocess.TimeoutExpired:
-            end(process)
-            said, status = "", None
-        seconds = time.perf_counter() - start
-        if seconds <= LIMIT or status is None:
-            break
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, text=True, errors="replace", start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        said, status = process.communicate(timeout=PATIENCE)[1], process.returncode
+    except subprocess.TimeoutExpired:
+        end(process)
+        said, status = "", None
+    seconds = time.perf_counter() - start
     return Tried(case, ranks, True, said, seconds, complaint(case, status, said, seconds, folder))
 
 

@@ -116,7 +116,7 @@ def main() -> None:
         (Path(mount) / "filler").write_bytes(bytes(max(left - int(size), 0)))
     words = READ_ONLY if int(size) < 0 else FULL
     fault = _refused("", int(ranks), tuple(command), folder, os.environ, words)
-    print(fault.wrong)
+    sys.stdout.write(fault.wrong + "\n")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ Rows go to standard output as JSON lines, the fields to compare with those on se
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.scenes.hard import Case, case
 from fenicsx_obstacle.studies.hard.judge import Row, judge
 from fenicsx_obstacle.studies.hard.ranks import write
+from fenicsx_obstacle.studies.processes import tell
 
 
 def rows_of(one: Case) -> Iterator[Row]:
@@ -29,7 +29,7 @@ def main() -> None:
     """Judge the case named on the command line."""
     one = case(sys.argv[1])
     for row in rows_of(one):
-        print(json.dumps(row), flush=True)
+        tell(row)
     if not one.refuse:
         write(one.on(0), Path(sys.argv[2]), MPI.COMM_WORLD)
 

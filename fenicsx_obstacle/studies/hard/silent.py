@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.snes import defaults
+from fenicsx_obstacle.studies.processes import tell
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def main() -> None:
         held, said = spring(trap, comm)
         if comm.rank == 0:
             last = trap is everything[-1]
-            print(json.dumps({"name": trap.name, "held": held, "said": said, "last": last}), flush=True)
+            tell({"name": trap.name, "held": held, "said": said, "last": last})
 
 
 if __name__ == "__main__":
