@@ -64,6 +64,11 @@ class Formulas:
         """The number."""
         return self.data.number(value)
 
+    @property
+    def motion(self) -> Any:
+        """As in the step: differences in time are not exact."""
+        return self.data.motion
+
     def field(self, components: tuple[Formula, ...]) -> Any:
         """The formulas themselves."""
         return ufl.as_vector([self.cellwise(part) for part in components])

@@ -6,6 +6,7 @@ import logging
 import time
 from contextlib import ExitStack, closing
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,6 +47,8 @@ def solve(
     tol: float | None = None,
     tol_absolute: float | None = None,
     budget: str | None = None,
+    restart: str | Path | None = None,
+    keep: str | Path | None = None,
 ) -> Answer:
     """Solve a scene (collective).
 
@@ -63,6 +66,8 @@ def solve(
         tol: Error to reach, in the energy norm and relative to it: the mesh and, if it is auto, eps are chosen.
         tol_absolute: The same in the unit of the energy norm.
         budget: With a tolerance: stop earlier, with the best answer so far: "60s", "8GB", "1e6 unknowns".
+        restart: With [time]: go on from the state in this folder, which any number of ranks may have left there.
+        keep: With [time]: folder for the state, now and then and at the end.
 
     Returns:
         The answer; there is none without convergence.
@@ -73,12 +78,17 @@ def solve(
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
     scene, limits = changed(scene, given), Budget.of(budget)
+    if scene.time is not None and (bound or tol is not None or tol_absolute is not None):
+        raise InputError(f"{scene.source}: the error bound is for one equilibrium, not for scenes with [time]")
+    if scene.time is None and restart is not None:
+        raise InputError(f"{scene.source}: has no [time]: there is nothing to go on from")
     if tol is not None or tol_absolute is not None:
         return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
     if budget is not None:
         raise InputError("a budget goes with a tolerance: add --tol")
     with closing(Workbench(scene, comm)) as bench:
-        return bench.answer(yardstick=yardstick, bound=bound)
+        begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
+        return bench.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states)
 
 
 class _Adaptation:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from fenicsx_obstacle.accuracy.bound import Bound
+    from fenicsx_obstacle.answers.course import Course
     from fenicsx_obstacle.discrete.levels import Level
 
 
@@ -42,6 +43,7 @@ class Answer:
         history: The steps of the iteration.
         record: All figures, as in answer.json.
         bound: Of the energy error, where it was asked for.
+        course: All steps, of a scene with [time]; the fields are those of the last moment.
     """
 
     scene: Scene
@@ -55,6 +57,7 @@ class Answer:
     history: tuple[Step, ...]
     record: Mapping[str, Any] = field(repr=False)
     bound: Bound | None = None
+    course: Course | None = None
 
     def __repr__(self) -> str:
         r = self.record

@@ -78,7 +78,7 @@ def solve_form(
         raise InputError(f"eps = {eps}: must be positive and finite")
     level = of_space(u.function_space)
     given = _Given(F, u, energy)
-    scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables(), thin=False)
+    scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables(), thin=False, time=None)
     data = _Data(scene, level, bcs, lower, upper)
     problem = Problem(scene, level, data)
     data._finite(u, "u, the start,")
@@ -120,7 +120,7 @@ def _refuse_no_minimum(problem: Problem) -> None:
 class _Given:
     """The caller's residual as an effect: what a problem is made of."""
 
-    key, elastic, affine, holds, radial, leans = "solve_form", True, False, False, False, False
+    key, elastic, affine, holds, radial, leans, order = "solve_form", True, False, False, False, False, 0
 
     def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
         arguments = F.arguments()

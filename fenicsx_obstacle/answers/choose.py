@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.newton import smallest_eps
+from fenicsx_obstacle.solvers.augmented import solve_augmented
+from fenicsx_obstacle.solvers.newton import penalty_pressure, smallest_eps, solve_penalty
+from fenicsx_obstacle.solvers.snes import Outcome
+from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 
 METHODS = {
     "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy should sets repeat",
@@ -81,3 +88,41 @@ def penalty_parameter(problem: Problem, scene: Scene) -> float:
             "gives way by less than the last digit of heights around it; take a larger eps, or its limit, --method vi"
         )
     return eps
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a problem is solved.
+
+    Attributes:
+        solve: From its present state; takes `multigrid`.
+        eps: Penalty parameter in units of u/p, or None.
+        share: Of the force that balances a step in time, the part that is the contact force: 1, or 1/2 with inertia.
+    """
+
+    solve: Callable[..., Outcome]
+    eps: float | None
+    share: float
+    _force: Callable[[Problem], np.ndarray]
+
+    def pressure(self, problem: Problem) -> np.ndarray:
+        """Contact pressure at owned points of I of the problem just solved (collective)."""
+        return self._force(problem) * self.share
+
+
+def method_of(problem: Problem, scene: Scene) -> Method:
+    """The method that a scene asks for (collective).
+
+    Raises:
+        InputError: For a bad eps.
+    """
+    asked, share = scene.tables.solve.method, scene.time.share if scene.time is not None else 1.0
+    if asked == "vi":
+        by_bounds = problem.level.pair.nodal
+        force = residual_pressure if by_bounds else penalty_pressure
+        return Method(solve_vi if by_bounds else solve_augmented, None, share, force)
+    if not problem.constrained:
+        return Method(partial(solve_penalty, eps=1.0), None, share, penalty_pressure)
+    eps = penalty_parameter(problem, scene)
+    solve = partial(solve_penalty, eps=eps * share, successive=asked == "successive")
+    return Method(solve, eps, share, penalty_pressure)

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import logging
-import shlex
-import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import dolfinx
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.contact import contact_of
 from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.accuracy.round_off import round_off
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.choose import chain, nested, penalty_parameter, stepwise
+from fenicsx_obstacle.answers.choose import Method, chain, method_of, nested, stepwise
+from fenicsx_obstacle.answers.origin import command, versions
+from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
-from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
@@ -31,17 +29,16 @@ from fenicsx_obstacle.scenes.formulas import nearest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.solvers import multigrid
-from fenicsx_obstacle.solvers.augmented import solve_augmented
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
-from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.bound import Bound, Estimator
     from fenicsx_obstacle.accuracy.functionals import Report
+    from fenicsx_obstacle.answers.course import Course
+    from fenicsx_obstacle.answers.march import March
 
 _log = logging.getLogger(__name__)
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
@@ -153,13 +150,23 @@ class Workbench:
         """Free what bounds need, some kB per node, where this mesh is only a level below another from now on."""
         self._estimator = None
 
-    def answer(self, scene: Scene | None = None, *, yardstick: bool = False, bound: bool = False) -> Answer:
+    def answer(
+        self,
+        scene: Scene | None = None,
+        *,
+        yardstick: bool = False,
+        bound: bool = False,
+        restart: Path | None = None,
+        keep: Path | None = None,
+    ) -> Answer:
         """Solve with the [solve] table of `scene` (collective).
 
         Args:
             scene: The same scene with another [solve] table; by default the one of the problem.
             yardstick: Time one linear Poisson solve as well.
             bound: Bound the energy error as well.
+            restart: With [time]: folder with the state to begin from.
+            keep: With [time]: folder for states on the way.
 
         Raises:
             InputError: For a bad eps, or elements that the bound is not for.
@@ -172,33 +179,57 @@ class Workbench:
         if stepwise(scene) and problem.level.coarse is not None:
             grids = self._chain()
         start = time.perf_counter()
-        method, eps = scene.tables.solve.method, None
         if problem.forms.multiplier is not None:  # of an earlier solve
             problem.forms.multiplier.x.array[:] = 0.0
-        exact = method == "vi"
-        if exact:
-            solver: Callable[..., Outcome] = solve_vi if problem.level.pair.nodal else solve_augmented
-        elif not problem.constrained:
-            solver = partial(solve_penalty, eps=1.0)
+        method, course = method_of(problem, scene), None
+        if scene.time is None:
+            outcomes = self._at_rest(method, grids)
+            last = outcomes[-1]
+            counts = {"newton_total": sum(o.iterations for o in outcomes),
+                      "krylov_total": sum(o.krylov for o in outcomes)}  # fmt: skip
         else:
-            eps = penalty_parameter(problem, scene)
-            solver = partial(solve_penalty, eps=eps, successive=method == "successive")
-        if grids:
-            stiffness = np.inf if eps is None else 1.0 / eps
-            if self._solved_below:
-                outcomes = solve_nested(grids[-1:], solver, stiffness, self._hierarchy()[-2].problem)
-            else:
-                outcomes = solve_nested(grids, solver, stiffness)
-        else:
-            problem.refer(problem.cold_start())
-            outcomes = [solver(problem)]
-        of_bounds = exact and problem.level.pair.nodal
-        pressure = residual_pressure(problem) if of_bounds else penalty_pressure(problem)
+            march = self._march(method, grids)
+            last = march.run(restart, keep)
+            course, counts = march.course, march.counts
+        state = state_of(problem, method)
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
-        return self._answer(scene, outcomes, eps, pressure, seconds, None if estimator is None else estimator.bound())
+        certified = None if estimator is None else estimator.bound()
+        return self._answer(scene, last, counts, method, state, seconds, certified, course)
+
+    def _at_rest(self, method: Method, grids: Sequence[Multigrid | Problem]) -> list[Outcome]:
+        """Solve from a cold start, or from the coarsest level on (collective)."""
+        if not grids:
+            self.problem.refer(self.problem.cold_start())
+            return [method.solve(self.problem)]
+        stiffness = np.inf if method.eps is None else 1.0 / method.eps
+        if self._solved_below:
+            return solve_nested(grids[-1:], method.solve, stiffness, self._hierarchy()[-2].problem)
+        return solve_nested(grids, method.solve, stiffness)
+
+    def _march(self, method: Method, grids: Sequence[Multigrid | Problem]) -> March:
+        """The scene's way through time (collective)."""
+        from fenicsx_obstacle.answers.march import March  # only where a scene has time
+
+        problem, scene = self.problem, self.problem.scene
+        assert scene.time is not None
+        grid = grids[-1] if grids and isinstance(grids[-1], Multigrid) else None
+        below = [one.problem if isinstance(one, Multigrid) else one for one in grids[:-1]]
+        if scene.time.order == 0 and grids:
+            solve: Callable[[], list[Outcome]] = partial(self._at_rest, method, grids)
+        else:  # the last moment is the best start
+            solve = lambda: [method.solve(problem, multigrid=grid)]  # noqa: E731
+        return March(problem, below, solve, partial(state_of, problem, method), self._reported, self._fields)
+
+    def _reported(self, state: State) -> dict[str, float | None]:
+        """The figures of [report] (collective)."""
+        if self._report is None:
+            return {}
+        time_, support = self.problem.scene.time, self.problem.elastic.array_r
+        share = 1.0 if time_ is None else time_.share
+        return self._report.evaluate(state.u, state.pressure, state.touching, support * share)
 
     def _flow(self) -> dict[str, Any]:
         """The Peclet number, where a scene has drift."""
@@ -229,82 +260,62 @@ class Workbench:
     def _answer(
         self,
         scene: Scene,
-        outcomes: list[Outcome],
-        eps: float | None,
-        p: np.ndarray,
+        outcome: Outcome,
+        counts: dict[str, int],
+        method: Method,
+        state: State,
         seconds: float,
         bound: Bound | None,
+        course: Course | None,
     ) -> Answer:
-        outcome = outcomes[-1]
-        problem, level = self.problem, self.problem.level
-        contact = contact_of(problem, p)
-        u = problem.heights()
-        pressure = in_q(level, p * problem.thickness)
-        touching = in_q(level, (contact.lower | contact.upper).astype(float))
-        errors: dict[str, Any] = {} if self.exact is None else {"errors": self.exact.errors(u, pressure, eps)}
-        state = problem.state()
-        energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
-        state.destroy()
+        problem, level, eps = self.problem, self.problem.level, method.eps
+        contact = state.contact
+        errors: dict[str, Any] = {}
+        if self.exact is not None:
+            errors = {"errors": self.exact.errors(state.u, state.pressure, eps)}
         seconds += self.setup_seconds
-        method = scene.tables.solve.method
-        sides = {"lower": (problem.below, contact.lower_force), "upper": (problem.above, contact.upper_force)}
+        asked = scene.tables.solve.method
         record = {
-            "scene": scene.name, "title": scene.tables.title, "method": method,
-            **({"m_matrix": problem.m_matrix} if method == "successive" else {}),
+            "scene": scene.name, "title": scene.tables.title, "method": asked,
+            **({"m_matrix": problem.m_matrix} if asked == "successive" else {}),
             "element": scene.pair.name, "ranks": level.comm.size,
             "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
             "cells_total": level.cells, "dofs": level.dofs,
             "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
             "h": level.h, "h_max": level.h_max, "eps": eps,
             **self._flow(), "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
-            "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov,
-            "newton_total": sum(o.iterations for o in outcomes), "krylov_total": sum(o.krylov for o in outcomes),
+            "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, **counts,
             "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
             "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
-            "memory_mb": peak_memory_mb(level.comm), "energy": energy, **errors,
+            "memory_mb": peak_memory_mb(level.comm), "energy": state.energy, **errors,
             "penetration": contact.penetration,
-            "u_range": largest(level.comm, u.x.array) - smallest(level.comm, u.x.array),
-            "contact": {"area": contact.area, **{k: {"force": f} for k, (g, f) in sides.items() if g is not None}},
+            "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
+            "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
             "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
-        if problem.constrained and problem.affine and level.pair.nodal:
-            record["round_off"] = round_off(problem, p, eps)
+        if problem.constrained and problem.affine and level.pair.nodal and course is None:
+            record["round_off"] = round_off(problem, state.p, eps)
         if bound is not None:
             true = record.get("errors", {}).get("energy")
             record["bound"] = {**bound.record, "effectivity": bound.total / true if true else None}
             if eps is not None and (problem.below is None) != (problem.above is None):
                 # u_eps - eps max|p_eps| <= u_h <= u_eps at every node, mirrored for a lower obstacle
-                width = eps * largest(level.comm, np.abs(p))
+                width = eps * largest(level.comm, np.abs(state.p))
                 record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
         if self._report is not None:
-            record["report"] = self._report.evaluate(u, pressure, touching, problem.elastic.array_r)
+            record["report"] = self._reported(state)
         error = None
         if self.exact is not None:
             error = fem.Function(level.V)
-            error.x.array[:] = u.x.array - self.exact.nodal(eps)
-        data = problem.data
-        shown = (None, None) if data.thin else (data.lower, data.upper)
+            error.x.array[:] = state.u.x.array - self.exact.nodal(eps)
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
-        return Answer(
-            scene, level, u, pressure, touching, *shown, error, history, record, bound,
-        )  # fmt: skip
+        return replace(self._fields(state), error=error, history=history, record=record, bound=bound, course=course,
+                       scene=scene)  # fmt: skip
 
-
-def command(ranks: int) -> str:
-    """The command that this process runs, as one types it."""
-    program, *arguments = sys.argv
-    if program.endswith(("__main__.py", "fenicsx-obstacle")):
-        words = ["./obstacle", *(["--ranks", str(ranks)] if ranks > 1 else []), *arguments]
-    else:
-        words = [*(["mpirun", "-n", str(ranks)] if ranks > 1 else []), "python3", program, *arguments]
-    return shlex.join(words)
-
-
-def versions() -> dict[str, str]:
-    """Versions that figures depend on."""
-    from importlib.metadata import version
-
-    petsc = ".".join(str(part) for part in PETSc.Sys.getVersion())
-    return {"fenicsx_obstacle": version("fenicsx_obstacle"), "dolfinx": dolfinx.__version__, "petsc": petsc}
+    def _fields(self, state: State) -> Answer:
+        """The fields of an answer, without figures."""
+        problem, data = self.problem, self.problem.data
+        shown = (None, None) if data.thin else (data.lower, data.upper)
+        return Answer(problem.scene, problem.level, state.u, state.pressure, state.touching, *shown, None, (), {})

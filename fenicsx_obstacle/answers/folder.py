@@ -16,15 +16,19 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.course import Course
+from fenicsx_obstacle.answers.frames import FRAMES, files_of, load_course
 from fenicsx_obstacle.answers.linear import linear
+from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import gathered, new_files, on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
-_TOPOLOGY = {2: "Polyline", 3: "Triangle", 4: "Tetrahedron"}
 _CELL = {2: "interval", 3: "triangle", 4: "tetrahedron"}
+NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
+FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
 DERIVED = ("gap",)  # written for ParaView, not read back
 
 
@@ -39,12 +43,16 @@ def save(answer: Answer, folder: Path) -> None:
                 "scene.toml": _scene_there(answer.scene, folder).toml().encode(),
                 "answer.json": (json.dumps(dict(answer.record), indent=1) + "\n").encode(),
                 "history.csv": _history(answer.history).encode(),
-                "fields.h5": _hdf5(arrays),
-                "fields.xdmf": _xdmf(arrays).encode(),
+                "fields.h5": to_hdf5(arrays),
+                "fields.xdmf": xdmf(arrays, {None: arrays}).encode(),
             }
+            if answer.course is not None:
+                contents |= {NEWTON: contents["history.csv"], **files_of(answer.course, arrays)}
             try:
                 for name, content in contents.items():
                     (scratch / name).write_bytes(content)
+                for name in {NEWTON, *FRAMES} - set(contents):
+                    (folder / name).unlink(missing_ok=True)
             except OSError as error:
                 raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
 
@@ -54,7 +62,7 @@ def save(answer: Answer, folder: Path) -> None:
 def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     """Read an answer (collective)."""
 
-    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], tuple[Step, ...]]:
+    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], tuple[Step, ...], Course | None]:
         for name in ("answer.json", "fields.h5", "scene.toml", "history.csv"):
             if not (folder / name).exists():
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
@@ -65,9 +73,16 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
         if missing := sorted({"points", "cells", "gdim", "u", "pressure", "contact"} - set(arrays)):
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(missing)}")
-        return _record(folder), arrays, _steps(folder)
+        record = _record(folder)
+        moves = "time" in record
+        return (
+            record,
+            arrays,
+            _steps(folder / (NEWTON if moves else "history.csv")),
+            load_course(folder) if moves else None,
+        )
 
-    record, arrays, steps = on_root(comm, load)
+    record, arrays, steps, course = on_root(comm, load)
     mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")
     gdim, kind = int(arrays.pop("gdim")), _CELL[cells.shape[1]]
     mine = slice(None) if comm.rank == 0 else slice(0, 0)
@@ -82,7 +97,7 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         fields[name].x.array[:] = arrays[name][saved]
     return Answer(
         Scene.read(folder / "scene.toml"), level, fields["u"], fields["pressure"], fields["contact"],
-        fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
+        fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record, course=course,
     )  # fmt: skip
 
 
@@ -96,16 +111,16 @@ def _record(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder}: the saved answer is damaged: answer.json: {error}") from None
 
 
-def _steps(folder: Path) -> tuple[Step, ...]:
+def _steps(file: Path) -> tuple[Step, ...]:
     try:
-        rows = list(csv.DictReader(io.StringIO((folder / "history.csv").read_text(encoding="utf-8"))))
+        rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8"))))
         steps = [Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
                  for r in rows]  # fmt: skip
         if not steps:
             raise ValueError("it holds no steps")
         return tuple(steps)
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        raise InputError(f"{folder}: the saved answer is damaged: history.csv: {error}") from None
+        raise InputError(f"{file.parent}: the saved answer is damaged: {file.name}: {error}") from None
 
 
 def _scene_there(scene: Scene, folder: Path) -> Scene:
@@ -116,6 +131,12 @@ def _scene_there(scene: Scene, folder: Path) -> Scene:
     if file is None:
         return scene
     return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})
+
+
+def fields_of(answer: Answer) -> dict[str, np.ndarray]:
+    """The fields of `gather` alone, in single precision."""
+    arrays = gather(answer)
+    return {name: arrays[name].astype(np.float32) for name in (*FIELDS, *DERIVED) if name in arrays}
 
 
 def gather(answer: Answer) -> dict[str, np.ndarray]:
@@ -140,15 +161,6 @@ def gather(answer: Answer) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _hdf5(arrays: dict[str, np.ndarray]) -> bytes:
-    """An HDF5 file; made in memory, since the library ends the process where a disk is full."""
-    with h5py.File("fields.h5", "w", driver="core", backing_store=False) as file:
-        for name, values in arrays.items():
-            file[name] = values
-        file.flush()
-        return bytes(file.id.get_file_image())
-
-
 def _history(steps: tuple[Step, ...]) -> str:
     text = io.StringIO()
     writer = csv.writer(text)
@@ -156,23 +168,3 @@ def _history(steps: tuple[Step, ...]) -> str:
     for number, step in enumerate(steps):
         writer.writerow([number, *vars(step).values()])
     return text.getvalue()
-
-
-def _xdmf(arrays: dict[str, np.ndarray]) -> str:
-    """One grid with all fields on it: ParaView then shows them together."""
-    points, cells = arrays["points"], arrays["cells"]
-    shape = " ".join(map(str, cells.shape))
-    attributes = "".join(
-        f'<Attribute Name="{name}" AttributeType="Scalar" Center="Node"><DataItem Dimensions="{len(points)}" '
-        f'NumberType="Float" Precision="8" Format="HDF">fields.h5:/{name}</DataItem></Attribute>\n'
-        for name in arrays
-        if name not in ("points", "cells", "gdim")
-    )
-    return (
-        '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain><Grid Name="answer" GridType="Uniform">\n'
-        f'<Topology TopologyType="{_TOPOLOGY[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
-        f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
-        'Format="HDF">fields.h5:/cells</DataItem></Topology>\n'
-        f'<Geometry GeometryType="XYZ"><DataItem Dimensions="{len(points)} 3" NumberType="Float" Precision="8" '
-        f'Format="HDF">fields.h5:/points</DataItem></Geometry>\n{attributes}</Grid></Domain></Xdmf>\n'
-    )

@@ -8,7 +8,7 @@ from dolfinx import fem
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.scene import part_place
+from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.tables import ACTING
 
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas

@@ -8,12 +8,14 @@ an evaluation some twenty times cheaper than running over the cells again.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
+from ufl.algorithms import expand_derivatives
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
@@ -39,6 +41,7 @@ class Forms:
         measure: Where contact can be: the domain, or parts of its boundary.
         thickness: What makes weights on the boundary areas: its length times it is one; 1 in the domain.
         forces: Forces at owned nodes that are in no form, or None.
+        impulse: Likewise, of the beginning of a step in time.
         multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
     """
 
@@ -59,6 +62,7 @@ class Forms:
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
+        self.impulse: np.ndarray | None = None
         self._a_minus_f = self._terms(self.w + self.reference)
         self._stiffness = releases.form(ufl.derivative(self._a_minus_f, self.w))
         dofs, values = data.fixed
@@ -95,8 +99,30 @@ class Forms:
     def elastic(self, out: PETSc.Vec) -> None:
         """out = a(w + r, .) - f."""
         self._assemble(out, self._form("elastic"))
-        if self.forces is not None:
-            out.array[:] -= self.forces
+        for forces in self._given():
+            out.array[:] -= forces
+
+    def _given(self, *, moving: bool = True) -> list[np.ndarray]:
+        """The forces that are in no form."""
+        return [forces for forces in (self.forces, self.impulse if moving else None) if forces is not None]
+
+    def at_rest(self, out: PETSc.Vec) -> None:
+        """out = a(w + r, .) - f, without what belongs to a step in time."""
+        self._assemble(out, self._form("at rest"))
+        for forces in self._given(moving=False):
+            out.array[:] -= forces
+
+    def renew(self, A: PETSc.Mat, *, stiffness: bool) -> bool:
+        """Assemble anew what has changed with time.
+
+        Args:
+            A: What `create_matrix` returned.
+            stiffness: Whether numbers in the stiffness have changed.
+
+        Returns:
+            Whether it has changed.
+        """
+        return stiffness
 
     def reaction(self, out: PETSc.Vec) -> None:
         """out = (1/eps) I((u - g)^+, .)."""
@@ -112,13 +138,13 @@ class Forms:
         fem.petsc.assemble_matrix(A, self._form("jacobian") if penalised else self._stiffness, [self._bc])
         A.assemble()
 
-    def energy(self, *, penalised: bool) -> float:
-        """a(u, u)/2 - f(u), and the energy of the penalty."""
+    def energy(self, *, penalised: bool, moving: bool = True) -> float:
+        """a(u, u)/2 - f(u), and the energy of the penalty; what belongs to a step in time only if `moving`."""
         comm = self.data.level.comm
-        value = total(comm, fem.assemble_scalar(self._form("energy")))
-        if self.forces is not None:
-            own = self.data.level.owned
-            value -= total(comm, self.forces * (self.w.x.array + self.reference.x.array)[:own])
+        all_of_it = moving or self.data.moment is None
+        value = total(comm, fem.assemble_scalar(self._form("energy" if all_of_it else "energy at rest")))
+        for forces in self._given(moving=moving):
+            value -= total(comm, forces * (self.w.x.array + self.reference.x.array)[: len(forces)])
         return value + (total(comm, fem.assemble_scalar(self._form("contact energy"))) if penalised else 0.0)
 
     def _form(self, name: str) -> Any:
@@ -128,9 +154,12 @@ class Forms:
             if self.multiplier is not None:
                 gaps = {side: None if gap is None else gap + self.eps * self.multiplier for side, gap in gaps.items()}
             gaps["eps"] = self.eps if self.thickness == 1.0 else self.eps / self.thickness
-            if name == "energy":
-                u = self.w + self.reference
-                form = sum(part for effect in self.effects if (part := effect.energy(u, self.data)) is not None)
+            still = [effect for effect in self.effects if effect.order == 0]
+            if name.startswith("energy"):
+                u, effects = self.w + self.reference, still if name == "energy at rest" else self.effects
+                form = sum(part for effect in effects if (part := effect.energy(u, self.data)) is not None)
+            elif name == "at rest":
+                form = residual(still, self.w + self.reference, self.v, self.data)
             elif name == "elastic":
                 form = self._a_minus_f
             elif name == "contact energy":
@@ -158,14 +187,36 @@ class Nodal(Forms):
         fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
         self.stiffness.assemble()
         self._constant, self._minus_load = self.vector(), self.vector()
-        at_rest = self._terms(fem.Constant(data.level.mesh, PETSc.ScalarType(0.0)))
-        if any(integral.integrand() != 0 for integral in at_rest.integrals()):
-            self._assemble(self._minus_load, releases.form(at_rest))
-        if self.forces is not None:
-            self._minus_load.array[:] -= self.forces
+        loads = self._terms(fem.Constant(data.level.mesh, PETSc.ScalarType(0.0)))
+        loaded = any(integral.integrand() != 0 for integral in loads.integrals())
+        self._loads = releases.form(loads) if loaded else None
+        self._load()
         self._D = super().weights()
         if data.level.pair.voronoi:
             self._lump(voronoi_areas(data.level.V))
+
+    def _load(self) -> None:
+        if self._loads is not None:
+            self._assemble(self._minus_load, self._loads)
+        for forces in self._given():
+            self._minus_load.array[:] -= forces
+
+    def renew(self, A: PETSc.Mat, *, stiffness: bool) -> bool:
+        self._load()
+        changed = stiffness or self._stiffness_moves
+        if changed:
+            self.stiffness.zeroEntries()
+            fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
+            self.stiffness.assemble()
+            self.stiffness.copy(A, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            self._hold_fixed(A)
+        return changed
+
+    @cached_property
+    def _stiffness_moves(self) -> bool:
+        """Whether anything in it depends on time."""
+        form = expand_derivatives(ufl.derivative(self._a_minus_f, self.w))
+        return bool({*form.coefficients(), *form.constants()} & set(self.data.moving))
 
     def _lump(self, D: np.ndarray) -> None:
         """Take these weights for I, and F_i = f(x_i) D_i, or -(A g + f)/D would not tend to the pressure."""
@@ -204,18 +255,22 @@ class Nodal(Forms):
 
     def create_matrix(self) -> PETSc.Mat:
         A = self.stiffness.duplicate(copy=True)
+        self._changed = A.createVecLeft()
+        self._hold_fixed(A)
+        return A
+
+    def _hold_fixed(self, A: PETSc.Mat) -> None:
         own = self.data.level.V.dofmap.index_map.local_range[0]
         A.zeroRowsColumns((own + self.fixed).astype(PETSc.IntType), 1.0)
-        self._changed = A.getDiagonal()
+        A.getDiagonal(self._changed)
         self.diagonal = self._changed.array.copy()
         self._held = HELD * self.diagonal
-        return A
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         self.spring(A, self.springs() if penalised else None)
 
-    def energy(self, *, penalised: bool) -> float:
-        value = super().energy(penalised=False)
+    def energy(self, *, penalised: bool, moving: bool = True) -> float:
+        value = super().energy(penalised=False, moving=moving)
         if penalised:
             value += total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
         return value

@@ -61,6 +61,7 @@ class Problem:
         if data.thin and not (nodal and level.pair.degree == 1):
             raise InputError(f"{scene.source}: obstacles on the boundary are for elements P1 and Q1")
         others = [effect.key for effect in scene.effects if effect.key not in ("tension", "load")]
+        others += ["[time]"] if scene.time is not None else []
         if level.pair.voronoi and others:
             raise InputError(f"{scene.source}: element {level.pair.name} is for tension and load, not for {others[0]}")
         self.forms = forms = (Nodal if self.affine and nodal else Forms)(scene.effects, data)
@@ -98,6 +99,25 @@ class Problem:
             if self.data.thin:  # off the obstacle: at the height of its lowest or highest place
                 heights[~known] = (smallest if down else largest)(comm, heights[known])
         return heights
+
+    def move(self, heights: np.ndarray) -> bool:
+        """Take the data of the present moment, and let w be the state of these heights, ghosts included.
+
+        Returns:
+            Whether the stiffness has changed.
+
+        Raises:
+            InputError: If no u can satisfy the data.
+        """
+        changed = self.data.move()
+        if self.data.moving:
+            check_admissible(self.data)
+        changed = self.forms.renew(self.A, stiffness=changed)
+        if changed:
+            self.__dict__.pop("m_matrix", None)
+        self.load, self._net_load = self._loads()
+        self.refer(heights)
+        return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
         """Heights of the obstacles, ghosts included; -inf and inf where there is none."""
@@ -245,10 +265,10 @@ class Problem:
         """Whether active sets of (3.4)* must shrink after its first step: one obstacle, on an M-matrix."""
         return (self.below is None) != (self.above is None) and self.m_matrix
 
-    def energy(self, x: PETSc.Vec, *, penalised: bool = True) -> float:
-        """a(u, u)/2 - f(u) + I((u - g)^+ ^2, 1)/(2 eps) at w = x."""
+    def energy(self, x: PETSc.Vec, *, penalised: bool = True, moving: bool = True) -> float:
+        """a(u, u)/2 - f(u) + I((u - g)^+ ^2, 1)/(2 eps) at w = x; the terms of a step in time only if `moving`."""
         self.take(x)
-        return self.forms.energy(penalised=self.constrained and penalised)
+        return self.forms.energy(penalised=self.constrained and penalised, moving=moving)
 
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances u - lower and upper - u at the points of I; inf where there is no obstacle."""
@@ -324,7 +344,8 @@ class Problem:
             )
 
     def _loads(self) -> tuple[float, float]:
-        """Sum of |f_i| over free dofs, and of all f_i: minus the residual of u = 0, as long as w and r are 0."""
+        """Sum of |f_i| over free dofs, and of all f_i: minus the residual of u = 0, which is the state afterwards."""
+        self.w.x.array[:] = self.reference.x.array[:] = 0.0
         self.forms.refer()
         self.forms.elastic(self.elastic)
         comm, at_rest = self.level.comm, self.elastic.array_r

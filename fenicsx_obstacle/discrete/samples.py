@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cached_property
-from typing import TypeAlias
+from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property, partial
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from dolfinx import fem
@@ -18,9 +18,10 @@ from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.vocabulary import COORDINATES
+from fenicsx_obstacle.scenes.vocabulary import COORDINATES, TIME
 
 Cellwise: TypeAlias = fem.Function | fem.Constant
+Sampled = TypeVar("Sampled", bound=Cellwise)
 STEEP = 3.0  # quadratics through positive values stay positive up to 4 on triangles, 4.5 on squares, 3.09 on cubes
 INWARD = 1e-6  # of the way to the middle of the cell
 
@@ -39,11 +40,40 @@ def _flatten_jumps(tension: fem.Function) -> None:
 
 
 class Samples:
-    """The formulas of a scene on one level."""
+    """The formulas of a scene on one level.
+
+    Attributes:
+        moving: What depends on time, and how it is sampled.
+    """
 
     def __init__(self, scene: Scene, level: Level):
         self.scene, self.level = scene, level
         self._cellwise: dict[str, Cellwise] = {}
+        self.moving: dict[Cellwise, Callable[[], Cellwise]] = {}
+
+    @property
+    def now(self) -> dict[str, float]:
+        """The value of t, where there is time."""
+        return {}
+
+    def follow(self, values: Iterable[Value], sample: Callable[[], Sampled]) -> Sampled:
+        """What is sampled of some values; if they depend on time it is renewed whenever time goes on (collective)."""
+        made = sample()
+        if any(TIME in self.scene.needs(value) for value in values):
+            self.moving[made] = sample
+        return made
+
+    def renew(self) -> None:
+        """Sample anew what depends on time (collective).
+
+        Raises:
+            InputError: If it is not finite somewhere, or out of bounds.
+        """
+        for made, sample in self.moving.items():
+            if isinstance(made, fem.Constant):
+                made.value = array_of(sample())[0]
+            else:
+                made.x.array[:] = array_of(sample())
 
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Cellwise:
         """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).
@@ -54,14 +84,8 @@ class Samples:
             InputError: If it is not finite, or not positive, or below the least, somewhere, or a material has no value.
         """
         if value.place not in self._cellwise:
-            made = self._sample_cells(value)
-            if positive:
-                self._refuse(value, made, array_of(made) <= 0, "must be positive; it is")
-                if isinstance(made, fem.Function) and self.level.pair.degree > 1:
-                    _flatten_jumps(made)
-            if least is not None:
-                self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
-            self._cellwise[value.place] = made
+            sample = partial(self._checked_cells, value, positive, least)
+            self._cellwise[value.place] = self.follow([value], sample)
         return self._cellwise[value.place]
 
     def nodal(self, value: Formula, values: Mapping[str, float] | None = None) -> fem.Function:
@@ -114,15 +138,25 @@ class Samples:
 
     def _sample(self, function: fem.Function, formula: Formula, values: Mapping[str, float] | None = None) -> None:
         if self.uniform(formula):
-            function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), values)
+            function.x.array[:] = self.scene.at_points(formula, np.zeros((3, 1)), {**self.now, **(values or {})})
         else:
             function.x.array[:] = self._at_points(formula, self._points(function.function_space), values)
             function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self._refuse_infinite(formula, function)
 
+    def _checked_cells(self, value: Value, positive: bool, least: float | None) -> Cellwise:
+        made = self._sample_cells(value)
+        if positive:
+            self._refuse(value, made, array_of(made) <= 0, "must be positive; it is")
+            if isinstance(made, fem.Function) and self.level.pair.degree > 1:
+                _flatten_jumps(made)
+        if least is not None:
+            self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
+        return made
+
     def _sample_cells(self, value: Value) -> Cellwise:
         if isinstance(value, Formula) and self.uniform(value):
-            number = self.scene.at_points(value, np.zeros((3, 1)))[0]
+            number = self.scene.at_points(value, np.zeros((3, 1)), self.now)[0]
             constant = fem.Constant(self.level.mesh, PETSc.ScalarType(number))
             self._refuse_infinite(value, constant)
             return constant
@@ -157,7 +191,7 @@ class Samples:
     def _at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, float] | None = None) -> np.ndarray:
         """Values at points (3, n) (collective if the formula names the distance)."""
         named = "distance" in self.scene.needs(formula)
-        known = {**(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
+        known = {**self.now, **(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
         return self.scene.at_points(formula, x, known)
 
     def _refuse_infinite(self, formula: Value, function: Cellwise) -> None:
@@ -167,13 +201,13 @@ class Samples:
         """All ranks raise if any value is bad, naming one place (collective)."""
         if isinstance(function, fem.Constant):
             if bad.any():
-                because = self.scene.infinite(formula, np.zeros(3))
+                because = self.scene.infinite(formula, np.zeros(3), self.now)
                 raise InputError(f"{formula.place} = {formula.text}: {what} {function.value:g}{because}")
             return
         found = self._first(function, bad)
         if found is not None:
             value, point = found
-            because = self.scene.infinite(formula, point)
+            because = self.scene.infinite(formula, point, self.now)
             raise InputError(f"{formula.place} = {formula.text}: {what} {value:g} at {self.at(point)}{because}")
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:

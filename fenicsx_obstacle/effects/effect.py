@@ -28,6 +28,8 @@ _HOME = {
     "point_load": "points",
     "axial_symmetry": "axial",
     "drift": "flow",
+    "rate": "motion",
+    "inertia": "motion",
     "foundation": "support",
     "soft_obstacle": "support",
     "flux": "boundary",
@@ -87,6 +89,10 @@ class Sampler(Protocol):
         """Nodal Function with the values of a formula."""
 
     @property
+    def motion(self) -> Any:
+        """Derivatives in time, where the scene has time."""
+
+    @property
     def dx(self) -> Any:
         """Integration over the domain."""
 
@@ -126,6 +132,7 @@ class Effect:
     leans: ClassVar[bool] = False  # its test functions are upwinded where there is drift
     radial: ClassVar[bool] = False  # gives all integrals the weight x
     elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
+    order: ClassVar[int] = 0  # of its derivative in time
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy

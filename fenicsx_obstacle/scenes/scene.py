@@ -18,9 +18,10 @@ from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
 from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.formulas import Formula, nearest
 from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.scenes.moments import Moments, moments
+from fenicsx_obstacle.scenes.parts import check_parts, part_place
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
-from fenicsx_obstacle.scenes.tables import ACTING, BoundaryTable
-from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, Vocabulary
+from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.words import plain
 
 AUTO = "h^2/100"  # eps as small as makes its error a few per cent of the mesh's: solvers do not mind how small
@@ -29,7 +30,7 @@ RESERVED = {
     *COORDINATES,
     *CONSTANTS,
     *FIELDS,
-    "t",
+    TIME,
     "distance",
     "eps",
     "h",
@@ -50,6 +51,7 @@ class Scene(Vocabulary):
         effects: One object per effect that the scene names.
         pair: V_h, the rule I and Q_h.
         report: Figures of the solution, in order.
+        time: The moments, or None.
         mesh: A DOLFINx mesh of the caller's own, or None.
         folder: Where relative file names start.
     """
@@ -61,6 +63,7 @@ class Scene(Vocabulary):
     pair: Pair
     define: Mapping[str, Formula]
     report: Mapping[str, Formula]
+    time: Moments | None
     mesh: Any = None
     folder: Path = Path()
 
@@ -74,6 +77,7 @@ class Scene(Vocabulary):
         exact: float | str | Mapping[str, Any] | None = None,
         define: Mapping[str, float | str] | None = None,
         report: Mapping[str, float | str] | None = None,
+        time: Mapping[str, Any] | None = None,
         title: str = "",
         u: str = "u",
         **effects: Any,
@@ -88,6 +92,7 @@ class Scene(Vocabulary):
             exact: Exact solution, where known; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
             define: Named numbers and formulas.
             report: Named figures of the solution: report={"force": "integral(p)"}.
+            time: The table [time]: time={"end": 1, "steps": 100, "start": 0}.
             title: Title.
             u: Name of the unknown on axes.
             **effects: One value per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
@@ -103,6 +108,8 @@ class Scene(Vocabulary):
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
             "boundary": list(boundary or ()), "report": dict(report or {}),
         }  # fmt: skip
+        if time is not None:
+            raw["time"] = dict(time)
         if exact is not None:
             raw["exact"] = dict(exact) if isinstance(exact, Mapping) else {"u": exact}
         self._fill(raw, "scene", Path(), None if isinstance(mesh, dict) else mesh)
@@ -158,6 +165,7 @@ class Scene(Vocabulary):
         set_("folder", folder)
         set_("tables", typed)
         set_("mesh", mesh)
+        set_("moves", typed.time is not None)
         set_("define", self._definitions())
         set_("effects", self._effects())
         set_("pair", self._pair())
@@ -173,23 +181,8 @@ class Scene(Vocabulary):
         eps = self.number(self.eps, "[solve] eps", {"h": 1.0})
         if eps <= 0:
             raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
-        for number, part in enumerate(typed.boundary):
-            self._check_part(part, f"{source}: {part_place(number)}")
-        if self.thin and (typed.obstacle.lower, typed.obstacle.upper) != (None, None):
-            raise InputError(f"{source}: [obstacle] and obstacles in [[boundary]]: one or the other, not both")
-
-    def _check_part(self, part: BoundaryTable, place: str) -> None:
-        acting = [key for key in ACTING if getattr(part, key) is not None]
-        if part.value is None and not acting:
-            raise InputError(f"{place}: the key 'value' is missing, or {', '.join(ACTING)}")
-        if part.value is not None and acting:
-            raise InputError(f"{place}: {acting[0]} does nothing where u is given by 'value'; name them apart")
-        if part.on == ():
-            raise InputError(f"{place} on = []: names no part")
-        if part.on is not None and part.where is not None:
-            raise InputError(f"{place}: 'on' and 'where' exclude each other")
-        if part.where is not None and "distance" in self.needs(self.formula(part.where, "")):
-            raise InputError(f"{place} where: 'distance' is 0 all over the boundary")
+        check_parts(self)
+        set_("time", moments(self))
 
     @property
     def thin(self) -> bool:
@@ -204,7 +197,7 @@ class Scene(Vocabulary):
 
     def _definitions(self) -> dict[str, Formula]:
         definitions: dict[str, Formula] = {}
-        known = {*CONSTANTS, *COORDINATES, "distance"}
+        known = {*CONSTANTS, *COORDINATES, "distance", *([TIME] if self.moves else [])}
         for key, value in self.tables.define.items():
             place = f"[define] {key}"
             if not key.isidentifier() or keyword.iskeyword(key) or unicodedata.normalize("NFKC", key) != key:
@@ -286,11 +279,6 @@ class Scene(Vocabulary):
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""
         return msgspec.toml.encode(self.tables).decode()
-
-
-def part_place(number: int) -> str:
-    """What messages call a [[boundary]], counted from 0."""
-    return f"[[boundary]] (no. {number + 1})"
 
 
 def _plain(value: Any) -> Any:

@@ -57,6 +57,30 @@ class BoundaryTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 ACTING = ("flux", "spring", "lower", "upper")  # keys of [[boundary]] beside `value`
 
 
+class TimeTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """[time]: from t = 0 on. Without rate or inertia every moment is an equilibrium of its own.
+
+    Attributes:
+        end: The last moment.
+        steps: How many; where a tolerance chooses them, the first has the length end/steps.
+        start: u at t = 0, with rate or inertia.
+        velocity: u_t at t = 0, with inertia.
+        scheme: Of rate.
+        tolerance: Of rate: what a step may add to the error, in the unit of u; chooses the steps.
+        frames: How many moments are kept as fields, beside t = 0.
+        name: What t is, with its unit, on axes.
+    """
+
+    end: Value
+    steps: Positive
+    start: Value | None = None
+    velocity: Value | None = None
+    scheme: Literal["euler", "bdf2"] | None = None
+    tolerance: Annotated[float, Meta(gt=0)] | None = None
+    frames: Annotated[int, Meta(ge=0, le=1000)] = 30
+    name: str = "t"
+
+
 class RatesTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[exact] rates: orders in h of the errors with these names, by SNES VI and by the penalty with eps = h^2.
 
@@ -106,6 +130,7 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     effects: dict[str, Any] = {}
     obstacle: ObstacleTable = ObstacleTable()
     boundary: tuple[BoundaryTable, ...] = ()
+    time: TimeTable | None = None
     exact: ExactTable | None = None
     report: dict[str, Value] = {}
     solve: SolveTable = SolveTable()
@@ -204,7 +229,8 @@ def _place(path: str) -> str:
 
 
 def _table_type(path: str) -> Any:
-    kinds = {"mesh": MeshTable, "obstacle": ObstacleTable, "exact": ExactTable, "solve": SolveTable}
+    kinds = {"mesh": MeshTable, "obstacle": ObstacleTable, "exact": ExactTable, "solve": SolveTable,
+             "time": TimeTable}  # fmt: skip
     name = path.partition(".")[0]
     return BoundaryTable if name.startswith("boundary") else kinds.get(name, Tables)
 

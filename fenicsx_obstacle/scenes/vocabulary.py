@@ -16,6 +16,7 @@ from fenicsx_obstacle.scenes.materials import Materials
 
 COORDINATES = ("x", "y", "z", "r", "theta")
 CONSTANTS = {"pi": math.pi}
+TIME = "t"
 
 
 class Vocabulary:
@@ -24,15 +25,17 @@ class Vocabulary:
     Attributes:
         source: Where the scene comes from, for messages.
         define: Formula of each defined name, in order: later ones may use earlier ones.
+        moves: Whether there is time.
     """
 
     source: str
     define: Mapping[str, Formula]
+    moves: bool
 
     @property
     def known_names(self) -> set[str]:
         """Names that formulas at points may use."""
-        return {*self.define, *CONSTANTS, *COORDINATES, "distance"}
+        return {*self.define, *CONSTANTS, *COORDINATES, "distance", *([TIME] if self.moves else [])}
 
     def needs(self, formula: Formula | Materials) -> set[str]:
         """Names that a formula uses, itself and through definitions."""
@@ -54,12 +57,14 @@ class Vocabulary:
         used = {name, *(self.needs(self.define[name]) if name in self.define else ())}
         return not used & {*COORDINATES, "distance"}
 
-    def infinite(self, formula: Formula | Materials, point: np.ndarray) -> str:
+    def infinite(self, formula: Formula | Materials, point: np.ndarray, values: Mapping[str, Any] | None = None) -> str:
         """Which definitions that a formula needs are not finite at a point, in words; empty if all are."""
         found = []
         for key in (key for key in self.define if key in self.needs(formula)):
             defined = self.define[key]
-            if "distance" not in self.needs(defined) and not np.isfinite(self.at_points(defined, point.reshape(3, 1))):
+            if "distance" not in self.needs(defined) and not np.isfinite(
+                self.at_points(defined, point.reshape(3, 1), values)
+            ):
                 found.append(f"[define] {key} = {defined.text}")
         return f", because of {' and '.join(found[:2])}" if found else ""
 

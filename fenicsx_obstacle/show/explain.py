@@ -17,7 +17,8 @@ from fenicsx_obstacle.answers.choose import (
 from fenicsx_obstacle.discrete.grids import shape_of
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX
 from fenicsx_obstacle.effects.effect import Effect, known
-from fenicsx_obstacle.scenes.scene import Scene, part_place
+from fenicsx_obstacle.scenes.parts import part_place
+from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
 from fenicsx_obstacle.words import counted, plain
 

@@ -1,0 +1,109 @@
+"""Where a scene with [time] stands, in a file from which it goes on, on any number of ranks."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fenicsx_obstacle.answers.course import Course, Frame
+from fenicsx_obstacle.answers.paraview import to_hdf5
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import agree, gathered, on_root
+from fenicsx_obstacle.scenes.moments import INERTIA, Moments
+from fenicsx_obstacle.solvers.steps import Steps
+
+NAME = "checkpoint.h5"
+NEAR = 1e-6  # of h: how far a node may be from where it was
+
+
+def write(folder: Path, level: Level, steps: Steps, course: Course) -> None:
+    """Write the state into a folder, in one step (collective).
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    own, comm = level.owned, level.comm
+    fields = {"points": level.points.T[:own], **{f"u{k}": u[:own] for k, u in enumerate(steps.heights)}}
+    if steps.velocity is not None:
+        fields["velocity"] = steps.velocity[:own]
+    found = {name: gathered(comm, values) for name, values in fields.items()}
+
+    def save() -> None:
+        arrays = {name: values for name, values in found.items() if values is not None}
+        arrays |= {
+            "times": np.array(steps.times),
+            "rows": np.array(json.dumps([dict(row) for row in course.rows]).encode()),
+        }
+        for number, frame in enumerate(course.frames):
+            fields = {"t": np.array(frame.t), **frame.fields}
+            arrays |= {f"frames/{number:04d}/{name}": values for name, values in fields.items()}
+        content = to_hdf5(arrays)
+        scratch = folder / f".{NAME}.part"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            scratch.write_bytes(content)
+            scratch.replace(folder / NAME)
+        except OSError as error:
+            scratch.unlink(missing_ok=True)
+            raise InputError(f"{folder / NAME}: cannot be written: {error.strerror}") from None
+
+    on_root(comm, save)
+
+
+def read(folder: Path, level: Level, moments: Moments) -> tuple[Steps, Course]:
+    """The state that a folder holds (collective).
+
+    Args:
+        folder: Of a saved or of an interrupted solve.
+        level: The same mesh, however it is distributed.
+        moments: Of the scene that goes on.
+
+    Raises:
+        InputError: If there is none, or it is of another mesh or another kind of scene.
+    """
+    place, comm = folder / NAME, level.comm
+    stored, rows, frames = on_root(comm, _load, place)
+    if comm.rank != 0:
+        frames = [Frame(frame.t, {}) for frame in frames]
+    distance, found = cKDTree(stored["points"]).query(level.points.T)
+    elsewhere = bool(np.any(distance > NEAR * level.h)) or len(stored["points"]) != level.dofs
+    with agree(comm):
+        if elsewhere:
+            raise InputError(f"{place}: is of another mesh: [mesh] must be as it was")
+    velocity = stored["velocity"][found] if "velocity" in stored else None
+    if (velocity is None) == (moments.order == INERTIA):
+        raise InputError(f"{place}: is of a scene {'without' if velocity is None else 'with'} inertia")
+    past = [stored[f"u{k}"][found] for k in range(len(stored["times"]))]
+    steps = Steps(moments.order, moments.scheme, 0.0, past[0], velocity)
+    steps.times = [float(t) for t in stored["times"][: steps.depth + 1]]
+    steps.heights = past[: steps.depth + 1]
+    if steps.times[0] >= moments.end:
+        raise InputError(f"{place}: stands at {moments.name} = {steps.times[0]:g} already; set a later [time] end")
+    return steps, Course(tuple(rows), tuple(frames))
+
+
+def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], list[Frame]]:
+    try:
+        content = io.BytesIO(place.read_bytes())
+    except OSError as error:
+        raise InputError(f"{place}: no state to go on from: {error.strerror}") from None
+    try:
+        with h5py.File(content) as file:
+            stored = {name: values[()] for name, values in file.items() if name not in ("frames", "rows")}
+            rows = json.loads(file["rows"][()])
+            frames = []
+            for one in file.get("frames", {}).values():
+                fields = {name: values[()] for name, values in one.items() if name != "t"}
+                frames.append(Frame(float(one["t"][()]), fields))
+        if not {"points", "times", "u0"} <= set(stored):
+            raise ValueError("it holds no state")
+    except (OSError, ValueError, KeyError, AttributeError) as error:
+        raise InputError(f"{place}: is damaged: {error}") from None
+    return stored, rows, frames

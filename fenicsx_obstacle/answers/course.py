@@ -1,0 +1,67 @@
+"""What a scene did in time: a row of figures for each step, and its fields at some moments."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The fields at one moment.
+
+    Attributes:
+        t: The moment.
+        fields: By name, numbered as those of the saved answer; on rank 0, empty elsewhere.
+    """
+
+    t: float
+    fields: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Course:
+    """All steps of a scene with [time].
+
+    Attributes:
+        rows: Step, t, dt, Newton and Krylov steps, energies, contact area, forces, penetration, figures of [report].
+        frames: Fields at some moments, the first and the last among them.
+    """
+
+    rows: tuple[Row, ...]
+    frames: tuple[Frame, ...]
+
+    def column(self, name: str) -> np.ndarray:
+        """A column of the rows, not-a-number where there is none."""
+        return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
+
+
+def to_csv(rows: Sequence[Row]) -> str:
+    """A line per step."""
+    heads = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, heads)
+    writer.writeheader()
+    writer.writerows({name: "" if value is None else value for name, value in row.items()} for row in rows)
+    return text.getvalue()
+
+
+def from_csv(text: str) -> tuple[Row, ...]:
+    """Those lines again.
+
+    Raises:
+        ValueError: If they are none.
+    """
+    counts = ("step", "newton", "krylov")
+    read = [{name: None if cell == "" else int(cell) if name in counts else float(cell) for name, cell in row.items()}
+            for row in csv.DictReader(io.StringIO(text))]  # fmt: skip
+    if not read or not {"step", "t"} <= set(read[0]):
+        raise ValueError("it holds no steps")
+    return tuple(read)

@@ -1,0 +1,53 @@
+"""The course of a scene with [time] in the folder of its answer: history.csv, and frames for ParaView."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from fenicsx_obstacle.answers.course import Course, Frame, from_csv, to_csv
+from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf
+from fenicsx_obstacle.errors import InputError
+
+FRAMES = ("frames.h5", "frames.xdmf")
+
+
+def files_of(course: Course, mesh: Mapping[str, np.ndarray]) -> dict[str, bytes]:
+    """The files, by name (one rank).
+
+    Args:
+        course: Rows and frames.
+        mesh: `points` and `cells` of the answer.
+    """
+    files = {"history.csv": to_csv(course.rows).encode()}
+    if course.frames:
+        arrays = {
+            f"{n:04d}/{name}": values for n, one in enumerate(course.frames) for name, values in one.fields.items()
+        }
+        times = {f"{number:04d}/t": np.array(frame.t) for number, frame in enumerate(course.frames)}
+        moments: dict[float | None, Mapping[str, np.ndarray]] = {frame.t: frame.fields for frame in course.frames}
+        files |= dict(zip(FRAMES, (to_hdf5({**arrays, **times}), xdmf(mesh, moments).encode()), strict=True))
+    return files
+
+
+def load_course(folder: Path) -> Course:
+    """Rows and frames (one rank).
+
+    Raises:
+        InputError: If they are not there, or damaged.
+    """
+    frames: list[Frame] = []
+    try:
+        rows = from_csv((folder / "history.csv").read_text(encoding="utf-8"))
+        if (folder / FRAMES[0]).exists():
+            with h5py.File(folder / FRAMES[0]) as file:
+                for one in file.values():
+                    fields = {name: values[()] for name, values in one.items() if name != "t"}
+                    frames.append(Frame(float(one["t"][()]), fields))
+    except (OSError, ValueError, KeyError, AttributeError, csv.Error) as error:
+        raise InputError(f"{folder}: the saved answer is damaged: its course in time: {error}") from None
+    return Course(rows, tuple(frames))

@@ -1,0 +1,258 @@
+"""A scene with [time]: one static problem after the other, each on the same mesh and matrices."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers import checkpoint
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.course import Course, Frame, Row
+from fenicsx_obstacle.answers.folder import fields_of
+from fenicsx_obstacle.answers.state import State
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.motion import Inertia
+from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes.moments import EQUILIBRIA, INERTIA, Moments
+from fenicsx_obstacle.solvers.snes import Outcome
+from fenicsx_obstacle.solvers.steps import Steps
+
+_log = logging.getLogger(__name__)
+EVERY = 20.0  # seconds between states on the disk
+NO_STEP = 1e-9  # of the whole time
+CROSSES = 1e-9  # of the heights: what a start may be beyond an obstacle
+
+
+class March:
+    """A scene on its way through time.
+
+    Attributes:
+        problem: On the finest level.
+        below: Those of the levels below, whose matrices keep step.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        below: Sequence[Problem],
+        solve: Callable[[], list[Outcome]],
+        state: Callable[[], State],
+        reported: Callable[[State], Row],
+        fields: Callable[[State], Answer],
+    ):
+        """Prepare.
+
+        Args:
+            problem: On the finest level.
+            below: Those of the levels below.
+            solve: Solves the problem for the present data, from its present state (collective).
+            state: The present state, solved (collective).
+            reported: Its figures of [report] (collective).
+            fields: Its fields.
+        """
+        self.problem, self.below = problem, below
+        self._solve, self._state, self._reported, self._fields = solve, state, reported, fields
+        assert problem.scene.time is not None
+        self.moments: Moments = problem.scene.time
+        self.rows, self.frames = list[Row](), list[Frame]()
+        self._newton = self._krylov = self._rejected = 0
+        self._kinetic_energy: Any = None
+
+    def run(self, restart: Path | None, keep: Path | None) -> Outcome:
+        """Go to the end; the problem then holds the last state (collective).
+
+        Args:
+            restart: Folder with the state to begin from.
+            keep: Folder for states on the way, or None.
+
+        Returns:
+            The outcome of the last step.
+
+        Raises:
+            InputError: If data are wrong at some moment.
+            NotConverged: At a step that cannot be shortened; the state before it is in `keep`.
+        """
+        self._begin(restart)
+        dt, written = self._first_step(), time.perf_counter()
+        while (t := self._next(dt)) is not None:
+            before = self.steps.times[0]
+            try:
+                outcomes = self._step(t)
+            except NotConverged as error:
+                if self.moments.tolerance is None or dt < NO_STEP * self.moments.end:
+                    self._keep(keep)
+                    raise NotConverged(
+                        error.solver, f"{error.reason}, at {self.moments.name} = {t:g},", error.iterations,
+                        eps=error.eps, h=error.h,
+                    ) from None  # fmt: skip
+                dt, self._rejected = dt / 4, self._rejected + 1
+                continue
+            u = self._heights()
+            if self.moments.tolerance is not None:
+                added = self.steps.error(self.problem, t, u)
+                wanted = self.steps.next_length(t - before, added, self.moments.tolerance)
+                if added > self.moments.tolerance and t - before > NO_STEP * self.moments.end:
+                    dt, self._rejected = wanted, self._rejected + 1
+                    continue
+                dt = max(wanted, dt) if wanted >= t - before else wanted
+            self.steps.accept(t, u)
+            self._count(outcomes)
+            self._row(t, t - before, outcomes)
+            now = self.problem.level.comm.bcast(time.perf_counter())
+            if keep is not None and now - written > EVERY:
+                self._keep(keep)
+                written = now
+        self._keep(keep)
+        return outcomes[-1]
+
+    @property
+    def course(self) -> Course:
+        """Rows and frames so far."""
+        return Course(tuple(self.rows), tuple(self.frames))
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """Steps and iterations, as in answer.json."""
+        moments = {"t": self.steps.times[0], "name": self.moments.name, "scheme": self.moments.scheme,
+                   "steps": len(self.rows) - 1, "rejected": self._rejected}  # fmt: skip
+        return {"time": moments, "newton_total": self._newton, "krylov_total": self._krylov}
+
+    def _begin(self, restart: Path | None) -> None:
+        problem, moments = self.problem, self.moments
+        if restart is not None:
+            self.steps, course = checkpoint.read(restart, problem.level, moments)
+            self.rows, self.frames = list(course.rows), list(course.frames)
+            self._move(self.steps.times[0], self.steps.heights[0])
+            self._remember()
+            return
+        if moments.order == EQUILIBRIA:
+            self.steps = Steps(moments.order, moments.scheme, 0.0, problem.cold_start())
+            self._move(0.0, self.steps.heights[0])
+            outcomes = self._solve()
+            self.steps.heights = [self._heights()]
+            self._count(outcomes)
+            self._row(0.0, None, outcomes)
+            return
+        self.steps = Steps(moments.order, moments.scheme, 0.0, self._start(), self._velocity())
+        self._move(0.0, self.steps.heights[0])
+        self.steps.heights = [self._heights()]  # with the boundary values
+        self._remember()
+        self._row(0.0, None, [])
+
+    def _start(self) -> np.ndarray:
+        """u at t = 0, ghosts included."""
+        problem, formula = self.problem, self.moments.start
+        assert formula is not None
+        u = problem.data.nodal(formula).x.array.copy()
+        lower, upper = problem.obstacles()
+        beyond = np.maximum(lower - u, u - upper)
+        beyond[np.flatnonzero(problem.fixed)] = -np.inf
+        height = largest(problem.level.comm, u) - smallest(problem.level.comm, u)
+        worst = largest(problem.level.comm, beyond)
+        if worst > CROSSES * max(height, abs(worst)) and worst > CROSSES * largest(problem.level.comm, np.abs(u)):
+            raise InputError(f"{formula.place} = {formula.text}: is beyond an obstacle by {worst:.3g}")
+        return np.clip(u, lower, upper)
+
+    def _velocity(self) -> np.ndarray | None:
+        """u_t at t = 0, ghosts included, with inertia."""
+        if self.moments.order != INERTIA:
+            return None
+        if self.moments.velocity is None:
+            return np.zeros(len(self.problem.w.x.array))
+        velocity = self.problem.data.nodal(self.moments.velocity).x.array.copy()
+        velocity[self.problem.data.fixed[0]] = 0.0
+        return velocity
+
+    def _first_step(self) -> float:
+        times = self.steps.times
+        chosen = self.moments.tolerance is not None and len(times) > 1
+        return times[0] - times[1] if chosen else self.moments.step
+
+    def _next(self, dt: float) -> float | None:
+        """The next moment; None at the end."""
+        now, end = self.steps.times[0], self.moments.end
+        if now >= end * (1 - NO_STEP):
+            return None
+        if self.moments.tolerance is not None:
+            left = end - now  # the last two steps share what is left
+            return end if left <= dt * (1 + NO_STEP) else now + (left / 2 if left < 2 * dt else dt)
+        number = now / dt
+        steady = abs(number - round(number)) < 1e-6
+        following = (round(number) + 1) * dt if steady else now + dt
+        return end if following > end * (1 - NO_STEP) else following
+
+    def _step(self, t: float) -> list[Outcome]:
+        self.steps.prepare(self.problem, t)
+        self._move(t, self.steps.heights[0])
+        return self._solve()
+
+    def _move(self, t: float, heights: np.ndarray) -> None:
+        """Let all levels have the data of a moment."""
+        assert self.problem.data.moment is not None
+        self.problem.data.moment.t = t
+        changed = self.problem.move(heights)
+        if changed or self.moments.order == EQUILIBRIA:
+            for problem in self.below:
+                problem.move(problem.cold_start())
+
+    def _heights(self) -> np.ndarray:
+        return self.problem.w.x.array + self.problem.reference.x.array
+
+    def _count(self, outcomes: Sequence[Outcome]) -> None:
+        self._newton += sum(outcome.iterations for outcome in outcomes)
+        self._krylov += sum(outcome.krylov for outcome in outcomes)
+
+    def _remember(self) -> None:
+        """With inertia: the forces of the newest moment, which the next step averages with its own."""
+        if self.moments.order == INERTIA:
+            out = self.problem.forms.vector()
+            self.problem.forms.at_rest(out)
+            self.steps.impulse = out.array_r.copy()
+            out.destroy()
+
+    def _row(self, t: float, dt: float | None, outcomes: Sequence[Outcome]) -> None:
+        """Put down the figures of a step, and its fields where their turn has come."""
+        self._remember()
+        last = outcomes[-1] if outcomes else None
+        row = {
+            "step": len(self.rows), "t": t, "dt": dt,
+            "newton": None if last is None else last.iterations, "krylov": None if last is None else last.krylov,
+        }  # fmt: skip
+        state = self._state()
+        figures: dict[str, Any] = {"energy": state.energy}
+        if self.steps.velocity is not None:
+            kinetic = self._kinetic()
+            figures = {"energy": None if state.energy is None else state.energy + kinetic, "kinetic": kinetic}
+        if last is not None:  # before the first step nothing is in balance: there is no pressure
+            figures["contact_area"] = state.contact.area
+            figures |= {f"force_{side}": force for side, force in state.sides(self.problem).items()}
+            figures["penetration"] = state.contact.penetration
+            figures |= self._reported(state)
+        self.rows.append({**row, **figures})
+        _log.info("%s = %g: %s Newton steps", self.moments.name, t, row["newton"])
+        due = len(self.frames) * self.moments.end / max(self.moments.frames, 1)
+        last_one = t >= self.moments.end * (1 - NO_STEP)
+        if self.moments.frames and (t >= due * (1 - NO_STEP) or last_one):
+            self.frames.append(Frame(t, fields_of(self._fields(state))))
+
+    def _kinetic(self) -> float:
+        """rho v^2/2, by the nodal rule."""
+        assert self.steps.velocity is not None
+        data = self.problem.data
+        data.motion.velocity.x.array[:] = self.steps.velocity
+        if self._kinetic_energy is None:
+            mass = next(effect for effect in self.problem.scene.effects if isinstance(effect, Inertia))
+            self._kinetic_energy = releases.form(mass.energy_of_motion(data.motion.velocity, data))
+        return total(self.problem.level.comm, fem.assemble_scalar(self._kinetic_energy))
+
+    def _keep(self, folder: Path | None) -> None:
+        if folder is not None:
+            checkpoint.write(folder, self.problem.level, self.steps, self.course)

@@ -1,0 +1,27 @@
+"""Where figures come from: the command and the versions."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+
+import dolfinx
+from petsc4py import PETSc
+
+
+def command(ranks: int) -> str:
+    """The command that this process runs, as one types it."""
+    program, *arguments = sys.argv
+    if program.endswith(("__main__.py", "fenicsx-obstacle")):
+        words = ["./obstacle", *(["--ranks", str(ranks)] if ranks > 1 else []), *arguments]
+    else:
+        words = [*(["mpirun", "-n", str(ranks)] if ranks > 1 else []), "python3", program, *arguments]
+    return shlex.join(words)
+
+
+def versions() -> dict[str, str]:
+    """Versions that figures depend on."""
+    from importlib.metadata import version
+
+    petsc = ".".join(str(part) for part in PETSc.Sys.getVersion())
+    return {"fenicsx_obstacle": version("fenicsx_obstacle"), "dolfinx": dolfinx.__version__, "petsc": petsc}

@@ -1,0 +1,51 @@
+"""Fields as ParaView opens them: HDF5 for the numbers, XDMF to say what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import h5py
+import numpy as np
+
+_TOPOLOGY = {2: "Polyline", 3: "Triangle", 4: "Tetrahedron"}
+
+
+def to_hdf5(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """An HDF5 file; made in memory, since the library ends the process where a disk is full."""
+    with h5py.File("fields.h5", "w", driver="core", backing_store=False) as file:
+        for name, values in arrays.items():
+            file[name] = values
+        file.flush()
+        return bytes(file.id.get_file_image())
+
+
+def xdmf(mesh: Mapping[str, np.ndarray], moments: Mapping[float | None, Mapping[str, np.ndarray]]) -> str:
+    """One grid with all fields on it, so that ParaView shows them together; or one for each moment.
+
+    Args:
+        mesh: `points` and `cells`, which fields.h5 holds.
+        moments: Fields at each moment, of frames.h5; or those of fields.h5 at None.
+    """
+    points, cells = mesh["points"], mesh["cells"]
+    shape = " ".join(map(str, cells.shape))
+    ground = (
+        f'<Topology TopologyType="{_TOPOLOGY[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
+        f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
+        'Format="HDF">fields.h5:/cells</DataItem></Topology>\n'
+        f'<Geometry GeometryType="XYZ"><DataItem Dimensions="{len(points)} 3" NumberType="Float" Precision="8" '
+        'Format="HDF">fields.h5:/points</DataItem></Geometry>\n'
+    )
+    grids = ""
+    for number, (t, fields) in enumerate(moments.items()):
+        place = "fields.h5:/" if t is None else f"frames.h5:/{number:04d}/"
+        clock = "" if t is None else f'<Time Value="{t!r}"/>\n'
+        attributes = "".join(
+            f'<Attribute Name="{name}" AttributeType="Scalar" Center="Node"><DataItem Dimensions="{len(points)}" '
+            f'NumberType="Float" Precision="{values.dtype.itemsize}" Format="HDF">{place}{name}</DataItem></Attribute>\n'
+            for name, values in fields.items()
+            if name not in ("points", "cells", "gdim")
+        )
+        grids += f'<Grid Name="answer" GridType="Uniform">\n{clock}{ground}{attributes}</Grid>\n'
+    if None not in moments:
+        grids = f'<Grid Name="course" GridType="Collection" CollectionType="Temporal">\n{grids}</Grid>\n'
+    return f'<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n{grids}</Domain></Xdmf>\n'

@@ -1,0 +1,60 @@
+"""The present state of a solved problem: its fields, and the figures that all scenes have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle.accuracy.contact import Contact, contact_of
+from fenicsx_obstacle.answers.choose import Method
+from fenicsx_obstacle.discrete.duality import in_q
+from fenicsx_obstacle.discrete.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Fields and figures.
+
+    Attributes:
+        u: Solution.
+        p: Pressure at owned points of I.
+        pressure: The same in Q_h.
+        touching: 1 at points of I in contact, in Q_h.
+        contact: Contact set and forces.
+        energy: Of what is at rest, the penalty's included; None where there is none.
+    """
+
+    u: fem.Function
+    p: np.ndarray
+    pressure: fem.Function
+    touching: fem.Function
+    contact: Contact
+    energy: float | None
+
+    @property
+    def fields(self) -> dict[str, fem.Function]:
+        """Those that an answer has."""
+        return {"u": self.u, "pressure": self.pressure, "contact": self.touching}
+
+    def sides(self, problem: Problem) -> dict[str, float]:
+        """The force on each obstacle there is, >= 0."""
+        forces = {"lower": self.contact.lower_force, "upper": self.contact.upper_force}
+        gaps = {"lower": problem.below, "upper": problem.above}
+        return {side: force for side, force in forces.items() if gaps[side] is not None}
+
+
+def state_of(problem: Problem, method: Method) -> State:
+    """The state that a problem is in, just solved by a method (collective)."""
+    p = method.pressure(problem)
+    contact, level = contact_of(problem, p), problem.level
+    energy = None
+    if problem.has_energy:
+        x = problem.state()
+        energy = problem.energy(x, penalised=method.eps is not None, moving=False)
+        if method.eps is not None and method.share != 1.0:  # the problem's eps is that of a step
+            energy = (1 - method.share) * problem.energy(x, penalised=False, moving=False) + method.share * energy
+        x.destroy()
+    touching = in_q(level, (contact.lower | contact.upper).astype(float))
+    return State(problem.heights(), p, in_q(level, p * problem.thickness), touching, contact, energy)

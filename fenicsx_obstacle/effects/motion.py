@@ -1,0 +1,61 @@
+"""What makes a scene move: a rate of change, and inertia. How they become differences is `data.motion`'s affair."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Effect, Sampler, register
+
+if TYPE_CHECKING:
+    import ufl
+
+
+@register
+class Rate(Effect):
+    """Resistance to change: c u_t on the left side, int c u_t v with c > 0; unit: force time/length^3.
+
+    By the nodal rule I where the element has one of degree 1: a diagonal keeps the signs of an M-matrix, so that
+    implicit Euler is monotone. A step is a static problem with the foundation c/dt, and falls in energy.
+    """
+
+    key = "rate"
+    equation = "rate u_t"
+    left = True
+    term = "+ int rate u_t v, nodal rule"
+    unit = "force time/length^3"
+    holds = True
+    order = 1
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return data.cellwise(self.value, positive=True) * data.motion.rate(u) * v * data.dI
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        return data.cellwise(self.value, positive=True) * data.motion.rate_energy(u) * data.dI
+
+
+@register
+class Inertia(Effect):
+    """Mass: rho u_tt on the left side, int rho u_tt v with rho > 0; unit: mass/length^2.
+
+    By the nodal rule I where the element has one of degree 1. Elastic forces are averaged over a step, which keeps
+    their energy; contact acts with its force at the step's end (Kane, Repetto, Ortiz and Marsden 1999), which can only
+    take energy away: the force is 0 unless contact ends the step, and so works against the motion that led there.
+    """
+
+    key = "inertia"
+    equation = "inertia u_tt"
+    left = True
+    term = "+ int inertia u_tt v, nodal rule"
+    unit = "mass/length^2"
+    holds = True
+    order = 2
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return data.cellwise(self.value, positive=True) * data.motion.acceleration(u) * v * data.dI
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        return data.cellwise(self.value, positive=True) * data.motion.acceleration_energy(u) * data.dI
+
+    def energy_of_motion(self, velocity: Any, data: Sampler) -> ufl.Form:
+        """rho v^2/2."""
+        return 0.5 * data.cellwise(self.value, positive=True) * velocity**2 * data.dI

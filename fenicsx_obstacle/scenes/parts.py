@@ -1,0 +1,47 @@
+"""[[boundary]]: what contradicts itself there, told without a mesh."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.tables import ACTING, BoundaryTable
+from fenicsx_obstacle.scenes.vocabulary import TIME
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.scenes.scene import Scene
+
+
+def part_place(number: int) -> str:
+    """What messages call a [[boundary]], counted from 0."""
+    return f"[[boundary]] (no. {number + 1})"
+
+
+def check_parts(scene: Scene) -> None:
+    """Refuse parts that say nothing, or two things at once.
+
+    Raises:
+        InputError: Naming the part.
+    """
+    for number, part in enumerate(scene.tables.boundary):
+        _check(scene, part, f"{scene.source}: {part_place(number)}")
+    if scene.thin and (scene.tables.obstacle.lower, scene.tables.obstacle.upper) != (None, None):
+        raise InputError(f"{scene.source}: [obstacle] and obstacles in [[boundary]]: one or the other, not both")
+
+
+def _check(scene: Scene, part: BoundaryTable, place: str) -> None:
+    acting = [key for key in ACTING if getattr(part, key) is not None]
+    if part.value is None and not acting:
+        raise InputError(f"{place}: the key 'value' is missing, or {', '.join(ACTING)}")
+    if part.value is not None and acting:
+        raise InputError(f"{place}: {acting[0]} does nothing where u is given by 'value'; name them apart")
+    if part.on == ():
+        raise InputError(f"{place} on = []: names no part")
+    if part.on is not None and part.where is not None:
+        raise InputError(f"{place}: 'on' and 'where' exclude each other")
+    if part.where is not None:
+        needed = scene.needs(scene.formula(part.where, ""))
+        if "distance" in needed:
+            raise InputError(f"{place} where: 'distance' is 0 all over the boundary")
+        if TIME in needed:
+            raise InputError(f"{place} where: parts of the boundary stay where they are; 't' is for values")

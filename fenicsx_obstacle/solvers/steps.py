@@ -1,0 +1,98 @@
+"""Steps in time: the differences that make each a static problem, and what a step adds to the error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.scenes.moments import INERTIA, RATE
+
+DEPTH = {"euler": 1, "bdf2": 2}  # of how many earlier moments a scheme makes u_t
+SLOWER, FASTER = 0.2, 2.0  # how much a step may be shorter or longer than the one before
+WORTH = 1.3  # times the length: a longer step pays for the matrix that it changes
+SAFETY = 0.85
+
+
+class Steps:
+    """The moments so far, and the differences of the next step.
+
+    Attributes:
+        times: The last moments, the newest first.
+        heights: u there, ghosts included.
+        velocity: u_t at the newest, with inertia.
+        impulse: a(u, .) - f at the newest, at owned nodes, with inertia.
+    """
+
+    def __init__(self, order: int, scheme: str, t: float, u: np.ndarray, velocity: np.ndarray | None = None):
+        self.order, self.depth = order, DEPTH.get(scheme, 1)
+        self.times, self.heights, self.velocity = [t], [u], velocity
+        self.impulse: np.ndarray | None = None
+
+    def prepare(self, problem: Problem, t: float) -> None:
+        """Give the problem the differences of the step to t; its data follow with `Problem.move`."""
+        assert problem.data.moment is not None
+        moment, dt = problem.data.moment, t - self.times[0]
+        moment.t = t
+        if self.order == RATE:
+            used = self._used()
+            weights = difference([t, *self.times[:used]])
+            moment.first = weights[0]
+            problem.data.motion.past.x.array[:] = -sum(
+                w * u for w, u in zip(weights[1:], self.heights[:used], strict=True)
+            )
+        elif self.order == INERTIA:
+            # twice rho (v1 - v0)/dt + (A u0 + A u1)/2 = f + p with v1 = 2 (u1 - u0)/dt - v0
+            moment.first, moment.second = 2 / dt, 4 / dt**2
+            assert self.velocity is not None and self.impulse is not None
+            motion, u = problem.data.motion, self.heights[0]
+            motion.past.x.array[:] = 2 / dt * u
+            motion.past_twice.x.array[:] = 4 / dt**2 * (u + dt * self.velocity)
+            problem.forms.impulse = -self.impulse
+
+    def accept(self, t: float, u: np.ndarray) -> None:
+        """Let u be the heights of a new moment."""
+        if self.velocity is not None:
+            self.velocity = 2 / (t - self.times[0]) * (u - self.heights[0]) - self.velocity
+        self.times = [t, *self.times][: self.depth + 1]
+        self.heights = [u, *self.heights][: self.depth + 1]
+
+    def error(self, problem: Problem, t: float, u: np.ndarray) -> float:
+        """What the step to t adds to the error of u at most, about: from how far it ends from an extrapolation.
+
+        A difference of the depth k is wrong by D = u^(k+1)/(k+1)! (t - t_1) ... (t - t_k), which moves u by D/c; the
+        extrapolation from k + 1 moments is off by that times (t - t_(k+1)) (Milne's device; collective).
+        """
+        used = self._used()
+        known = min(used + 1, len(self.times))
+        weights = extrapolation(t, self.times[:known])
+        foreseen = sum(w * heights for w, heights in zip(weights, self.heights[:known], strict=True))
+        c = difference([t, *self.times[:used]])[0]
+        return largest(problem.level.comm, np.abs(u - foreseen)) / (1 + c * (t - self.times[known - 1]))
+
+    def next_length(self, dt: float, error: float, tolerance: float) -> float:
+        """Length of the next step, or of the same once more where its error was too large."""
+        factor = SAFETY * (tolerance / max(error, 1e-300)) ** (1 / (self._used() + 1))
+        factor = min(max(factor, SLOWER), FASTER)
+        return dt * (factor if factor < 1 or factor > WORTH else 1.0)
+
+    def _used(self) -> int:
+        """How many earlier moments the next step takes: the first steps have fewer."""
+        return min(self.depth, len(self.times))
+
+
+def difference(times: Sequence[float]) -> list[float]:
+    """Weights of values at these times whose sum is the derivative at the first one of the polynomial through them."""
+    first, *others = times
+    weights = []
+    for j, t in enumerate(others, start=1):
+        rest = [s for k, s in enumerate(times) if k not in (0, j)]
+        weights.append(float(np.prod([first - s for s in rest]) / ((t - first) * np.prod([t - s for s in rest]))))
+    return [-sum(weights), *weights]
+
+
+def extrapolation(t: float, times: Sequence[float]) -> list[float]:
+    """Weights of values at these times whose sum is the value at t of the polynomial through them."""
+    return [float(np.prod([(t - s) / (one - s) for s in times if s != one])) for one in times]
