@@ -103,6 +103,7 @@ def _options(*names: str) -> Callable[[Any], Any]:
 @click.option("--tol", type=float, metavar="R", help="Relative energy error to reach; chooses meshes and eps.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--budget", metavar="LIMIT", help="Stop earlier with the best answer: 60s, 8GB, '1e6 unknowns'.")
+@click.option("--restart", type=_Place(), metavar="DIR", help="With [time]: go on from the state in this folder.")
 @_options(
     *("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "plugin", "output", "json", "quiet"),
     "log",
@@ -114,6 +115,7 @@ def solve(
     tol: float | None,
     tol_absolute: float | None,
     budget: str | None,
+    restart: Path | None,
     yardstick: bool,
     output: Path | None,
     json_file: str | None,
@@ -123,7 +125,8 @@ def solve(
     """Solve a scene: u, contact pressure p, contact set.
 
     Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv and
-    report.html into out/SCENE.
+    report.html into out/SCENE; with [time] also frames.xdmf, history.png and, now and then, the state
+    from which --restart goes on.
     """
     scene = _read(scene_file)  # a mistake in it is told before finite elements are loaded
     from fenicsx_obstacle.answers.adapt import solve
@@ -136,7 +139,10 @@ def solve(
     folder = output or Path("out") / scene.name
     _check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
-        answer = solve(scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget)
+        answer = solve(
+            scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget,
+            restart=restart, keep=folder if scene.time is not None else None,
+        )  # fmt: skip
         answer.save(folder)
         drawn = report_answer(answer, folder, picture=picture)
     if json_file is not None:

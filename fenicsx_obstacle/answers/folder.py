@@ -74,13 +74,9 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         if missing := sorted({"points", "cells", "gdim", "u", "pressure", "contact"} - set(arrays)):
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(missing)}")
         record = _record(folder)
-        moves = "time" in record
-        return (
-            record,
-            arrays,
-            _steps(folder / (NEWTON if moves else "history.csv")),
-            load_course(folder) if moves else None,
-        )
+        if "time" in record:
+            return record, arrays, _steps(folder / NEWTON), load_course(folder)
+        return record, arrays, _steps(folder / "history.csv"), None
 
     record, arrays, steps, course = on_root(comm, load)
     mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")

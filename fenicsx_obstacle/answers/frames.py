@@ -25,12 +25,12 @@ def files_of(course: Course, mesh: Mapping[str, np.ndarray]) -> dict[str, bytes]
     """
     files = {"history.csv": to_csv(course.rows).encode()}
     if course.frames:
-        arrays = {
-            f"{n:04d}/{name}": values for n, one in enumerate(course.frames) for name, values in one.fields.items()
-        }
-        times = {f"{number:04d}/t": np.array(frame.t) for number, frame in enumerate(course.frames)}
+        arrays: dict[str, np.ndarray] = {}
+        for number, frame in enumerate(course.frames):
+            fields = {"t": np.array(frame.t), **frame.fields}
+            arrays |= {f"{number:04d}/{name}": values for name, values in fields.items()}
         moments: dict[float | None, Mapping[str, np.ndarray]] = {frame.t: frame.fields for frame in course.frames}
-        files |= dict(zip(FRAMES, (to_hdf5({**arrays, **times}), xdmf(mesh, moments).encode()), strict=True))
+        files |= dict(zip(FRAMES, (to_hdf5(arrays), xdmf(mesh, moments).encode()), strict=True))
     return files
 
 

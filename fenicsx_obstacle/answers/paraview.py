@@ -40,8 +40,9 @@ def xdmf(mesh: Mapping[str, np.ndarray], moments: Mapping[float | None, Mapping[
         place = "fields.h5:/" if t is None else f"frames.h5:/{number:04d}/"
         clock = "" if t is None else f'<Time Value="{t!r}"/>\n'
         attributes = "".join(
-            f'<Attribute Name="{name}" AttributeType="Scalar" Center="Node"><DataItem Dimensions="{len(points)}" '
-            f'NumberType="Float" Precision="{values.dtype.itemsize}" Format="HDF">{place}{name}</DataItem></Attribute>\n'
+            f'<Attribute Name="{name}" AttributeType="Scalar" Center="Node">'
+            f'<DataItem Dimensions="{len(points)}" NumberType="Float" Precision="{values.dtype.itemsize}" '
+            f'Format="HDF">{place}{name}</DataItem></Attribute>\n'
             for name, values in fields.items()
             if name not in ("points", "cells", "gdim")
         )
