@@ -151,7 +151,7 @@ class Report:
         named = sorted(self.scene.needs(expression) & set(fields))  # in the same order on every rank
         values = {name: np.broadcast_to(fields[name](), shape).ravel() for name in named}
         x = (where @ self._corners[cells]).reshape(-1, 3).T
-        return self.scene.at_points(expression, x, {**self.values, **values}).reshape(shape)
+        return self.scene.at_points(expression, x, {**self.data.now, **self.values, **values}).reshape(shape)
 
     def _linear(self, function: fem.Function, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         return (where @ function.x.array[self._dofs[cells]][:, :, None])[:, :, 0]
@@ -172,7 +172,7 @@ class Report:
 
     def _number(self, formula: Formula) -> float:
         """Value of a formula of constants."""
-        return float(self.scene.at_points(formula, np.zeros((3, 1)), self.values)[0])
+        return float(self.scene.at_points(formula, np.zeros((3, 1)), {**self.data.now, **self.values})[0])
 
     def _locate(self, formula: Formula, node: ast.AST, coordinates: list[ast.expr]) -> tuple[np.ndarray, ...]:
         point = np.zeros((1, 3))

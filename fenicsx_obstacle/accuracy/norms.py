@@ -43,7 +43,13 @@ class Formulas:
         self.eps = fem.Constant(mesh, PETSc.ScalarType(0.0))
         self.alphabet = ufl_alphabet()
         values = (*axes, ufl.sqrt(ufl.inner(x, x)), releases.atan2(axes[1], axes[0]))
-        self.names: dict[str, Any] = {**CONSTANTS, "eps": self.eps, **dict(zip(COORDINATES, values, strict=True))}
+        now = {name: data.number(value) for name, value in data.now.items()}
+        self.names: dict[str, Any] = {
+            **CONSTANTS,
+            **now,
+            "eps": self.eps,
+            **dict(zip(COORDINATES, values, strict=True)),
+        }
 
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
         """The formula itself; of materials each within its own cells (then collective)."""
@@ -182,7 +188,9 @@ class Exact:
 
     def nodal(self, eps: float | None) -> np.ndarray:
         """Exact values at local dofs."""
-        return self.problem.scene.at_points(self.formula, self.problem.level.points, {"eps": eps or 0.0})
+        return self.problem.scene.at_points(
+            self.formula, self.problem.level.points, {**self.problem.data.now, "eps": eps or 0.0}
+        )
 
     @cached_property
     def dual(self) -> DualNorm:

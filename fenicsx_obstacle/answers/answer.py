@@ -115,9 +115,12 @@ class Answer:
             figures.append("u is given at every node: take more cells")
         linear = "GMRES step" if "peclet" in r else "CG step"
         steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
+        if "time" in r:
+            steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"
         lines = [
             f"{r['title'] or r['scene']}",
             f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
+            *self._steps(),
             f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
             f"{r['memory_mb']:.0f} MB",
             "  " + "; ".join(figures),
@@ -142,6 +145,16 @@ class Answer:
             values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
             lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))
         return "\n".join(lines)
+
+    def _steps(self) -> list[str]:
+        """The steps in time, in words."""
+        time = self.record.get("time")
+        if time is None:
+            return []
+        scheme = {"equilibria": "equilibria", "euler": "implicit Euler", "bdf2": "BDF2",
+                  "midpoint": "midpoint rule"}[time["scheme"]]  # fmt: skip
+        again = f", {counted(time['rejected'], 'step')} repeated" if time["rejected"] else ""
+        return [f"  {counted(time['steps'], 'step')} to {time['name']} = {time['t']:g}, {scheme}{again}; at the end:"]
 
     def _round_off(self) -> list[str]:
         """What floating point leaves of the pressure, in words, where that is little."""

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
@@ -56,7 +57,8 @@ def chain(problem: Problem) -> list[Problem]:
     problems = [problem]
     while (level := problems[0].level.coarse) is not None:
         try:
-            problems.insert(0, Problem(problem.scene, level))
+            data = Data(problem.scene, level, problem.data.moment)  # one clock for all levels
+            problems.insert(0, Problem(problem.scene, level, data))
         except InputError:  # data that only the fine levels resolve
             break
     return problems

@@ -70,10 +70,11 @@ class Samples:
             InputError: If it is not finite somewhere, or out of bounds.
         """
         for made, sample in self.moving.items():
+            fresh = sample()  # has to live as long as its values are read
             if isinstance(made, fem.Constant):
-                made.value = array_of(sample())[0]
+                made.value = fresh.value
             else:
-                made.x.array[:] = array_of(sample())
+                made.x.array[:] = fresh.x.array
 
     def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Cellwise:
         """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).

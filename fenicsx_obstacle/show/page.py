@@ -46,7 +46,9 @@ figure img, figure svg { display: block; max-width: 100%; height: auto; }
 """
 
 
-def write_answer_page(path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None) -> None:
+def write_answer_page(
+    path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None, course: Path | None = None
+) -> None:
     """Write the page of an answer (one rank).
 
     Args:
@@ -54,9 +56,11 @@ def write_answer_page(path: Path, scene: Scene, record: Mapping[str, Any], pictu
         scene: What was solved.
         record: Figures of the answer.
         picture: PNG file of the answer, or None.
+        course: PNG file of all moments, or None.
     """
     size = f"{counted(record['cells_total'], 'cell')}, {counted(record['dofs'], 'unknown')}"
     parts = [] if picture is None else [_section("The solution", _picture(picture, _title(scene)))]
+    parts += [] if course is None else [_section("All moments", _picture(course, f"{_title(scene)}, over time"))]
     _write(path, scene, f"{_how(record)}; {size}.", [*parts, *_facts_of(scene, record)], record, record["command"])
 
 

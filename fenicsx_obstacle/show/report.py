@@ -49,8 +49,23 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool) -> str:
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
-    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file)
+    moving = None
+    if answer.course is not None:
+        moving, words = on_root(comm, _draw_course, answer, arrays, folder, picture)
+        said += words
+    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving)
     return said
+
+
+def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
+    """The picture of the course and, if asked for, the animation, with what is said of them (one rank)."""
+    from fenicsx_obstacle.show import course  # only where a scene has time
+
+    said = ["", course.draw_course(answer, arrays, folder / course.HISTORY)]
+    (folder / course.ANIMATION).unlink(missing_ok=True)
+    if picture and course.is_animated(answer, arrays):
+        said.append(course.animate(answer, arrays, folder / course.ANIMATION))
+    return folder / course.HISTORY, "\n  ".join(said)
 
 
 def report_study(

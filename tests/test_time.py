@@ -1,0 +1,316 @@
+"""Scenes with [time]: orders in the length of a step, energies, moving data, states to go on from."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import COMM, DEMOS
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
+from fenicsx_obstacle.solvers.steps import difference, extrapolation
+
+INTERVAL = {"shape": "interval", "cells": 16}
+METHODS = ["penalty", "vi"]
+# u_t - u'' = -1 off contact: a free boundary that travels with speed S
+S = 2.0
+TRAVELLING = f"where(x < 0.2 + {S}*t, ({S}*(x - 0.2 - {S}*t) - 1 + exp(-{S}*(x - 0.2 - {S}*t)))/{S}^2, 0)"
+
+
+def travelling(steps, scheme, cells, method="penalty"):
+    scene = Scene(
+        mesh={"shape": "interval", "cells": cells}, rate=1, tension=1, load=-1, lower=0,
+        boundary=[{"value": TRAVELLING}], time={"end": 0.3, "steps": steps, "start": TRAVELLING, "scheme": scheme},
+        report={"l2": f"integral((u - {TRAVELLING})^2)^0.5", "free": "inf(where(contact > 0.5, x, 1))"},
+    )  # fmt: skip
+    return solve(scene, method=method)
+
+
+def orders(errors):
+    return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+
+
+@pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
+@pytest.mark.parametrize("method", METHODS)
+def test_order_of_rate(scheme, order, method):
+    """u = x sin 3t, linear in x, so that all of the error is that of the steps; load and edge move."""
+    errors = []
+    for steps in (80, 160, 320):
+        scene = Scene(
+            mesh=INTERVAL, rate=2, tension=0.1, load="6*cos(3*t)*x", lower=-9, boundary=[{"value": "x*sin(3*t)"}],
+            time={"end": 1, "steps": steps, "start": 0, "scheme": scheme}, report={"error": "sup(abs(u - x*sin(3*t)))"},
+        )  # fmt: skip
+        errors.append(solve(scene, method=method).report["error"])
+    assert np.allclose(orders(errors), order, atol=0.15)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_travelling_contact(method):
+    """The free boundary travels: with dt like h order 1 by Euler; it is where it should be up to two cells."""
+    answers = [travelling(n, "euler", n, method) for n in (40, 80, 160)]
+    assert np.all(orders([a.report["l2"] for a in answers]) > 0.9)
+    assert abs(answers[-1].report["free"] - (0.2 + S * 0.3)) <= 2 / 160
+    assert travelling(160, "bdf2", 160, method).report["l2"] < 0.2 * answers[-1].report["l2"]
+
+
+def test_chosen_steps():
+    """A smaller tolerance gives a smaller error; steps are short only where u changes quickly."""
+    errors, steps = [], []
+    for tolerance in (1e-2, 1e-3, 1e-4):
+        scene = Scene(
+            mesh=INTERVAL, rate=1, tension=1, load="where(t > 0.5, 20, 0)", boundary=[{"value": 0}], upper=5,
+            time={"end": 2, "steps": 10, "start": 0, "scheme": "bdf2", "tolerance": tolerance},
+            report={"middle": "at(u, 0.5)"},
+        )  # fmt: skip
+        answer = solve(scene)
+        t, u = answer.course.column("t"), answer.course.column("middle")
+        # lumped masses: the slowest mode decays with 4/h^2 sin^2(pi h/2), but almost all is in the first few
+        modes = range(1, 16, 2)
+        vectors = {k: 4 * 16**2 * math.sin(k * math.pi / 32) ** 2 for k in modes}
+        shape = {k: sum(math.sin(k * math.pi * i / 16) for i in range(1, 16)) / 8 for k in modes}
+        late = np.maximum(t[1:] - 0.5, 0)
+        true = sum(20 * shape[k] * math.sin(k * math.pi / 2) * (1 - np.exp(-vectors[k] * late)) / vectors[k]
+                   for k in modes)  # fmt: skip
+        errors.append(np.abs(u[1:] - true).max())
+        steps.append(len(t))
+        lengths = np.diff(t)
+        assert lengths[(t[1:] > 0.5) & (t[1:] < 0.52)].min() < 0.2 * lengths.max()
+        assert answer.record["time"]["steps"] == len(t) - 1 and t[-1] == 2
+    assert errors[1] < 0.4 * errors[0] and errors[2] < 0.4 * errors[1]
+    assert steps[-1] < 2 / np.diff(t).min() / 3
+
+
+def test_differences():
+    """Weights are exact for polynomials as high as there are moments less one."""
+    times = [1.0, 0.7, 0.6]
+    assert sum(w * t**2 for w, t in zip(difference(times), times, strict=True)) == pytest.approx(2.0)
+    assert difference([1.0, 0.9, 0.8]) == pytest.approx([15.0, -20.0, 5.0])  # BDF2
+    assert extrapolation(2.0, [1.0, 0.0]) == pytest.approx([2.0, -1.0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_order_of_inertia(method):
+    """A standing wave: with lumped masses the nodes of sin(pi x) swing with 2/h sin(pi h/2); midpoint rule, order 2."""
+    frequency = 2 * 16 * math.sin(math.pi / 32)
+    errors = []
+    for steps in (40, 80, 160):
+        scene = Scene(
+            mesh=INTERVAL, inertia=1, tension=1, lower=-3, time={"end": 1.3, "steps": steps, "start": "sin(pi*x)"},
+            report={"middle": "at(u, 0.5)"},
+        )  # fmt: skip
+        answer = solve(scene, method=method)
+        errors.append(abs(answer.report["middle"] - math.cos(frequency * 1.3)))
+        energy = answer.course.column("energy")
+        assert np.allclose(energy, energy[0], rtol=1e-8)  # kept, whatever the step
+    assert np.allclose(orders(errors), 2, atol=0.1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_wall_takes_energy(method):
+    """A string that hits a wall, first at cos(pi t) = -1/2: its energy never grows, and falls where it hits."""
+    scene = Scene.read(DEMOS / "bounce.toml").change({"mesh.cells": 50, "time.steps": 150, "time.end": 1.5})
+    course = solve(scene, method=method).course
+    energy, area = course.column("energy"), course.column("contact_area")
+    assert np.all(np.diff(energy) <= 1e-8 * energy[0]) and energy[-1] < 0.95 * energy[0]
+    first = course.column("t")[np.argmax(np.nan_to_num(area) > 0)]
+    assert first == pytest.approx(2 / 3, abs=0.02)
+    before = course.column("t") < 0.66
+    assert np.allclose(energy[before], energy[0], rtol=1e-8)
+
+
+def test_friction_takes_energy():
+    """rate beside inertia is friction: u = exp(-ct/2) cos(w t) sin(pi x), w^2 = frequency^2 - c^2/4."""
+    c, frequency = 1.0, 2 * 16 * math.sin(math.pi / 32)
+    w = math.sqrt(frequency**2 - c**2 / 4)
+    scene = Scene(
+        mesh=INTERVAL, inertia=1, rate=c, tension=1, upper=3, report={"middle": "at(u, 0.5)"},
+        time={"end": 1, "steps": 400, "start": "sin(pi*x)", "velocity": "-0.5*sin(pi*x)"},
+    )  # fmt: skip
+    answer = solve(scene)
+    assert answer.report["middle"] == pytest.approx(math.exp(-c / 2) * math.cos(w), abs=2e-4)
+    assert np.all(np.diff(answer.course.column("energy")) < 0)
+
+
+def test_euler_falls_in_energy():
+    """With data that rest, each step of implicit Euler lowers the energy, the penalty's included."""
+    scene = Scene(
+        mesh={"shape": "rectangle", "cells": 16}, rate=1, tension=1, load=-10, lower=-0.3,
+        time={"end": 0.3, "steps": 12, "start": "x*(1 - x)*y*(1 - y)"},
+    )  # fmt: skip
+    answer = solve(scene)
+    energy = answer.course.column("energy")
+    assert np.all(np.diff(energy) < 0) and answer.record["contact"]["area"] > 0.1
+    rest = solve(Scene(mesh={"shape": "rectangle", "cells": 16}, tension=1, load=-10, lower=-0.3))
+    assert energy[-1] >= rest.record["energy"] - 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_equilibria(method):
+    """Without rate every moment is the static problem of its data: an indenter pressed in and drawn back."""
+    data = {"mesh": {"shape": "rectangle", "cells": 16, "refine": 1}, "tension": 1, "load": "-t"}
+    depth = "0.4*(1 - abs(t - 1)) - 4*((x - 0.5)^2 + (y - 0.5)^2)"
+    moving = solve(Scene(**data, lower=depth, time={"end": 2, "steps": 8}), method=method)
+    course = moving.course
+    assert [row["t"] for row in course.rows] == pytest.approx(np.linspace(0, 2, 9))
+    for number in (3, 4, 5):
+        t = course.rows[number]["t"]
+        still = Scene(**{**data, "load": -t}, lower=depth.replace("(t - 1)", f"({t!r} - 1)"))
+        record = solve(still, method=method).record
+        assert course.rows[number]["energy"] == pytest.approx(record["energy"], rel=1e-9)
+        assert course.rows[number]["force_lower"] == pytest.approx(record["contact"]["lower"]["force"], rel=1e-8)
+        assert course.rows[number]["contact_area"] == pytest.approx(record["contact"]["area"], rel=1e-12)
+    assert course.rows[4]["force_lower"] > course.rows[3]["force_lower"] > 0
+
+
+def test_moving_stiffness():
+    """A tension that grows with t: matrices of all levels follow."""
+    data = {"mesh": {"shape": "rectangle", "cells": 8, "refine": 2}, "load": -8, "lower": -0.2}
+    moving = solve(Scene(**data, tension="1 + 3*t*x", time={"end": 1, "steps": 2}), eps=1e-6).course.rows[-1]
+    still = solve(Scene(**data, tension="1 + 3*x"), eps=1e-6).record
+    assert moving["energy"] == pytest.approx(still["energy"], rel=1e-9)
+    assert moving["krylov"] <= still["krylov_iterations"] + 1
+
+
+def test_levels_serve_steps():
+    """In two dimensions steps are preconditioned by multigrid on all levels: few iterations however fine."""
+    counts = []
+    for refine in (1, 3):
+        scene = Scene(
+            mesh={"shape": "rectangle", "cells": 8, "refine": refine}, rate=1, tension=1, load=-10, lower=-0.3,
+            time={"end": 0.2, "steps": 4, "start": 0},
+        )  # fmt: skip
+        counts.append(solve(scene).record["krylov_total"])
+    assert counts[1] <= 1.5 * counts[0] + 4
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_put(method):
+    """American put, one year, r = .05, sigma = .2: 6.0904 (binomial trees); BDF2 with 200 steps within 0.05 %."""
+    answer = solve(Scene.read(DEMOS / "put.toml"), method=method)
+    assert answer.report["price"] == pytest.approx(6.0904, rel=5e-4)
+    exercise = answer.course.column("exercise")
+    assert np.all(np.diff(exercise[1:]) <= 0)  # the longer to go, the later it pays to exercise
+
+
+@pytest.mark.parametrize("kind", ["rate", "inertia", "equilibria"])
+def test_restart(kind, folder):
+    """Half the way, then on from its state on one rank each: the same table as in one go."""
+    data = {"mesh": {"shape": "rectangle", "cells": 8}, "tension": 1, "load": "-20*t", "lower": -0.1}
+    time = {"end": 1, "steps": 10, "frames": 5}
+    if kind != "equilibria":
+        data[kind], time["start"] = 1, "0.3*sin(pi*x)*sin(pi*y)"
+    if kind == "rate":
+        time["scheme"] = "bdf2"
+    whole = solve(Scene(**data, time=time)).course
+    half = {**time, "end": 0.5, "steps": 5, "frames": 3}
+    solve(Scene(**data, time=half), keep=folder)
+    rest = solve(Scene(**data, time=time), comm=MPI.COMM_SELF, restart=folder).course
+    assert len(rest.rows) == len(whole.rows) == 11
+    for name in ("t", "energy", "contact_area", "force_lower", "penetration"):
+        ours, theirs = rest.column(name), whole.column(name)
+        assert np.allclose(ours, theirs, rtol=1e-7, atol=1e-9 * np.nanmax(np.abs(theirs)), equal_nan=True), name
+
+
+def test_what_is_left_of_a_failure(folder):
+    """A step that does not converge is named; the state before it is there to go on from."""
+    scene = Scene(
+        mesh=INTERVAL, rate=1, tension=1, load="where(t > 0.5, -50, 0)", lower=-0.1,
+        time={"end": 1, "steps": 10, "start": 0},
+    )  # fmt: skip
+    options = PETSc.Options()
+    options["penalty_snes_max_it"] = 0
+    try:
+        with pytest.raises(NotConverged, match=r"at t = 0\.6"):
+            solve(scene, keep=folder)
+    finally:
+        options.delValue("penalty_snes_max_it")
+    answer = solve(scene, restart=folder)
+    assert answer.record["time"]["steps"] == 10
+    assert answer.course.column("t") == pytest.approx(np.linspace(0, 1, 11))
+
+
+def test_saved(folder):
+    """history.csv has a line per step, frames the fields; both are read back, on any number of ranks."""
+    scene = Scene.read(DEMOS / "put.toml").change({"mesh.cells": 40, "time.steps": 10, "time.frames": 4})
+    answer = solve(scene)
+    answer.save(folder)
+    again = Answer.read(folder)
+    assert list(again.course.rows[-1]) == list(answer.course.rows[-1])
+    for name in answer.course.rows[-1]:
+        assert np.array_equal(again.course.column(name), answer.course.column(name), equal_nan=True)
+    times = COMM.bcast([frame.t for frame in again.course.frames])
+    assert times == pytest.approx([0, 0.3, 0.5, 0.8, 1.0])
+    if COMM.rank == 0:
+        last = again.course.frames[-1].fields
+        assert set(last) >= {"u", "pressure", "contact", "lower"} and len(last["u"]) == 41
+        assert 'CollectionType="Temporal"' in (folder / "frames.xdmf").read_text()
+    solve(Scene(mesh=INTERVAL, tension=1, lower=0)).save(folder)  # a scene at rest leaves nothing of it
+    assert Answer.read(folder).course is None
+    assert not (folder / "frames.h5").exists()
+
+
+REFUSED = {
+    "needs a table [time]": {"rate": 1},
+    "the key 'start' is missing": {"rate": 1, "time": {"end": 1, "steps": 1}},
+    "is an equilibrium of its own": {"time": {"end": 1, "steps": 1, "start": 0}},
+    "it goes with inertia": {"rate": 1, "time": {"end": 1, "steps": 1, "start": 0, "velocity": 1}},
+    "euler and bdf2 are for rate": {"inertia": 1, "time": {"end": 1, "steps": 1, "start": 0, "scheme": "bdf2"}},
+    "it goes with rate, without inertia": {"inertia": 1, "time": {"end": 1, "steps": 1, "start": 0, "tolerance": 1.0}},
+    "must be positive": {"time": {"end": "1 - 2", "steps": 1}},
+    "unknown name 't'": {"load": "t"},
+    "parts of the boundary stay": {
+        "boundary": [{"value": 0, "where": "x < t"}], "time": {"end": 1, "steps": 1},
+    },
+    "inertia does not go with soft_obstacle": {
+        "inertia": 1, "soft_obstacle": {"upper": 0, "stiffness": 1}, "time": {"end": 1, "steps": 1, "start": 0},
+    },
+    "is beyond an obstacle": {"rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"}},
+    "must be positive; it is": {"inertia": 0, "time": {"end": 1, "steps": 1, "start": 0}},
+    "lies below the lower obstacle": {"lower": "t - 0.5", "time": {"end": 1, "steps": 4}},
+    "is not a finite number": {"load": "1/(t - 0.5)", "time": {"end": 1, "steps": 4}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_refused(words):
+    """What contradicts itself is told, on all ranks, also where only a later moment shows it."""
+    with pytest.raises(InputError, match=words.replace("[", r"\[")):
+        solve(Scene(**{"mesh": INTERVAL, "tension": 1, **REFUSED[words]}))
+
+
+def test_no_bound_and_no_restart():
+    """The bound is for one equilibrium; a scene at rest has nothing to go on from; states are of one mesh."""
+    scene = Scene(mesh=INTERVAL, tension=1, lower=-1, time={"end": 1, "steps": 2})
+    with pytest.raises(InputError, match="one equilibrium"):
+        solve(scene, tol=0.1)
+    with pytest.raises(InputError, match="nothing to go on from"):
+        solve(Scene(mesh=INTERVAL, tension=1, lower=-1), restart="nowhere")
+    with pytest.raises(InputError, match="no state to go on from"):
+        solve(scene, restart="nowhere")
+
+
+def test_states_are_of_one_mesh(folder):
+    """Another mesh, or an end that is reached already, is refused."""
+    scene = Scene(mesh=INTERVAL, tension=1, lower=-1, time={"end": 1, "steps": 2})
+    solve(scene, keep=folder)
+    with pytest.raises(InputError, match="set a later"):
+        solve(scene, restart=folder)
+    with pytest.raises(InputError, match="of another mesh"):
+        solve(scene.change({"mesh.cells": 17, "time.end": 2}), restart=folder)
+    assert solve(scene.change({"time.end": 2, "time.steps": 4}), restart=folder).record["time"]["steps"] == 4
+
+
+@pytest.mark.serial
+def test_at_rest_nothing_of_time_is_imported():
+    """A scene without [time] imports no module of steps, marches or courses."""
+    code = (
+        "import sys; from fenicsx_obstacle import Scene, solve;"
+        "solve(Scene(mesh={'shape': 'interval', 'cells': 8}, tension=1, load=-1, lower=-0.1));"
+        "print([name for name in sys.modules if name.startswith('fenicsx_obstacle') and name.rsplit('.', 1)[-1] in"
+        " ('motion', 'steps', 'march', 'checkpoint')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
