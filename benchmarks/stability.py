@@ -1,6 +1,7 @@
-"""Renew the tables and pictures of docs/stability.md from a run of the whole suite.
+"""Renew the tables and pictures of docs/stability.md from a run of the whole suite, or the tables of some families.
 
 ./obstacle hard && .venv/bin/python benchmarks/stability.py [out/hard]
+./obstacle hard drift --output out/drift && .venv/bin/python benchmarks/stability.py out/drift
 """
 
 import shutil
@@ -9,17 +10,26 @@ from pathlib import Path
 
 DOCS = Path(__file__).parent.parent / "docs"
 LAST = "## Measured\n"
+HEADING = "\n### "
+WHOLE = 60  # scenes at least: pictures are of the whole suite
+
+
+def families(text: str) -> dict[str, str]:
+    """The table of each family by its heading."""
+    parts = (HEADING + part for part in ("\n" + text).split(HEADING)[1:])
+    return {part.strip().partition("\n")[0]: part.strip("\n") for part in parts}
 
 
 def renew(folder: Path) -> None:
-    """Put tables.md in place of the tables, and the pictures beside."""
+    """Put the tables of tables.md in place of those of the same families, and the pictures beside."""
     page = DOCS / "stability.md"
-    text = page.read_text()
-    after = text.index(LAST)
-    start = text.find("\n### ", after)
-    kept = text if start < 0 else text[: start + 1]
-    page.write_text(kept.rstrip("\n") + "\n\n" + (folder / "tables.md").read_text())
-    for name in ("digits.png", "steps.png"):
+    text, new = page.read_text(), families((folder / "tables.md").read_text())
+    start = text.find(HEADING, text.index(LAST))
+    head, old = (text, {}) if start < 0 else (text[:start], families(text[start:]))
+    whole = sum(table.count("\n") - 3 for table in new.values()) >= WHOLE
+    tables = new if whole else {**old, **new}
+    page.write_text("\n\n".join([head.rstrip("\n"), *tables.values()]) + "\n")
+    for name in ("digits.png", "steps.png") if whole else ():
         shutil.copy(folder / name, DOCS / name)
 
 

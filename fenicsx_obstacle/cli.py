@@ -286,7 +286,7 @@ def hard(
 ) -> int:
     """Hard scenes: every answer checked against the theory, and a verdict: right, refused or FAILED.
 
-    NAME is one scene of the suite; all of them without it. Exit status 3 if anything has failed.
+    NAME is one scene of the suite, or a family; all of them without it. Exit status 3 if anything has failed.
     """
     from fenicsx_obstacle.show.broken import show_broken
     from fenicsx_obstacle.show.chance import show_random

@@ -1,7 +1,14 @@
 """What the theory promises of every answer, checked on the answer: findings by name, each with number and limit.
 
 Limits are what the theorem says plus what is known of the accuracy of the answers themselves (`solved`); none is
-chosen. Where a theorem needs an M-matrix and there is none, the figure is given and nothing is claimed.
+chosen. Where a theorem needs what an operator has not, the figure is given and nothing is claimed:
+
+- balance, signs, complementarity and the law of the penalty are the discrete problem itself: any operator;
+- uniqueness and the distance of the penalty from the inequality need (F(u) - F(v)) . (u - v) > 0, F(u) = a(u, .): all
+  tensions, and drift where the symmetric part of its matrix is positive definite (`Ground.held`);
+- energies exist for all effects but drift, and are compared where they are convex;
+- what is said node by node needs the maximum principle (`Ground.monotone`): matrices with the signs of an M-matrix,
+  with drift too, and soft obstacles beside them, never a tension that depends on the slope.
 """
 
 from __future__ import annotations
@@ -79,6 +86,9 @@ def _equilibrium(s: Solved) -> Finding:
     u.x.scatter_forward()
     net = 0.0  # a(u, 1) - f(1)
     for effect in problem.scene.effects:
+        forces = effect.vector(data)
+        if forces is not None:  # of no form
+            net -= total(g.comm, forces)
         density = effect.density(data) if problem.level.pair.voronoi else None
         form = effect.terms(u, one, data)
         if density is not None:  # lumped with the weights of its pair
@@ -87,7 +97,7 @@ def _equilibrium(s: Solved) -> Finding:
             net += total(g.comm, fem.assemble_scalar(releases.form(form)))
     contact, edge = total(g.comm, (g.D * s.p)[g.free]), total(g.comm, s.elastic[problem.fixed])
     # of the edge reactions, whose rows are no part of the solvers' balance
-    edge_floor = total(g.comm, (FEW * problem.nodal.diagonal * (np.abs(s.w) + np.abs(s.r)))[problem.fixed])
+    edge_floor = total(g.comm, (FEW * s.diagonal * (np.abs(s.w) + np.abs(s.r)))[problem.fixed])
     return Finding("loads, contact and edges balance", "(3.4), v = 1", abs(net - contact - edge),
                    balanced_to(s) + edge_floor + EPSILON * problem.level.dofs * s.forces)  # fmt: skip
 
@@ -129,20 +139,23 @@ def beside_inequality(s: Solved, vi: Solved) -> list[Finding]:
     """A penalised answer beside the inequality's, to the same problem (collective).
 
     From a(e, e) + eps I(d, d) <= -eps I(d, p_h), e = u_eps - u_h, d = p_eps - p_h, on any mesh: a(e, e) <= (eps/4)
-    ||p_h||_I^2 and ||p_eps||_I <= ||p_h||_I. Where the maximum principle holds, u_h shifted by eps max|p_h| is a
-    supersolution of (3.4), and u_eps shifted by its penetration one of the inequality.
+    ||p_h||_I^2 and ||p_eps||_I <= ||p_h||_I; for other operators with (F(u_eps) - F(u_h)) . e in place of a(e, e).
+    Where the maximum principle holds, u_h shifted by eps max|p_h| is a supersolution of (3.4), and u_eps shifted by its
+    penetration one of the inequality.
     """
     assert s.eps is not None
     g, monotone = s.ground, s.ground.monotone
     e, room = vi.minus(s), s.z + vi.z
+    apart, known = s.apart(vi)
     sizes = s.norm(s.p), vi.norm(vi.p)
     low, high = s.penetration("lower"), s.penetration("upper")
     room_p = s.norm(s.q) + vi.norm(vi.q)
     most = max(largest(g.comm, np.abs(vi.p[g.touchable])) + largest(g.comm, (s.q + vi.q)[g.touchable]), 0.0)
     return [
-        Finding("penalty and inequality: energy norm", "Thm 3.3", float(np.sqrt(g.squared(e))),
-                np.sqrt(s.eps) / 2 * sizes[1] + s.R + vi.R, g.held),
-        Finding("penalty and inequality: size of the pressure", "Thm 3.2", sizes[0], sizes[1] + room_p, g.held),
+        Finding("penalty and inequality: energy norm", "Thm 3.3", apart,
+                np.sqrt(s.eps) / 2 * sizes[1] + s.R + vi.R + known, g.held),
+        Finding("penalty and inequality: size of the pressure", "Thm 3.2", sizes[0], sizes[1] + room_p,
+                g.held or g.symmetric),
         Finding("penetration", "eps max|p_h|", max(low, high), s.eps * most, monotone),
         Finding("the inequality's u is farther from the lower obstacle", "0 <= u_h - u_eps",
                 largest(g.comm, -e - high - room), 0.0, monotone),
@@ -181,7 +194,7 @@ def energy_round_off(s: Solved) -> float:
     the state is off by z."""
     g = s.ground
     last = EPSILON * largest(g.comm, np.abs(s.w) + np.abs(s.r))
-    stiff = total(g.comm, g.problem.nodal.diagonal)
+    stiff = total(g.comm, s.diagonal)
     parts = abs(s.energy or 0.0) + s.forces * last / EPSILON
     second = s.R**2 if np.isfinite(s.R) else 0.0
     return 2 * s.forces * last + stiff * last**2 + EPSILON * np.sqrt(g.problem.level.dofs) * parts + second
@@ -192,9 +205,9 @@ def same(one: Solved, other: Solved, name: str) -> list[Finding]:
     g = one.ground
     e = one.minus(other)
     pressures = np.abs(one.p - other.p) - one.q - other.q
-    apart = float(np.sqrt(g.squared(e)))
+    apart, known = one.apart(other)
     return [
-        Finding(f"{name}: the same u in the energy norm", "unique", apart, one.R + other.R, g.held),
+        Finding(f"{name}: the same u in the energy norm", "unique", apart, one.R + other.R + known, g.held),
         Finding(f"{name}: the same u at every node", "unique", largest(g.comm, np.abs(e) - one.z - other.z), 0.0,
                 g.monotone),
         Finding(f"{name}: the same pressure", "unique", largest(g.comm, pressures[g.touchable]), 0.0, g.monotone),

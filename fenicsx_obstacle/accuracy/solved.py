@@ -7,19 +7,28 @@ with theta_i = 0 or infinite. Hence, with r taken to contain the round-off of it
     |e| <= A^-1 |r|  at every node, and   ||e||_a <= R, R^2 = |r|' A^-1 |r|,   where A is an M-matrix,
     ||e||_a <= R,  R^2 = r' A^-1 r,   everywhere,
 
-and two answers to one problem agree within the sum of these: no tolerance is chosen by hand.
+and two answers to one problem agree within the sum of these: no tolerance is chosen by hand. Other operators:
+
+- with drift A is not symmetric; e' A e = e' r then gives R with the symmetric part of A, if that is positive definite,
+  and |e| <= A^-1 |r| holds for M-matrices without symmetry too;
+- convex terms beside a linear tension (soft obstacles) only add to the derivative: A without them is enough for both;
+- where the tension itself depends on u, A is the derivative at the answer and ||e||_a^2 stands for (F(u) - F(u')) . e,
+  F(u) = a(u, .): R is known to first order in e, for which it gets `BENT`. A wrong answer is not of second order.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
+import ufl
+from dolfinx import fem
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.signs import sums_nowhere_negative
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.problem import ROUND_OFF, Problem
+from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.stopping import NOTHING, TOLERANCE
@@ -27,6 +36,7 @@ from fenicsx_obstacle.solvers.stopping import NOTHING, TOLERANCE
 EPSILON = float(np.finfo(float).eps)
 FEW = 8 * EPSILON  # of |A| |u| in a row of some seven entries
 TOUCHING = 1e-12  # of the range of u: nearer than this SNES VI takes a node to be at its bound
+BENT = 2.0  # how many times stiffer than between two answers the membrane may be at either
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +54,11 @@ class Solved:
         above: upper - u, likewise.
         energy: That of the penalised problem, or of the inequality; None where there is none.
         forces: Sum of the acting forces: load, support reactions, contact.
-        floor: Sum over free dofs of the round-off of the residual, a force.
+        noise: Round-off of the residual at each dof, a force; 0 at fixed dofs.
+        diagonal: Of the derivative of a(u, .) at this state; of the whole matrix, fixed rows included.
         range: Largest minus smallest height.
         z: How far u may be from the discrete solution, at each node.
-        R: How far in the energy norm; inf where u is held nowhere.
+        R: How far in the energy norm; inf where nothing is known.
     """
 
     ground: Ground
@@ -60,7 +71,8 @@ class Solved:
     above: np.ndarray = field(repr=False)
     energy: float | None
     forces: float
-    floor: float
+    noise: np.ndarray = field(repr=False)
+    diagonal: np.ndarray = field(repr=False)
     range: float
     z: np.ndarray = field(repr=False)
     R: float
@@ -74,7 +86,8 @@ class Solved:
     def q(self) -> np.ndarray:
         """How far the pressure may be from that of the discrete solution: D (p - p') = A e - r, row by row."""
         g = self.ground
-        return np.where(g.touchable, (2 * g.diagonal * self.z + np.abs(self.residual)) / np.maximum(g.D, 1e-300), 0.0)
+        moved = 2 * self.diagonal * self.z + np.abs(self.residual)
+        return np.where(g.touchable, moved / np.maximum(g.D, 1e-300), 0.0)
 
     def penetration(self, side: str) -> float:
         """Largest distance beyond the `lower` or `upper` obstacle, >= 0 (collective)."""
@@ -85,6 +98,15 @@ class Solved:
         """u - other.u, in contact without the round-off of heights."""
         return (self.w - other.w) + (self.r - other.r)
 
+    def apart(self, other: Solved) -> tuple[float, float]:
+        """Distance of another answer in the energy norm, and the round-off of it (collective)."""
+        g, e = self.ground, self.minus(other)
+        if not g.bent:
+            return float(np.sqrt(g.squared(e))), 0.0
+        # of Bregman: (F(u) - F(u')) . e, nowhere negative, 0 only where the slopes are the same
+        work = total(g.comm, np.where(g.free, e * (self.elastic - other.elastic), 0.0))
+        return float(np.sqrt(max(work, 0.0))), float(np.sqrt(total(g.comm, np.abs(e) * (self.noise + other.noise))))
+
     def norm(self, p: np.ndarray) -> float:
         """||p||_I of (3.6) (collective)."""
         return float(np.sqrt(total(self.ground.comm, self.ground.D * p**2)))
@@ -94,48 +116,106 @@ class Ground:
     """What all answers of a problem stand on: its matrix, factorised, and weights (all methods collective).
 
     Attributes:
-        problem: With affine effects and contact at nodes.
+        problem: With contact at nodes.
         D: The weights of I at owned dofs.
-        diagonal: Of the stiffness.
         free: Dofs where u is not given.
         touchable: Those that can touch an obstacle.
-        held: Whether u is given anywhere: otherwise nothing is known of how far answers are from the solution.
-        monotone: Whether the maximum principle holds: the stiffness between free dofs is an M-matrix, and its rows
-            nowhere sum to less than 0.
+        bent: Whether the tension depends on u, and the matrix with it.
+        symmetric: Whether it is symmetric.
+        held: Whether its symmetric part is positive definite: otherwise nothing is known of how far answers are from
+            the solution.
+        monotone: Whether the maximum principle holds: the stiffness between free dofs is an M-matrix, its rows nowhere
+            sum to less than 0, and whatever else depends on u does so node by node, nowhere falling.
     """
 
     def __init__(self, problem: Problem):
-        """Factorise.
+        """Assemble.
 
         Raises:
-            InputError: If contact is not at nodes, or an effect is not affine.
+            InputError: If contact is not at nodes.
         """
-        if not problem.level.pair.nodal or not problem.affine:
-            raise InputError(f"{problem.scene.source}: invariants are known for affine effects and contact at nodes")
+        if not problem.level.pair.nodal:
+            raise InputError(f"{problem.scene.source}: invariants are known for contact at nodes")
         self.problem, self.comm = problem, problem.level.comm
         self.D, self.free, self.touchable = problem.weights, ~problem.fixed, problem.touchable
-        state = problem.state()
-        self.A = problem.jacobian(state, penalised=False).copy()
-        state.destroy()
-        self.diagonal = np.where(self.free, problem.nodal.diagonal, 0.0)
-        self.held = total(self.comm, np.count_nonzero(problem.fixed)) > 0
-        signs = problem.m_matrix and sums_nowhere_negative(self.A, problem.nodal.diagonal, self.comm)
-        self.monotone = self.held and signs
+        effects = problem.scene.effects
+        self.bent = any(effect.elastic and not effect.affine for effect in effects)
+        self.symmetric = problem.symmetric
+        lasting = [effect for effect in effects if effect.affine or effect.elastic]
+        form = residual(lasting, problem.w + problem.reference, problem.forms.v, problem.data)
+        self._form = releases.form(ufl.derivative(form, problem.w))
+        self.A, self._S = PETSc.Mat(), PETSc.Mat()
+        self._solvers: dict[str, PETSc.KSP] = {}
+        self.held = False
+        self._settle()
+        self.held = self._definite()
+        signs = is_m_matrix(self.A, self.diagonal, self.comm) and sums_nowhere_negative(
+            self.A, self.diagonal, self.comm
+        )
+        beside = all(effect.affine or effect.pointwise for effect in effects)
+        self.monotone = self.held and signs and beside and (self.symmetric or self._inverse_positive())
 
-    @cached_property
-    def _factor(self) -> PETSc.KSP:
-        ksp = PETSc.KSP().create(self.comm)
-        ksp.setOperators(self.A)
-        ksp.setType("preonly")
-        ksp.getPC().setType("cholesky")
-        ksp.getPC().setFactorSolverType("mumps")
-        return ksp
+    def _settle(self) -> None:
+        """Take the matrix of the present state."""
+        self._free_matrices()
+        problem = self.problem
+        self.A = releases.create_matrix(self._form)
+        fem.petsc.assemble_matrix(self.A, self._form)
+        self.A.assemble()
+        diagonal = self.A.getDiagonal()
+        self.diagonal = diagonal.array.copy()
+        diagonal.destroy()
+        own = problem.level.V.dofmap.index_map.local_range[0]
+        self.A.zeroRowsColumns((own + problem.forms.fixed).astype(PETSc.IntType), 1.0)
+        self._S = self.A
+        if not self.symmetric:
+            self._S = self.A.transpose(PETSc.Mat())
+            self._S.axpy(1.0, self.A, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            self._S.scale(0.5)
 
-    def lift(self, forces: np.ndarray) -> np.ndarray:
-        """A^-1 forces: where forces at free dofs move the membrane without obstacles."""
+    def _definite(self) -> bool:
+        """Whether the symmetric part of the matrix is positive definite."""
+        given = total(self.comm, np.count_nonzero(self.problem.fixed)) > 0
+        if self.symmetric and (given or not any(effect.holds for effect in self.problem.scene.effects)):
+            return given
+        one, sums = self._S.createVecs()
+        one.set(1.0)
+        self._S.mult(one, sums)
+        # a constant that meets no more than round-off is one that nothing holds
+        resisted = given or sums.sum() > ROUND_OFF * total(self.comm, self.diagonal)
+        for vector in (one, sums):
+            vector.destroy()
+        if not resisted:
+            return False
+        solver = self._solver("symmetric")
+        solver.setUp()
+        negative, zero, _ = solver.getPC().getFactorMatrix().getInertia()
+        return negative == zero == 0
+
+    def _inverse_positive(self) -> bool:
+        """Whether A x = 1 has x > 0: with no positive entry off its diagonal A is an M-matrix then."""
+        return smallest(self.comm, self.lift(np.ones(len(self.free)))[self.free]) > 0
+
+    def _solver(self, part: str) -> PETSc.KSP:
+        """Factors of the `whole` matrix, or of its `symmetric` part; made on first use."""
+        part = "symmetric" if self.symmetric else part
+        if part not in self._solvers:
+            ksp = PETSc.KSP().create(self.comm)
+            ksp.setOperators(self._S if part == "symmetric" else self.A)
+            ksp.setType("preonly")
+            ksp.getPC().setType("cholesky" if part == "symmetric" else "lu")
+            ksp.getPC().setFactorSolverType("mumps")
+            ksp.getPC().setFactorSetUpSolverType()
+            for number in (13, 24):  # count negative and zero pivots on all ranks
+                ksp.getPC().getFactorMatrix().setMumpsIcntl(number, 1)
+            self._solvers[part] = ksp
+        return self._solvers[part]
+
+    def lift(self, forces: np.ndarray, part: str = "whole") -> np.ndarray:
+        """A^-1 forces: where forces at free dofs move the membrane without obstacles; or by its symmetric part."""
         x, b = self.A.createVecs()
         b.array[:] = np.where(self.free, forces, 0.0)
-        self._factor.solve(b, x)
+        self._solver(part).solve(b, x)
         result = x.array.copy()
         for vector in (x, b):
             vector.destroy()
@@ -154,6 +234,8 @@ class Ground:
     def take(self, p: np.ndarray, eps: float | None) -> Solved:
         """The present state of the problem, with this pressure at owned points; its last residual was of this state."""
         problem, own = self.problem, self.problem.level.owned
+        if self.bent:
+            self._settle()
         w, r = (f.x.array[:own].copy() for f in (problem.w, problem.reference))
         elastic = problem.elastic.array_r.copy()
         pressing = np.abs(self.D * p)
@@ -167,29 +249,39 @@ class Ground:
         state = problem.state()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
-        last = FEW * (np.abs(w) + np.abs(r)) * self.free
         left = np.where(self.free, np.abs(elastic - self.D * p), 0.0) + noise
-        z = np.abs(self.lift(left)) if self.held else np.full(own, np.inf)
         heights = w + r
         span = largest(self.comm, heights) + largest(self.comm, -heights)
+        last = FEW * (np.abs(w) + np.abs(r)) * self.free  # heights themselves are rounded
         # what SNES VI takes to be at its bound may be this far off
-        slip = 0.0 if eps is not None else TOUCHING * span
-        # heights themselves are rounded
-        z = z + slip + last
-        R = float(np.sqrt(total(self.comm, left * z)) + np.sqrt(total(self.comm, self.diagonal * last**2)))
-        if self.held and not self.monotone:  # r' A^-1 r may exceed |r|' A^-1 |r| then
-            signed = np.where(self.free, elastic - self.D * p, 0.0)
-            R += float(np.sqrt(max(total(self.comm, signed * self.lift(signed)), 0.0)))
-        return Solved(self, eps, w, r, np.array(p), elastic, below, above, energy, forces,
-                      total(self.comm, noise), span, z, R)  # fmt: skip
+        slip = last if eps is not None else last + TOUCHING * span
+        z, R = np.full(own, np.inf), np.inf
+        if self.held:
+            z = np.abs(self.lift(left)) + slip
+            R = self._reach(left, np.where(self.free, elastic - self.D * p, 0.0), slip, last)
+        return Solved(self, eps, w, r, np.array(p), elastic, below, above, energy, forces, noise, self.diagonal, span,
+                      z, R)  # fmt: skip
+
+    def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
+        """R of a residual, of which `left` is the size with its round-off."""
+        off = np.abs(self.lift(left, "symmetric")) + slip
+        R = np.sqrt(total(self.comm, left * off)) + np.sqrt(total(self.comm, self.diagonal * last**2))
+        if not self.monotone or not self.symmetric:  # r' S^-1 r may exceed |r|' S^-1 |r| then
+            R += np.sqrt(max(total(self.comm, signed * self.lift(signed, "symmetric")), 0.0))
+        return float(R) * (BENT if self.bent else 1.0)
 
     def close(self) -> None:
-        """Free the factors."""
-        if "_factor" in self.__dict__:
-            self._factor.destroy()
-        self.A.destroy()
+        """Free the matrix and its factors."""
+        self._free_matrices()
+
+    def _free_matrices(self) -> None:
+        for solver in self._solvers.values():
+            solver.destroy()
+        self._solvers.clear()
+        for matrix in (self.A, self._S):
+            matrix.destroy()
 
 
 def balanced_to(solved: Solved) -> float:
-    """The sum of unbalanced forces that solvers may leave: their tolerance, or round-off."""
-    return TOLERANCE * solved.forces + solved.floor
+    """The sum of unbalanced forces that solvers may leave: their tolerance, or round-off (collective)."""
+    return TOLERANCE * solved.forces + total(solved.ground.comm, solved.noise)

@@ -23,6 +23,11 @@ METHODS = {
     "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set stays as it was",
     "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }
+# what is not linear in u begins with the line search
+BENT = (
+    "full steps; a line search on the energy should sets repeat",
+    "a line search on the energy, full steps where round-off hides descent; obstacles that harden should both fail",
+)
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
 LINEAR_SOLVER = "conjugate gradients with algebraic multigrid (hypre BoomerAMG)"
 GENERAL_SOLVER = "GMRES with algebraic multigrid (hypre BoomerAMG), because the equation is not symmetric"

@@ -142,10 +142,18 @@ class Forms:
         """a(u, u)/2 - f(u), and the energy of the penalty; what belongs to a step in time only if `moving`."""
         comm = self.data.level.comm
         all_of_it = moving or self.data.moment is None
-        value = total(comm, fem.assemble_scalar(self._form("energy" if all_of_it else "energy at rest")))
+        parts = (fem.assemble_scalar(form) for order, form in self._energies if all_of_it or order == 0)
+        value = total(comm, sum(parts))
         for forces in self._given(moving=moving):
             value -= total(comm, forces * (self.w.x.array + self.reference.x.array)[: len(forces)])
         return value + (total(comm, fem.assemble_scalar(self._form("contact energy"))) if penalised else 0.0)
+
+    @cached_property
+    def _energies(self) -> list[tuple[int, Any]]:
+        """Energies of the effects with their orders in time, each by itself: in one form FFCx 0.5 takes u at the only
+        point of one rule for u at all points of another."""
+        parts = ((effect.order, effect.energy(self.w + self.reference, self.data)) for effect in self.effects)
+        return [(order, releases.form(part)) for order, part in parts if part is not None]
 
     def _form(self, name: str) -> Any:
         """Compiled on first use (collective): the fast path needs none of these."""
@@ -154,11 +162,8 @@ class Forms:
             if self.multiplier is not None:
                 gaps = {side: None if gap is None else gap + self.eps * self.multiplier for side, gap in gaps.items()}
             gaps["eps"] = self.eps if self.thickness == 1.0 else self.eps / self.thickness
-            still = [effect for effect in self.effects if effect.order == 0]
-            if name.startswith("energy"):
-                u, effects = self.w + self.reference, still if name == "energy at rest" else self.effects
-                form = sum(part for effect in effects if (part := effect.energy(u, self.data)) is not None)
-            elif name == "at rest":
+            if name == "at rest":
+                still = [effect for effect in self.effects if effect.order == 0]
                 form = residual(still, self.w + self.reference, self.v, self.data)
             elif name == "elastic":
                 form = self._a_minus_f

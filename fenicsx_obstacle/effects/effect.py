@@ -136,6 +136,7 @@ class Effect:
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy
+    pointwise: ClassVar[bool] = False  # each node answers its own height alone, and the more the higher it is
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:

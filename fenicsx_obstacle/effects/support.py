@@ -58,6 +58,7 @@ class SoftObstacle(Effect):
     term = "+ int stiffness ((u - upper)^+ - (lower - u)^+) v, nodal rule"
     unit = "force/volume"
     affine = False
+    pointwise = True
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> SoftObstacle:

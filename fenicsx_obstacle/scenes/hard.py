@@ -76,5 +76,14 @@ def case(name: str) -> Case:
     """
     known = {one.name: one for one in cases()}
     if name not in known:
-        raise InputError(f"hard {name}: no such scene" + nearest(name, known))
+        raise InputError(f"hard {name}: no such scene" + nearest(name, [*known, *(one.family for one in cases())]))
     return known[name]
+
+
+def named(name: str) -> tuple[Case, ...]:
+    """The case of this name, or all of the family of this name.
+
+    Raises:
+        InputError: If there is neither, naming the nearest.
+    """
+    return tuple(one for one in cases() if one.family == name) or (case(name),)

@@ -6,6 +6,7 @@ from textwrap import fill
 
 from fenicsx_obstacle.answers.choose import (
     AUGMENTED,
+    BENT,
     DIRECT_SOLVER,
     GENERAL_SOLVER,
     LINEAR_SOLVER,
@@ -66,15 +67,22 @@ def _equation(scene: Scene) -> list[str]:
     return [f"{' + '.join(left)} = {' + '.join(right + contact) or '0'}"]
 
 
+def integrals(scene: Scene) -> int:
+    """How many integrals are assembled: those of the effects, and the penalty."""
+    return sum(effect.integrals for effect in scene.effects) + _penalised(scene)
+
+
+def _penalised(scene: Scene) -> bool:
+    return bool(_sides(scene)) and scene.tables.solve.method != "vi"
+
+
 def _integrals(scene: Scene) -> list[str]:
     """Each effect with its term, and how many integrals that makes."""
-    penalised = bool(_sides(scene)) and scene.tables.solve.method != "vi"
-    number = sum(effect.integrals for effect in scene.effects) + penalised
-    contact = ", the penalty included" if penalised else ""
+    contact = ", the penalty included" if _penalised(scene) else ""
     without = [effect.key for effect in scene.effects if not effect.integrals]
     no_form = f"; {', '.join(without)} without one" if without else ""
     terms = [f"{effect.key}: {effect.term.removeprefix('+ ')}" for effect in scene.effects if effect.term]
-    return [*terms, f"{counted(number, 'integral')}{contact}{no_form}; nothing else is assembled"]
+    return [*terms, f"{counted(integrals(scene), 'integral')}{contact}{no_form}; nothing else is assembled"]
 
 
 def _sides(scene: Scene) -> list[str]:
@@ -169,7 +177,8 @@ def _discrete(scene: Scene) -> list[str]:
 
 def _eps_rule(scene: Scene) -> str:
     formula = scene.formula(scene.eps, "[solve] eps")
-    return ", divided by the largest tension" if "h" in formula.names else ""
+    elastic = next(effect.key for effect in scene.effects if effect.elastic)
+    return f", divided by the largest {elastic.replace('_', ' ')}" if "h" in formula.names else ""
 
 
 def _mesh(scene: Scene) -> str:
@@ -205,7 +214,8 @@ def _solver(scene: Scene) -> list[str]:
     prefix = "vi" if method == "vi" and pair.nodal else "penalty"
     return [
         _why(scene),
-        AUGMENTED if method == "vi" and not pair.nodal else METHODS[method].replace(*_search(scene)),
+        AUGMENTED if method == "vi" and not pair.nodal else _method(scene),
+        _steps(scene),
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
         f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
         if nested(scene)
@@ -227,10 +237,23 @@ def _levels(scene: Scene) -> str:
     return "each level starts from the next coarser one" if stepwise(scene) else "on the finest level alone"
 
 
-def _search(scene: Scene) -> tuple[str, str]:
-    """What the line search goes by, in place of the energy where there is none."""
-    convex = all(effect.convex for effect in scene.effects)
-    return "on the energy", "on the energy" if convex else "on the norm of the residual, for there is no energy,"
+def _method(scene: Scene) -> str:
+    """The method, with what the effects change of it."""
+    words = METHODS[scene.tables.solve.method]
+    if not all(effect.convex for effect in scene.effects):
+        return words.replace("on the energy", "on the norm of the residual, for there is no energy,")
+    if all(effect.affine for effect in scene.effects):
+        return words
+    if scene.tables.solve.method == "vi":
+        return f"{words}; from the solution of the penalty should it fail"
+    return words.replace(*BENT)
+
+
+def _steps(scene: Scene) -> str:
+    """One linear solve, or steps."""
+    if not all(effect.affine for effect in scene.effects):
+        return "a linear solve in each Newton step, with forms assembled anew"
+    return "one linear solve where nothing touches; else one more each time that contact changes"
 
 
 def _linear_solver(scene: Scene) -> str:

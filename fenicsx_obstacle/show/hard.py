@@ -11,7 +11,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.parallel import on_root, write_lines, write_text
-from fenicsx_obstacle.scenes.hard import case, cases
+from fenicsx_obstacle.scenes.hard import cases, named
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.theory import drawing
 from fenicsx_obstacle.studies.hard.figures import RESOLVED, Figures, digits_panels, figures_of, panels
@@ -31,10 +31,10 @@ MARKDOWN = ("scene", "what is hard", "unknowns", "maximum principle", "steps: VI
 
 
 def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> list[Row]:
-    """Run the suite, or one of its scenes, on one rank; its children have ranks of their own.
+    """Run the suite, or a part of it, on one rank; its children have ranks of their own.
 
     Args:
-        name: Of the scene; None for all.
+        name: Of a scene or a family; None for all.
         folder: Where JSON lines, tables and pictures go.
         say: Takes text.
 
@@ -42,12 +42,12 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
         The rows.
 
     Raises:
-        InputError: If there is no such scene, or on several ranks.
+        InputError: If there is neither, or on several ranks.
     """
     one_rank()
     start, comm = time.perf_counter(), MPI.COMM_WORLD
     found: list[tuple[Figures, list[Row]]] = []
-    wanted = cases() if name is None else (case(name),)
+    wanted = cases() if name is None else named(name)
     widths = [max(len(getattr(one, key)) for one in wanted) for key in ("name", "family")]
     say(_line(HEADS, widths))
     for one, rows in run(wanted):

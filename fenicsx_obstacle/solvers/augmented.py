@@ -12,7 +12,7 @@ import numpy as np
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.solvers.newton import joined, penalty_pressure, solve_penalty
+from fenicsx_obstacle.solvers.newton import joined, penalty_pressure, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome
 
 STIFF = 1e-4  # eps over the flexibility D_i / A_ii of a cell: errors shrink by about this factor in each step
@@ -38,11 +38,7 @@ def solve_augmented(problem: Problem) -> Outcome:
     assert multiplier is not None
     comm, own = problem.level.comm, len(problem.weights)
     multiplier.x.array[:] = 0.0
-    state = problem.state()
-    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    eps = STIFF * largest(comm, problem.weights) / max(largest(comm, diagonal.array_r[~problem.fixed]), 1e-300)
-    for owner in (state, diagonal):
-        owner.destroy()
+    eps = STIFF * soft_eps(problem)
     outcome = solve_penalty(problem, eps)
     for _ in range(STEPS):
         multiplier.x.array[:own] = penalty_pressure(problem)

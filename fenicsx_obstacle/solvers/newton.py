@@ -6,6 +6,7 @@ linear problem of (3.4)* on the present active set.
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,10 @@ NEWTON = {
     "snes_stol": 0.0,
     "snes_divergence_tolerance": -1.0,
 }
+HARDER = 1e-2  # from one eps to the next
+HARDENING = 1e-6  # unbalanced force there
+PATIENCE = 60  # steps to try without
+NOTHING = 1e-300
 COUNTED_ANEW = 4  # times, at most
 STIFFEST = 1e15  # of a spring over the membrane around it: a digit above what a matrix can tell from infinite
 
@@ -45,7 +50,8 @@ def solve_penalty(
     Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
     finite; (3.4)* checks that they do. Should they repeat, a line search on the convex energy breaks the cycle, or on
     the norm of the residual where there is no energy. A residual that is not linear and has an energy begins with the
-    line search.
+    line search; where all that fails, because what bends and a small eps are too much at once, the same start is led
+    there by obstacles that harden.
 
     Args:
         problem: Holds the start, then the solution.
@@ -65,13 +71,49 @@ def solve_penalty(
     if successive:
         problem.refer(problem.cold_start())
     how = {"unchanged": successive, "least": least, "tolerance": tolerance}
+    if problem.affine or not problem.constrained:
+        return require(_settled(problem, how, multigrid), problem, eps)
+    start = problem.heights().x.array
+    outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
+    if not outcome.converged:
+        problem.refer(start)
+        outcome = joined(outcome, _hardened(problem, eps, how))
+    return require(outcome, problem, eps)
+
+
+def soft_eps(problem: Problem) -> float:
+    """An eps of which contact is as stiff as the membrane around it (collective)."""
+    state = problem.state()
+    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
+    comm = problem.level.comm
+    eps = largest(comm, problem.weights) / max(largest(comm, diagonal.array_r[~problem.fixed]), NOTHING)
+    for owner in (state, diagonal):
+        owner.destroy()
+    return eps
+
+
+def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
+    """All attempts, w counting from what a node touches."""
     outcome = _attempts(problem, how, multigrid)
     for _ in range(COUNTED_ANEW):
         # sets also repeat where contact is with an obstacle that w does not count from
         if outcome.reason == GREW or not problem.refer_to_contact(blunt=outcome.blunt):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0}, multigrid))
-    return require(outcome, problem, eps)
+    return outcome
+
+
+def _hardened(problem: Problem, eps: float, how: dict[str, Any]) -> Outcome:
+    """Solve with obstacles as soft as the membrane, then with harder ones, each from where the last ended."""
+    outcomes = []
+    softer = soft_eps(problem)
+    while softer > eps:
+        problem.eps.value = softer
+        outcomes.append(_settled(problem, {**how, "tolerance": max(how["tolerance"], HARDENING)}, None))
+        softer *= HARDER
+    problem.eps.value = eps
+    outcomes.append(_settled(problem, how, None))
+    return reduce(joined, outcomes)
 
 
 def smallest_eps(problem: Problem) -> float:

@@ -29,6 +29,7 @@ NOTHING = 1e-30
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
+TOO_MANY = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
 NOT_A_NUMBER = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
 
@@ -63,6 +64,7 @@ class Stopping:
         watch_cycles: Give up where an active set comes back.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces.
+        patience: Steps after which to give up.
         touching: How near to a bound a node touches it (bounds only).
         shrinking: Checks that active sets shrink, where they must.
         blunt: Balance was only reached up to the round-off of w.
@@ -76,6 +78,7 @@ class Stopping:
     watch_cycles: bool = False
     least: int = 0
     tolerance: float = TOLERANCE
+    patience: int = 10**9
     touching: float = 0.0
     shrinking: Shrinking | None = None
     blunt: bool = False
@@ -123,7 +126,7 @@ class Stopping:
                 return CYCLING
             self.exact = True  # it may have been the inexact systems
             self._seen.clear()
-        return CONTINUE
+        return CONTINUE if iteration < self.patience else TOO_MANY
 
     def begin_again(self) -> None:
         """Go on with another SNES, which counts its iterations from 0."""

@@ -11,12 +11,13 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, joined
+from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome, require, run
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
 
 # without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function
 LOST = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
+NEAR = 1e-6  # the same contact, but for nodes that press very little
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
 
@@ -38,12 +39,31 @@ def solve_vi(
         NotConverged: With PETSc's reason.
     """
     how = {"least": least, "tolerance": tolerance}
+    if problem.affine or not problem.constrained:
+        return require(_settled(problem, multigrid, how), problem, None)
+    start = problem.heights().x.array
+    outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})
+    if not outcome.converged:
+        problem.refer(start)
+        outcome = joined(outcome, _from_penalty(problem, how))
+    return require(outcome, problem, None)
+
+
+def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
+    """All attempts, w counting from what a node touches."""
     outcome = _attempts(problem, multigrid, how)
     for _ in range(COUNTED_ANEW):
         if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
             break
         outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0}))
-    return require(outcome, problem, None)
+    return outcome
+
+
+def _from_penalty(problem: Problem, how: dict[str, Any]) -> Outcome:
+    """From the solution with a small eps. PETSc's line search goes by the norm of the residual, which for what is not
+    linear has minima of its own; the penalty has the energy, which has none."""
+    first = solve_penalty(problem, NEAR * soft_eps(problem))
+    return joined(first, _settled(problem, None, how))
 
 
 def _attempts(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:

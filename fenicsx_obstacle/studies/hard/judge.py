@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from fenicsx_obstacle.accuracy.invariants import Finding, beside_inequality, fal
 from fenicsx_obstacle.accuracy.solved import EPSILON, Ground, Solved
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.stopping import NOTHING
@@ -27,6 +27,7 @@ METHODS = ("penalty", "successive")
 TRIAL = 1e-6  # eps of what is tried once: other starts, units and ranks
 RIGHT, REFUSED, FAILED = "right", "refused", "FAILED"
 FLOOR = "floor of round-off"  # words of the refusal
+NO_DIGITS = {"from_heights": None, "line": None, "left": None}  # known for affine effects
 Row = dict[str, Any]
 
 
@@ -124,7 +125,7 @@ class _Court:
         ]
         far = max((largest(comm, np.abs(gap)) for gap in gaps), default=0.0)
         size = size if size > NOTHING**0.5 * far else far  # a u of round-off has no size
-        for units in all_units(size, self.bench.problem.level.shape is not None):
+        for units in all_units(self.scene, size):
             start = time.perf_counter()
             scene = units.of(self.scene)
             with closing(Workbench(scene, comm)) as bench, closing(Ground(bench.problem)) as ground:
@@ -160,7 +161,7 @@ class _Court:
         vi = self.known.get(("vi", None))
         if number is not None and vi is not None:
             findings += beside_inequality(solved, vi.solved)
-            record["digits"] = dict(record["round_off"])
+            record["digits"] = dict(record.get("round_off", NO_DIGITS))
             off = largest(self.ground.comm, np.abs(solved.p - vi.solved.p))
             record["digits"]["off"] = off / max(largest(self.ground.comm, np.abs(vi.solved.p)), 1e-300)
         for trial in before:
@@ -201,20 +202,27 @@ def _scatter(points: np.ndarray) -> np.ndarray:
 def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any]) -> list[Finding]:
     """u and p in old units, node by node, and the steps."""
     old, g = before.solved, before.solved.ground
-    e = (solved.w / units.height - old.w) + ((solved.r - units.shift) / units.height - old.r)
+    scale = total(g.comm, solved.diagonal) / total(g.comm, old.diagonal)  # of a(u, u) over u^2
+    w, r, force = solved.w / units.height, (solved.r - units.shift) / units.height, scale * units.height
+    new = replace(solved, ground=g, w=w, r=r, elastic=solved.elastic / force, noise=solved.noise / force)
+    e, (distance, known) = new.minus(old), old.apart(new)
     d = np.abs(solved.p / units.pressure - old.p)
-    room, room_p = solved.z / units.height + old.z, solved.q / units.pressure + old.q
     # the data too are rounded where they are shifted: obstacles and boundary values bound what that does to u
     rounded = 2 * EPSILON * abs(units.shift)
-    room, room_p = room + rounded, room_p + np.where(g.touchable, 4 * g.diagonal * rounded / np.maximum(g.D, 1e-300), 0)
+    stiff = np.where(g.touchable, old.diagonal / np.maximum(g.D, 1e-300), 0.0)
+    room = solved.z / units.height + old.z + rounded
+    room_p = solved.q / units.pressure + old.q + 4 * stiff * rounded
+    R = solved.R / (units.height * np.sqrt(scale)) + rounded * np.sqrt(total(g.comm, old.diagonal))
     size = max(largest(g.comm, np.abs(old.p)), 1e-300)
     moved = largest(g.comm, d[g.touchable]) / size
-    record["digits"] = {"moved": moved, **record["round_off"]}
+    record["digits"] = {"moved": moved, **record.get("round_off", NO_DIGITS)}
     # a shift rounds heights to 1e-10 of their size: nodes nearer than that to an obstacle touch it from the start, and
-    # may save steps
+    # may save steps; what is not linear takes as many as round-off needs to settle
     more = record["newton_iterations"] - before.iterations
     return [
-        Finding("other units: steps", "equations scale", more if units.shift else abs(more), 1),
+        Finding("other units: steps", "equations scale", more if units.shift else abs(more), 1,
+                not units.shift or g.problem.affine),
+        Finding("other units: the same u in the energy norm", "equations scale", distance, R + old.R + known, g.held),
         Finding("other units: the same u at every node", "equations scale", largest(g.comm, np.abs(e) - room), 0.0,
                 g.monotone),
         Finding("other units: the same pressure", "equations scale", largest(g.comm, (d - room_p)[g.touchable]), 0.0,

@@ -36,17 +36,28 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
             change = {"solve.method": method} if method == "vi" else {"solve.method": method, "solve.eps": TRIAL}
             bench.answer(scene.change(change))
             solved = take(bench, ground, None if method == "vi" else TRIAL)
-            energy = np.array([solved.energy or 0.0, energy_round_off(solved)])
+            energy = np.array([solved.energy or 0.0, energy_round_off(solved) if solved.energy is not None else 0.0])
             for name, values in (("u", solved.w + solved.r), ("p", solved.p), ("z", solved.z), ("q", solved.q)):
                 whole = gathered(level.comm, values)
                 if whole is not None:
                     found[f"{method}.{name}"] = whole[order]
             if level.comm.rank == 0:
-                found[f"{method}.energy"] = energy
+                found[f"{method}.energy"], found[f"{method}.R"] = energy, np.array(solved.R)
         if points is not None:
-            found["monotone"] = np.array(ground.monotone)
+            found["monotone"], found["held"] = np.array(ground.monotone), np.array(ground.held)
             found["points"] = points[order]
+        if level.comm.size == 1:
+            found |= _matrix(ground, order)
     return found
+
+
+def _matrix(ground: Ground, order: np.ndarray | None) -> Fields:
+    """The entries of the matrix that are not 0, between free nodes, in the order of places (one rank)."""
+    assert order is not None
+    starts, columns, values = ground.A.getValuesCSR()
+    rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    place = np.argsort(order)
+    return {"rows": place[rows], "columns": place[columns], "values": values * ground.free[rows]}
 
 
 def _by_place(points: np.ndarray) -> np.ndarray:
@@ -55,14 +66,18 @@ def _by_place(points: np.ndarray) -> np.ndarray:
 
 
 def agree_on(one: Fields, other: Fields, method: str) -> list[Finding]:
-    """Findings of one method on different numbers of ranks."""
+    """Findings of one method on one rank and on another number of ranks."""
     apart = {name: np.abs(one[f"{method}.{name}"] - other[f"{method}.{name}"]) for name in "up"}
     room = {name: one[f"{method}.{name}"] + other[f"{method}.{name}"] for name in "zq"}
     energies = one[f"{method}.energy"], other[f"{method}.energy"]
-    claimed = bool(one["monotone"])
+    claimed, held = bool(one["monotone"]), bool(one["held"])
+    e = one[f"{method}.u"] - other[f"{method}.u"]
+    squared = float(np.sum(e[one["rows"]] * one["values"] * e[one["columns"]]))
     return [
         Finding("ranks: the same nodes", "one mesh", float(np.abs(one["points"] - other["points"]).max()),
                 GRID * float(np.ptp(one["points"]))),
+        Finding("ranks: the same u in the energy norm", "unique", max(squared, 0.0) ** 0.5,
+                float(one[f"{method}.R"] + other[f"{method}.R"]), held),
         Finding("ranks: the same u at every node", "unique", float((apart["u"] - room["z"]).max()), 0.0, claimed),
         Finding("ranks: the same pressure", "unique", float((apart["p"] - room["q"]).max()), 0.0, claimed),
         Finding("ranks: the same energy", "unique", float(abs(energies[0][0] - energies[1][0])),

@@ -9,14 +9,17 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
 
+from fenicsx_obstacle.effects.slopes import FLAT
 from fenicsx_obstacle.scenes.scene import Scene
 
 BILLION = 2.0**30
 MILLION = 2.0**20
+COUNTED = {"foundation", "spring"}  # effects that count heights from 0
 _LENGTHS = re.compile(r"\b(x|y|z|r|distance)\b")
 
 
@@ -25,7 +28,8 @@ class Units:
     """How many new units make an old one, and the new height of the old zero.
 
     -div(tension grad u) = load + p becomes the same equation with tension * force, load * force * height / length^2 and
-    p likewise; eps has the unit of u/p.
+    p likewise; eps has the unit of u/p. Slopes are heights over lengths: tensions that depend on them are the same only
+    if both grow alike, but for a power law, which is homogeneous.
 
     Attributes:
         name: In words.
@@ -54,7 +58,7 @@ class Units:
     def of(self, scene: Scene) -> Scene:
         """The scene in these units, without its exact solution and report; meshes of files keep their length."""
         tables: dict[str, Any] = msgspec.to_builtins(scene.tables)
-        mesh, effects, obstacle = tables.get("mesh", {}), tables.get("effects", {}), tables.get("obstacle", {})
+        mesh, obstacle = tables.get("mesh", {}), tables.get("obstacle", {})
         for key in {"x", "y", "z"} & set(mesh):
             mesh[key] = [self._times(value, self.length) for value in mesh[key]]
         if mesh.get("shape") and self.length != 1.0:
@@ -64,16 +68,55 @@ class Units:
                 mesh["radius"] = self._times(mesh.get("radius", 1.0), self.length)
         changes: dict[str, Any] = {f"mesh.{key}": value for key, value in mesh.items()}
         changes |= {f"define.{key}": self._old(value) for key, value in tables.get("define", {}).items()}
-        factors = {"tension": self.force, "load": self.pressure}
-        for key, value in effects.items():
-            parts = {name: self._times(self._old(part), factors[key]) for name, part in value.items()} if isinstance(
-                value, dict) else self._times(self._old(value), factors[key])  # fmt: skip
-            changes[f"effects.{key}"] = parts
+        dim = {"interval": 1, "box": 3}.get(mesh.get("shape", ""), 2)
+        changes["effects"] = {key: self._effect(key, value, dim) for key, value in tables.get("effects", {}).items()}
         changes |= {f"obstacle.{key}": self._height(value) for key, value in obstacle.items()}
-        new = {"value": self._height, "where": self._old}
+        new = {"value": self._height, "lower": self._height, "upper": self._height, "where": self._old}
+        new |= {key: partial(self._all, factor=factor) for key, factor in self._factors.items()}
         parts = tables.get("boundary", ())
         changes["boundary"] = [{k: new[k](v) if k in new else v for k, v in part.items()} for part in parts]
         return scene.change({**changes, "exact": None, "report": {}})
+
+    @property
+    def _factors(self) -> dict[str, float]:
+        """By what the value of an effect is multiplied."""
+        tension, length = self.force, self.length
+        return {
+            "tension": tension, "large_slope": tension, "load": self.pressure, "drift": tension / length,
+            "foundation": tension / length**2, "spring": tension / length, "flux": tension * self.height / length,
+        }  # fmt: skip
+
+    def _effect(self, key: str, value: Any, dim: int) -> Any:
+        """What stands in [effects], in these units."""
+        if key == "point_load":
+            factor = self.pressure * self.length**dim
+            ats = [one["at"] if isinstance(one["at"], list) else [one["at"]] for one in value]
+            return [
+                {"at": [self._times(x, self.length) for x in at], "force": self._times(one["force"], factor)}
+                for at, one in zip(ats, value, strict=True)
+            ]
+        if key == "soft_obstacle":
+            stiffness = self._all(value["stiffness"], self.force / self.length**2)
+            sides = {side: self._height(g) for side, g in value.items() if side != "stiffness"}
+            return {**sides, "stiffness": stiffness}
+        if key == "power_law":
+            slope = self.height / self.length
+            # a power of two for exponents with one digit: nothing is rounded
+            factor = self.force * 2.0 ** round(math.log2(slope) * (2 - float(value["exponent"])), 6)
+            flat = value.get("regularisation", FLAT)
+            return {
+                **value, "coefficient": self._all(value.get("coefficient", 1.0), factor),
+                "regularisation": self._times(flat, slope),
+            }  # fmt: skip
+        return value if key == "axial_symmetry" else self._all(value, self._factors[key])
+
+    def _all(self, value: Any, factor: float) -> Any:
+        """A number or a formula times a factor, or each of those in a list or a table."""
+        if isinstance(value, dict):
+            return {name: self._all(part, factor) for name, part in value.items()}
+        if isinstance(value, list):
+            return [self._all(part, factor) for part in value]
+        return self._times(self._old(value), factor)
 
     def _old(self, value: Any) -> Any:
         """A formula whose coordinates are the new ones."""
@@ -89,17 +132,23 @@ class Units:
         return f"{scaled} + {self.shift!r}" if isinstance(scaled, str) else scaled + self.shift
 
 
-def all_units(size: float, shape: bool) -> list[Units]:
-    """The units to try.
+def all_units(scene: Scene, size: float) -> list[Units]:
+    """The units in which a scene is the same.
 
     Args:
-        size: Of the solution.
-        shape: Whether the mesh is one of our shapes, whose lengths can be changed.
+        scene: Meshes of files keep their lengths.
+        size: Of its solution.
     """
+    shape, effects = scene.tables.mesh.shape is not None, {effect.key for effect in scene.effects}
     found = []
-    for key in ("length", "height", "force") if shape else ("height", "force"):
-        found += [
-            Units(f"{key}s x 2^{sign}30", **{key: factor}) for sign, factor in (("-", 1 / BILLION), ("", BILLION))
-        ]
+    for key in ("length", "height", "force"):
+        for sign, factor in (("-", 1 / BILLION), ("", BILLION)):
+            scaled = {key: factor}
+            if "large_slope" in effects and key != "force":
+                scaled = {"length": factor, "height": factor}
+            if shape or "length" not in scaled:
+                found.append(Units(f"{' and '.join(f'{one}s' for one in scaled)} x 2^{sign}30", **scaled))
+    if effects & COUNTED:
+        return list(dict.fromkeys(found))
     power = 2.0 ** round(math.log2(size)) if size > 0 else 1.0
-    return [*found, Units("heights + 2^20 sizes", shift=MILLION * power)]
+    return [*dict.fromkeys(found), Units("heights + 2^20 sizes", shift=MILLION * power)]
