@@ -178,7 +178,7 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
-        unknowns = shape.vertices * (2.0**refine * pair.degree) ** dim
+        unknowns = shape.vertices(2.0**refine * pair.degree)
         check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
         mesh, sides, h, halvings = coarsest_grid(shape, comm)
         level, refine = Level(mesh, h, sides, shape=shape), refine + halvings

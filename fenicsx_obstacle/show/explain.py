@@ -16,7 +16,7 @@ from fenicsx_obstacle.answers.choose import (
     stepwise,
 )
 from fenicsx_obstacle.discrete.grids import shape_of
-from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX
+from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.scene import Scene
@@ -200,8 +200,9 @@ def _size(scene: Scene) -> list[str]:
         return []
     shape, degree = shape_of(scene), scene.pair.degree
     dim = len(shape.cells)
-    unknowns = shape.vertices * (degree * 2.0**scene.tables.mesh.refine) ** dim
-    megabytes = max(unknowns * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
+    unknowns = shape.vertices(degree * 2.0**scene.tables.mesh.refine)
+    more = 1.0 if {effect.key for effect in scene.effects} <= {"tension", "load"} else OTHERS
+    megabytes = max(unknowns * more * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
     return [f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB beside the libraries"]
 
 

@@ -30,7 +30,7 @@ NEWTON = {
 }
 HARDER = 1e-2  # from one eps to the next
 HARDENING = 1e-6  # unbalanced force there
-PATIENCE = 60  # steps to try without
+PATIENCE = 20  # steps to try without
 NOTHING = 1e-300
 COUNTED_ANEW = 4  # times, at most
 STIFFEST = 1e15  # of a spring over the membrane around it: a digit above what a matrix can tell from infinite

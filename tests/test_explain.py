@@ -1,0 +1,156 @@
+"""What `explain` says, held against what a solve does; and that what a scene does not name costs nothing."""
+
+import gc
+import subprocess
+import sys
+from contextlib import closing
+
+import pytest
+from conftest import COMM, DEMOS, membrane
+from dolfinx import fem
+from test_cli import CLEAN
+
+from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.answers.choose import nested
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.effects.effect import known
+from fenicsx_obstacle.scenes.hard import case
+from fenicsx_obstacle.show.explain import explain, explained, integrals
+
+SCENES = {
+    "pollutant": ("GMRES", "the norm of the residual"),
+    "soap": ("algebraic multigrid", "a line search on the energy, full steps where round-off hides descent"),
+    "wall": ("truncated multigrid", "full steps; a line search on the energy should sets repeat"),
+    "tent": ("truncated multigrid", "one linear solve where nothing touches"),
+    "foam": ("algebraic multigrid", "Newton steps"),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_explained_and_done(name):
+    """Effects with their terms, those left out, unknowns, integrals and the solver, of five scenes."""
+    scene = Scene.read(DEMOS / f"{name}.toml")
+    parts, text = dict(explained(scene)), " ".join(explain(scene).split())
+    named = {effect.key for effect in scene.effects}
+    assert {line.partition(":")[0] for line in parts["effects"][:-1]} == named
+    left_out = set(parts["left out"][0].split("; "))
+    assert left_out - {"lower obstacle", "upper obstacle"} == (known() | known("boundary")) - named
+    assert all(words in text for words in SCENES[name])
+    with closing(Workbench(scene, COMM)) as bench:
+        told = next(line for line in parts["mesh"] if "unknowns" in line)
+        assert float(told.split()[1]) == pytest.approx(bench.problem.level.dofs, rel=0.03)
+        formed = len(bench.problem.forms._a_minus_f.integrals())
+        assert integrals(scene) == formed + bench.problem.constrained
+        assert nested(scene) == ("truncated multigrid" in text)
+        assert bench.problem.symmetric == ("GMRES" not in text)
+
+
+def test_explained_unknowns_of_all_elements():
+    """Before any mesh is made: within 10 % of what there is."""
+    for changes in ({"solve.element": "P2"}, {"solve.element": "Q2"}, {"mesh.diagonal": "crossed"},
+                    {"mesh.shape": "l-shape"}, {"mesh.shape": "disk"}, {"mesh.shape": "box", "mesh.cells": 8},
+                    {"mesh.cells": 8, "mesh.refine": 2}):  # fmt: skip
+        scene = membrane(lower=-1).change({"mesh.cells": 32, **changes})
+        told = next(line for line in dict(explained(scene))["mesh"] if "unknowns" in line)
+        with closing(Workbench(scene, COMM)) as bench:
+            assert float(told.split()[1]) == pytest.approx(bench.problem.level.dofs, rel=0.1), changes
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_lake_costs_one_linear_solve(method):
+    """No contact in reach, with whatever is linear: one Newton step on the finest level; `explain` says so."""
+    parts = [{"on": "left", "value": 0}, {"on": "right", "spring": 1, "flux": 0.1}, {"on": "top", "upper": 9}]
+    for more in ({"lower": -1}, {"lower": -1, "drift": [2, 1]}, {"lower": -1, "axial_symmetry": True},
+                 {"lower": -1, "point_load": [{"at": [0.3, 0.4], "force": 1}]}, {"boundary": parts}):  # fmt: skip
+        scene = membrane(load=1, **more)
+        assert solve(scene, cells=32, method=method).record["newton_iterations"] == 1, more
+        assert "one linear solve where nothing touches" in explain(scene)
+
+
+def test_unknown_keys_of_tables():
+    """A key that an effect's table does not know is refused with those that it knows."""
+    for effects, message in (
+        (
+            {"tension": 1, "soft_obstacle": {"stiffness": 1, "lower": 0, "eps": 1}},
+            "unknown key 'eps'",
+        ),
+        ({"tension": 1, "point_load": [{"at": [0, 0], "force": 1, "radius": 1}]}, "unknown key 'radius' .known: at"),
+        ({"power_law": {"exponent": 3, "n": 3}}, "unknown key 'n' .known: exponent, coefficient, regularisation"),
+        ({"power_law": {"exponent": 3}, "tension": 1}, "names power_law and tension: a membrane has one tension"),
+        ({"power_law": {"exponent": 3}, "large_slope": 1}, "a membrane has one tension"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Scene(mesh={"shape": "rectangle", "cells": 4}, **effects)
+
+
+def functions_of(scene):
+    """How many Functions a solve leaves alive, with the problem."""
+    gc.collect()
+    before = sum(isinstance(one, fem.Function) for one in gc.get_objects())
+    with closing(Workbench(scene, COMM)) as bench:
+        bench.answer()
+        return sum(isinstance(one, fem.Function) for one in gc.get_objects()) - before
+
+
+def test_arrays_of_an_effect_are_its_own():
+    """A foundation that is a formula has one Function, on each level; without it there is none."""
+    plain, bed = membrane(lower=-1), membrane(lower=-1, foundation="1 + x")
+    functions_of(plain)
+    counts = [functions_of(scene) for scene in (plain, bed, plain)]
+    assert counts[0] == counts[2] < counts[1]
+
+
+AFTER_A_SOLVE = """
+import sys
+from fenicsx_obstacle import Scene, solve
+if sys.argv[1:]:
+    from fenicsx_obstacle.effects.plugin import load_plugin
+    load_plugin(sys.argv[1])
+answer = solve(Scene(mesh={"shape": "rectangle", "cells": 16}, tension=1, load=-1, lower=-0.02))
+print(answer.record["newton_total"], answer.record["krylov_total"], repr(answer.record["energy"]))
+print(*sorted(sys.modules), file=sys.stderr)
+"""
+
+
+@pytest.mark.serial
+def test_a_plugin_that_is_not_named(tmp_path):
+    """Registered by a file and named by no scene: the same steps, energy and modules but its own loader."""
+    text = (DEMOS.parent / "docs" / "effects.md").read_text().partition("```python\n")[2].partition("```")[0]
+    (tmp_path / "hardening.py").write_text(text)
+    done = [subprocess.run([sys.executable, "-c", AFTER_A_SOLVE, *plugin], capture_output=True, text=True, env=CLEAN,
+                           timeout=100, check=True)
+            for plugin in ((), (str(tmp_path / "hardening.py"),))]  # fmt: skip
+    assert done[0].stdout == done[1].stdout
+    modules = [set(one.stderr.split()) for one in done]
+    assert modules[1] - modules[0] == {"fenicsx_obstacle.effects.plugin"} and modules[0] <= modules[1]
+
+
+HEAVY = ("pyvista", "matplotlib", "slepc4py", "gmsh")
+COMMAND = f"""
+import sys
+from fenicsx_obstacle.__main__ import main
+try:
+    main()
+except SystemExit as end:
+    status = end.code
+print(status, *(name for name in {HEAVY} if name in sys.modules), file=sys.stderr)
+"""
+
+
+@pytest.mark.serial
+def test_libraries_are_loaded_by_who_needs_them(tmp_path):
+    """Pictures, eigenvalues and meshing cost nothing where they are not asked for."""
+    (tmp_path / "coarse.toml").write_text((DEMOS / "wall.toml").read_text().replace("cells = 64", "cells = 8"))
+    geo = case("seam").base.folder / "seam.toml"
+    for arguments, wanted in (
+        (["explain", "coarse.toml"], "0"),
+        (["scenes"], "0"),
+        (["solve", "coarse.toml"], "0"),
+        (["compare", "out/coarse", "out/coarse"], "0"),
+        (["solve", str(geo), "--output", "out/seam"], "0 gmsh"),
+        (["theory", "3.1", "--output", "out/theory"], "0 matplotlib"),
+        (["plot", "out/coarse", "--output", "u.svg"], "0 matplotlib"),
+    ):
+        done = subprocess.run([sys.executable, "-c", COMMAND, *arguments], capture_output=True, text=True, env=CLEAN,
+                              cwd=tmp_path, timeout=100, check=False)  # fmt: skip
+        assert done.stderr.strip().splitlines()[-1] == wanted, (arguments, done.stderr)
