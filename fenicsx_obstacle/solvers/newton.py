@@ -16,7 +16,7 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.shrinking import Shrinking
 from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
-from fenicsx_obstacle.solvers.stopping import GREW, TOLERANCE, Stopping
+from fenicsx_obstacle.solvers.stopping import GREW, TOLERANCE, TOO_MANY, Stopping
 
 NEWTON = {
     "snes_type": "newtonls",
@@ -139,6 +139,8 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
     searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
+        if "patience" in how and outcome.reason == TOO_MANY:
+            break  # far from everything: full steps would only stray
         if not outcome.converged and outcome.reason != GREW:
             outcome = joined(outcome, _attempt(problem, search, how, multigrid))
     return outcome

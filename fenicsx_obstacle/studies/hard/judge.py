@@ -217,11 +217,11 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
     moved = largest(g.comm, d[g.touchable]) / size
     record["digits"] = {"moved": moved, **record.get("round_off", NO_DIGITS)}
     # a shift rounds heights to 1e-10 of their size: nodes nearer than that to an obstacle touch it from the start, and
-    # may save steps; what is not linear takes as many as round-off needs to settle
+    # may save steps
     more = record["newton_iterations"] - before.iterations
     return [
         Finding("other units: steps", "equations scale", more if units.shift else abs(more), 1,
-                not units.shift or g.problem.affine),
+                units.exact(g.problem.scene)),
         Finding("other units: the same u in the energy norm", "equations scale", distance, R + old.R + known, g.held),
         Finding("other units: the same u at every node", "equations scale", largest(g.comm, np.abs(e) - room), 0.0,
                 g.monotone),

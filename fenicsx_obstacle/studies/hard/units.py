@@ -55,6 +55,13 @@ class Units:
         """By what pressures are."""
         return self.force * self.height / self.length**2
 
+    def exact(self, scene: Scene) -> bool:
+        """Whether arithmetic is the same in these units: powers of slopes that are no integers are rounded anew, and
+        where slopes bend, so are shifted heights."""
+        if self.shift != 0.0:
+            return all(effect.affine for effect in scene.effects)
+        return self.height == self.length or all(effect.key != "power_law" for effect in scene.effects)
+
     def of(self, scene: Scene) -> Scene:
         """The scene in these units, without its exact solution and report; meshes of files keep their length."""
         tables: dict[str, Any] = msgspec.to_builtins(scene.tables)
