@@ -22,7 +22,7 @@ REST = {"on": ["bottom", "top"], "value": 0}
 # what is changed of a membrane over a paraboloid, held along its whole boundary; None takes a key away
 CHANGES: dict[str, dict[str, Any]] = {
     "membrane": {},
-    "no obstacle": {"obstacle": {}},
+    "no obstacle": {"obstacle": {}, "effects.load": -1},
     "load": {"effects.load": -1},
     "two obstacles": {"obstacle.upper": "0.2 + (x - 0.5)^2"},
     "tension, a matrix": {"effects.tension": MATRIX},
