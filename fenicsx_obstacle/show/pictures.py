@@ -85,7 +85,9 @@ def _line(patch: Patch, u: str) -> tuple[Any, str]:
 
 def _flat(patch: Patch, u: str) -> tuple[Any, str]:
     """The graph of u in space, and the map of the pressure beside it."""
-    page, (left, right) = figure(12.0, 4.8, columns=2, widths=(1.25, 1))
+    across, up, _ = np.ptp(patch.points, axis=0)
+    wide = min(0.25 + 0.75 * across / up, 1.0)  # of the map with its scale, in units of its height
+    page, (left, right) = figure(12.0 * (1.25 + wide) / 2.25, 4.8, columns=2, widths=(1.25, wide))
     scale = _pressures(patch.fields["pressure"])
     who = draw_view(left, relief.membrane(patch, scale.to_rgba, u))
     draw_plan(page, right, patch, scale, u, PRESSURE)
