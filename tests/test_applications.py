@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import DEMOS
+from conftest import COMM, DEMOS
 from scipy import integrate, optimize, sparse, special
 from scipy.sparse.linalg import splu
 
 from fenicsx_obstacle import Scene, solve, study
+from fenicsx_obstacle.parallel import on_root
 
 K = 200e6  # yield stress in shear of the demos, Pa
 G = 80e9  # their shear modulus, Pa
@@ -21,7 +22,12 @@ def application(name: str, **changes: Any) -> Scene:
     return Scene.read(DEMOS / f"{name}.toml").change({f"define.{key}": value for key, value in changes.items()})
 
 
-def finite_volumes(
+def finite_volumes(*place: Any, **data: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """`five_points`, computed once for all ranks (collective)."""
+    return on_root(COMM, lambda: five_points(*place, **data))
+
+
+def five_points(
     cells: tuple[int, int], low: tuple[float, float], high: tuple[float, float], *, load: Callable[..., Any],
     tension: Callable[..., Any], drift: Callable[..., Any] | None = None, lower: Callable[..., Any] | None = None,
     upper: Callable[..., Any] | None = None, inside: Callable[..., Any] | None = None,
@@ -103,7 +109,7 @@ def from_outline(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def test_torsion_of_an_i_section():
     """Half plastic: finite volumes. Fully: twice the sand hill. Elastic: El Darwish and Johnston's (1965) constant."""
     rows = study(application("i_section"), {"define.twist": [0.02, 0.5, 50.0]})
-    elastic, middle, plastic = (row["report"]["torque"] for row in rows)
+    elastic, middle, plastic = (row["report.torque"] for row in rows)
     _, _, u, area = finite_volumes((120, 160), (-0.03, -0.04), (0.03, 0.04), load=lambda *_: 2 * 0.5,
                                    tension=lambda *_: 1 / G, inside=in_outline,
                                    upper=lambda x, y: K * from_outline(x, y))  # fmt: skip
@@ -111,8 +117,8 @@ def test_torsion_of_an_i_section():
     step = 1e-4
     x, y = np.meshgrid(np.arange(-0.03 + step / 2, 0.03, step), np.arange(-0.04 + step / 2, 0.04, step))
     hill = 2 * K * from_outline(x, y)[in_outline(x, y)].sum() * step**2
-    assert abs(plastic / hill - 1) < 5e-3 and abs(rows[2]["report"]["limit"] / hill - 1) < 5e-3
-    assert rows[1]["report"]["plastic"] < rows[2]["report"]["plastic"]
+    assert abs(plastic / hill - 1) < 5e-3 and abs(rows[2]["report.limit"] / hill - 1) < 5e-3
+    assert rows[1]["report.plastic"] < rows[2]["report.plastic"]
     # millimetres: flanges b, t and web s; a circle of diameter d fits into their junction
     b, t, s, height = 60, 12, 8, 80
     alpha, d = -0.042 + 0.2204 * s / t - 0.0725 * (s / t) ** 2, (t**2 + s**2 / 4) / t
@@ -135,19 +141,18 @@ def strip(ecc: float) -> tuple[float, float]:
 
 
 def test_bearing_over_eccentricity():
-    """Raimondi and Boyd's table within 1.5 % and 0.6 degrees; finite volumes within 1 % and 0.1 degrees.
+    """Raimondi and Boyd's table within 1.5 % and 0.6 degrees, and both solvers within 0.1 %.
 
-    At 0.4 their .264 is 1.3 % above what both methods find. Both solvers agree to 0.1 %.
+    At 0.4 their .264 is 1.3 % above what finite volumes find, which agree with us within 0.5 % and 0.1 degrees.
     """
     scene = application("bearing")
     rows = study(scene, {"define.ecc": RAIMONDI_BOYD[:, 0].tolist()})
     assert 1100 < rows[0]["dofs"] < 1300
-    found = np.array([(row["report"]["sommerfeld"], row["report"]["attitude"]) for row in rows])
+    found = np.array([(row["report.sommerfeld"], row["report.attitude"]) for row in rows])
     assert np.all(np.abs(found[:, 0] / RAIMONDI_BOYD[:, 1] - 1) < 0.015)
     assert np.all(np.abs(found[:, 1] - RAIMONDI_BOYD[:, 2]) < 0.6)
-    for ecc, (number, angle) in zip(RAIMONDI_BOYD[1:4, 0], found[1:4], strict=True):
-        wanted = strip(ecc)
-        assert abs(number / wanted[0] - 1) < 0.01 and abs(angle - wanted[1]) < 0.1
+    number, angle = strip(0.4)
+    assert abs(found[2, 0] / number - 1) < 0.005 and abs(found[2, 1] - angle) < 0.1
     assert abs(solve(scene, method="vi").report["sommerfeld"] / found[3, 0] - 1) < 1e-3
 
 
