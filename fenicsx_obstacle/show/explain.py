@@ -18,6 +18,7 @@ from fenicsx_obstacle.answers.choose import (
 from fenicsx_obstacle.discrete.grids import shape_of
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.effects.effect import Effect, known
+from fenicsx_obstacle.scenes.moments import EQUILIBRIA
 from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
@@ -45,6 +46,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("boundary", _boundary(scene)),
         ("discrete", _discrete(scene)),
         ("mesh", [_mesh(scene), *_size(scene)]),
+        ("time", _time(scene)),
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
@@ -64,7 +66,7 @@ def _equation(scene: Scene) -> list[str]:
     left = [effect.equation for effect in inside if effect.left]
     right = [effect.equation for effect in inside if not effect.left and effect.equation]
     contact = ["p"] if _sides(scene) and not scene.thin else []
-    return [f"{' + '.join(left)} = {' + '.join(right + contact) or '0'}"]
+    return [f"{' + '.join(left).replace('+ -', '- ')} = {' + '.join(right + contact) or '0'}"]
 
 
 def integrals(scene: Scene) -> int:
@@ -159,7 +161,8 @@ def _discrete(scene: Scene) -> list[str]:
     if not penalised and sides:
         lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]
     lines += [effect.note for effect in scene.effects if effect.note]
-    lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in scene.effects if effect.term))
+    ordered = sorted(scene.effects, key=lambda effect: not effect.elastic)  # its term has no sign
+    lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in ordered if effect.term))
     if sides:
         of_facets = "nodal rule of the facets where obstacles are; L: longest side of the box around the mesh"
         lines.append(f"I: {of_facets if scene.thin else scene.pair.words}   (3.5), (3.6)")
@@ -225,6 +228,30 @@ def _solver(scene: Scene) -> list[str]:
     ]
 
 
+def _time(scene: Scene) -> list[str]:
+    """The steps in time, what they begin with, and what is kept of them."""
+    time = scene.time
+    if time is None:
+        return []
+    how = {
+        "equilibria": f"equilibria at t = 0 and {counted(time.steps, 'moment')} more, to t = {time.end:g}",
+        "euler": "implicit Euler, order 1, monotone",
+        "bdf2": "BDF2, order 2, begun with a step of implicit Euler",
+        "midpoint": "elastic forces averaged over a step, order 2, contact at its end: energy never grows by a step",
+    }[time.scheme]
+    lines = [how if time.order == EQUILIBRIA else f"{counted(time.steps, 'step')} to t = {time.end:g}: {how}"]
+    if time.tolerance is not None:
+        lines[0] = f"to t = {time.end:g}: {how}"
+        lines.append(f"steps chosen so that each adds at most {time.tolerance:g} to u; the first {time.step:g}")
+    start = [] if time.start is None else [f"u = {time.start.text}"]
+    start += [] if time.velocity is None else [f"u_t = {time.velocity.text}"]
+    lines += [f"at t = 0 {', '.join(start)}"] if start else []
+    if time.order > EQUILIBRIA:
+        lines.append("a step is the problem above with a foundation and a load more, and starts from the last moment")
+    frames = f"fields at {counted(time.frames + 1, 'moment')}" if time.frames else "no fields but the last"
+    return [*lines, f"kept: figures of all moments, {frames}, and the state, from which --restart goes on"]
+
+
 def _why(scene: Scene) -> str:
     """What of the equation decides on the solver."""
     bent = [effect.key for effect in scene.effects if not effect.affine]
@@ -235,6 +262,8 @@ def _why(scene: Scene) -> str:
 
 
 def _levels(scene: Scene) -> str:
+    if scene.time is not None and scene.time.order > EQUILIBRIA:
+        return "on the finest level alone, from the last moment"
     return "each level starts from the next coarser one" if stepwise(scene) else "on the finest level alone"
 
 
