@@ -9,6 +9,7 @@ import pytest
 from conftest import COMM, DEMOS
 from mpi4py import MPI
 from petsc4py import PETSc
+from scipy.optimize import brentq
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.solvers.steps import difference, extrapolation
@@ -38,7 +39,7 @@ def orders(errors):
 def test_order_of_rate(scheme, order, method):
     """u = x sin 3t, linear in x, so that all of the error is that of the steps; load and edge move."""
     errors = []
-    for steps in (80, 160, 320):
+    for steps in (40, 80, 160):
         scene = Scene(
             mesh=INTERVAL, rate=2, tension=0.1, load="6*cos(3*t)*x", lower=-9, boundary=[{"value": "x*sin(3*t)"}],
             time={"end": 1, "steps": steps, "start": 0, "scheme": scheme}, report={"error": "sup(abs(u - x*sin(3*t)))"},
@@ -50,10 +51,10 @@ def test_order_of_rate(scheme, order, method):
 @pytest.mark.parametrize("method", METHODS)
 def test_travelling_contact(method):
     """The free boundary travels: with dt like h order 1 by Euler; it is where it should be up to two cells."""
-    answers = [travelling(n, "euler", n, method) for n in (40, 80, 160)]
+    answers = [travelling(n, "euler", n, method) for n in (20, 40, 80)]
     assert np.all(orders([a.report["l2"] for a in answers]) > 0.9)
-    assert abs(answers[-1].report["free"] - (0.2 + S * 0.3)) <= 2 / 160
-    assert travelling(160, "bdf2", 160, method).report["l2"] < 0.2 * answers[-1].report["l2"]
+    assert abs(answers[-1].report["free"] - (0.2 + S * 0.3)) <= 2 / 80
+    assert travelling(80, "bdf2", 80, method).report["l2"] < 0.2 * answers[-1].report["l2"]
 
 
 def test_chosen_steps():
@@ -111,7 +112,7 @@ def test_order_of_inertia(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_wall_takes_energy(method):
     """A string that hits a wall, first at cos(pi t) = -1/2: its energy never grows, and falls where it hits."""
-    scene = Scene.read(DEMOS / "bounce.toml").change({"mesh.cells": 50, "time.steps": 150, "time.end": 1.5})
+    scene = Scene.read(DEMOS / "bounce.toml").change({"mesh.cells": 40, "time.steps": 90, "time.end": 0.9})
     course = solve(scene, method=method).course
     energy, area = course.column("energy"), course.column("contact_area")
     assert np.all(np.diff(energy) <= 1e-8 * energy[0]) and energy[-1] < 0.95 * energy[0]
@@ -127,10 +128,10 @@ def test_friction_takes_energy():
     w = math.sqrt(frequency**2 - c**2 / 4)
     scene = Scene(
         mesh=INTERVAL, inertia=1, rate=c, tension=1, upper=3, report={"middle": "at(u, 0.5)"},
-        time={"end": 1, "steps": 400, "start": "sin(pi*x)", "velocity": "-0.5*sin(pi*x)"},
+        time={"end": 1, "steps": 200, "start": "sin(pi*x)", "velocity": "-0.5*sin(pi*x)"},
     )  # fmt: skip
     answer = solve(scene)
-    assert answer.report["middle"] == pytest.approx(math.exp(-c / 2) * math.cos(w), abs=2e-4)
+    assert answer.report["middle"] == pytest.approx(math.exp(-c / 2) * math.cos(w), abs=5e-4)
     assert np.all(np.diff(answer.course.column("energy")) < 0)
 
 
@@ -193,6 +194,14 @@ def test_put(method):
     assert answer.report["price"] == pytest.approx(6.0904, rel=5e-4)
     exercise = answer.course.column("exercise")
     assert np.all(np.diff(exercise[1:]) <= 0)  # the longer to go, the later it pays to exercise
+
+
+def test_press():
+    """A ball pressed into a round membrane: force 2 pi a^2/R where the travel is a^2/R (1/2 + ln(1/a))."""
+    course = solve(Scene.read(DEMOS / "press.toml").change({"time.steps": 5})).course
+    for travel, force in zip(course.column("t")[1:], course.column("force")[1:], strict=True):
+        a = brentq(lambda a, depth=travel: a**2 * (0.5 - math.log(a)) - depth, 1e-6, 0.9)
+        assert force == pytest.approx(2 * math.pi * a**2, rel=2e-3)
 
 
 @pytest.mark.parametrize("kind", ["rate", "inertia", "equilibria"])

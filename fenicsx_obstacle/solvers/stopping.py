@@ -16,7 +16,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.parallel import smallest, total
+from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.shrinking import Shrinking
 
 _log = logging.getLogger(__name__)
@@ -172,9 +172,16 @@ class Stopping:
 
     @cached_property
     def _nothing(self) -> float:
-        """Nothing against the stiffness over the nearest gap: a force, where all data are zero (collective)."""
+        """Nothing against the stiffness over the nearest gap: a force, where all data are zero (collective).
+
+        A gap below the last digit of its obstacle is none: it touches, and what is left of it is round-off.
+        """
         comm = self.problem.level.comm
-        gaps = [np.where(gap != 0, np.abs(gap), np.inf).min(initial=np.inf) for gap in self.problem.gaps()]
+        gaps = []
+        for gap, obstacle in zip(self.problem.gaps(), self.problem.obstacles(), strict=True):
+            heights = np.abs(obstacle)
+            digit = EPSILON * max(largest(comm, np.where(np.isfinite(heights), heights, 0.0)), 0.0)
+            gaps.append(np.where(np.abs(gap) > digit, np.abs(gap), np.inf).min(initial=np.inf))
         nearest = smallest(comm, gaps)
         return NOTHING * nearest * total(comm, self._stiffness()) if np.isfinite(nearest) else 0.0
 
