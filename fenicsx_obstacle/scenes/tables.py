@@ -72,7 +72,7 @@ class TimeTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     """
 
     end: Value
-    steps: Positive
+    steps: Annotated[int, Meta(ge=1, le=10**6)]
     start: Value | None = None
     velocity: Value | None = None
     scheme: Literal["euler", "bdf2"] | None = None

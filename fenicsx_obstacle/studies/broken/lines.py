@@ -22,6 +22,8 @@ LINES = {
     "[report] q": '"integral(u)"',
 }
 """A scene that is right, key by key."""
+MOVING = {"[effects] inertia": "1", "[time] end": "1", "[time] steps": "2", "[time] start": "0"}
+"""What makes it move."""
 
 TYPES = {"true": "true", "a date": "1979-05-27", "a list": "[[1]]", "a table": "{a = {b = 1}}"}
 NUMBERS = {
@@ -84,38 +86,40 @@ def broken_lines() -> Iterator[Broken]:
     """Every line in every way."""
     for key in ("[define] c", "[effects] tension", "[effects] load", "[obstacle] lower", "[obstacle] upper",
                 "[[boundary]] value", "[[boundary]] where", "[mesh] radius", "[exact] u", "[exact] pressure",
-                "[report] q", "[solve] eps"):  # fmt: skip
+                "[report] q", "[solve] eps", "[time] end", "[time] start", "[time] velocity"):  # fmt: skip
         # a figure that is not finite is said to be so beside the others
         for what, value in {**FORMULAS, **TYPES, **({} if key == "[report] q" else NUMBERS)}.items():
             yield _with(key, value, what)
-    for key in ("title", "u", "[mesh] file", "[exact] free", "[exact] regularity"):
+    for key in ("title", "u", "[mesh] file", "[exact] free", "[exact] regularity", "[time] name"):
         for what, value in {**WORDS, **TYPES}.items():
             yield _with(key, value, what)
-    for key in ("[mesh] cells", "[mesh] refine"):
+    for key in ("[mesh] cells", "[mesh] refine", "[time] steps", "[time] frames"):
         for what, value in {**COUNTS, **TYPES}.items():
             yield _with(key, value, what)
     for key in ("[mesh] shape", "[mesh] cell", "[mesh] diagonal", "[solve] element", "[solve] method", "[solve] start",
-                "[[boundary]] on"):  # fmt: skip
+                "[[boundary]] on", "[time] scheme"):  # fmt: skip
         for what, value in {**CHOICES, **TYPES}.items():
             yield _with(key, value, what)
     for what, value in {"negative": "-0.1", "one half": "0.5", "not a number": "nan", **TYPES}.items():
         yield _with("[mesh] perturb", value, what)
+    for what, value in {"negative": "-0.1", "zero": "0", "not a number": "nan", **TYPES}.items():
+        yield _with("[time] tolerance", value, what)
     for what, value in {
         "turned": "[1, 0]", "without length": "[1, 1]", "one number": "[1]", "three numbers": "[0, 1, 2]",
         "no list": "1", "not a number": "[0, nan]", "infinite": "[-inf, 1]", "a place": '[0, "x"]',
         "too long": "[0, 1e200]", "too short": "[1, 1.000000000000001]", **TYPES,
     }.items():  # fmt: skip
         yield _with("[mesh] x", value, what)
-    for table in ("define", "mesh", "effects", "obstacle", "boundary", "exact", "report", "solve", "nonsense"):
+    for table in ("define", "mesh", "effects", "obstacle", "boundary", "exact", "report", "solve", "time", "nonsense"):
         for what, value in {"a number": "1", "a text": '"a"', "a list": "[1]"}.items():
             kept = {key: line for key, line in LINES.items() if f"[{table}]" not in key}
             yield Broken(f"{table} is {what}", [SCENE, table], files=_file(f"{table} = {value}\n" + scene_text(kept)))
-    for table in ("define", "mesh", "effects", "obstacle", "[boundary]", "exact", "report", "solve"):
+    for table in ("define", "mesh", "effects", "obstacle", "[boundary]", "exact", "report", "solve", "time"):
         yield _with(f"[{table}] nonsense", "[]", "an unknown key")
 
 
 def _with(key: str, value: str, what: str) -> Broken:
-    lines: dict[str, str | None] = {**LINES, key: value}
+    lines: dict[str, str | None] = {**LINES, **(MOVING if key.startswith("[time]") else {}), key: value}
     if key == "[mesh] file":
         lines["[mesh] shape"] = None
     if key == "[mesh] radius":
