@@ -1,15 +1,85 @@
-"""Values, lists of values and settings as they stand on the command line."""
+"""Options that commands share; values, lists of values and settings as they stand on the command line."""
 
 from __future__ import annotations
 
 import math
 import re
 import tomllib
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+
+import click
 
 from fenicsx_obstacle.errors import InputError
 
 MOST = 1000  # values of one key
+
+
+class Place(click.Path):
+    """A file or folder; an empty name, as an unset variable of a shell leaves it, is none."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("an empty name", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+def _start_log(_context: click.Context, _parameter: click.Parameter, level: str | None) -> None:
+    from fenicsx_obstacle.show.progress import start_log
+
+    start_log(level)
+
+
+def _load_plugins(_context: click.Context, _parameter: click.Parameter, files: tuple[str, ...]) -> None:
+    from fenicsx_obstacle.effects.plugin import load_plugin
+
+    for file in files:
+        load_plugin(file)
+
+
+def options(*names: str) -> Callable[[Any], Any]:
+    """The shared options of these names, as one decorator."""
+    shared = {
+        "cells": click.option("--cells", type=int, metavar="N", help="Cells per side (shapes)."),
+        "refine": click.option("--refine", type=int, metavar="N", help="Uniform refinements."),
+        "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
+        "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
+        "start": click.option("--start", metavar="NAME", help="nested (from coarse grids on) or cold.  [nested]"),
+        "eps": click.option("--eps", metavar="E", help="Penalty parameter: auto, a number, or a formula in h.  [auto]"),
+        "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
+        "output": click.option("--output", type=Place(), metavar="DIR", help="Folder for results."),
+        "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
+        "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
+        "plugin": click.option(
+            "--plugin",
+            multiple=True,
+            metavar="FILE",
+            callback=_load_plugins,
+            expose_value=False,
+            is_eager=True,
+            help="Python file with effects of your own (docs/effects.md).",
+        ),
+        "quiet": click.option("--quiet", is_flag=True, help="Errors only."),
+        "log": click.option(
+            "--log",
+            type=click.Choice(["DEBUG", "INFO", "WARNING", "ERROR"], case_sensitive=False),
+            metavar="LEVEL",
+            callback=_start_log,
+            expose_value=False,
+            help="Log with rank and time: DEBUG, INFO, WARNING or ERROR.",
+        ),
+    }
+
+    def decorate(command: Any) -> Any:
+        for name in reversed(names):
+            command = shared[name](command)
+        return command
+
+    return decorate
 
 
 def values_of(text: str, key: str) -> list[Any]:

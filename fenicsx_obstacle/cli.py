@@ -2,28 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from fenicsx_obstacle.arguments import typed, varied
+from fenicsx_obstacle.arguments import Place, options, typed, varied
 from fenicsx_obstacle.errors import InputError
-
-
-class _Place(click.Path):
-    """A file or folder; an empty name, as an unset variable of a shell leaves it, is none."""
-
-    def __init__(self) -> None:
-        super().__init__(path_type=Path)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if value == "":
-            self.fail("an empty name", param, ctx)
-        return super().convert(value, param, ctx)
+from fenicsx_obstacle.outlets import check_places, tell, write_json
 
 
 class _Ordered(click.Group):
@@ -42,60 +28,6 @@ def commands() -> None:
     """
 
 
-def _start_log(context: click.Context, parameter: click.Parameter, level: str | None) -> None:
-    from fenicsx_obstacle.show.progress import start_log
-
-    start_log(level)
-
-
-def _load_plugins(context: click.Context, parameter: click.Parameter, files: tuple[str, ...]) -> None:
-    from fenicsx_obstacle.effects.plugin import load_plugin
-
-    for file in files:
-        load_plugin(file)
-
-
-def _options(*names: str) -> Callable[[Any], Any]:
-    """The shared options of these names, as one decorator."""
-    shared = {
-        "cells": click.option("--cells", type=int, metavar="N", help="Cells per side (shapes)."),
-        "refine": click.option("--refine", type=int, metavar="N", help="Uniform refinements."),
-        "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
-        "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
-        "start": click.option("--start", metavar="NAME", help="nested (from coarse grids on) or cold.  [nested]"),
-        "eps": click.option("--eps", metavar="E", help="Penalty parameter: auto, a number, or a formula in h.  [auto]"),
-        "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
-        "output": click.option("--output", type=_Place(), metavar="DIR", help="Folder for results."),
-        "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
-        "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
-        "plugin": click.option(
-            "--plugin",
-            multiple=True,
-            metavar="FILE",
-            callback=_load_plugins,
-            expose_value=False,
-            is_eager=True,
-            help="Python file with effects of your own (docs/effects.md).",
-        ),
-        "quiet": click.option("--quiet", is_flag=True, help="Errors only."),
-        "log": click.option(
-            "--log",
-            type=click.Choice(["DEBUG", "INFO", "WARNING", "ERROR"], case_sensitive=False),
-            metavar="LEVEL",
-            callback=_start_log,
-            expose_value=False,
-            help="Log with rank and time: DEBUG, INFO, WARNING or ERROR.",
-        ),
-    }
-
-    def decorate(command: Any) -> Any:
-        for name in reversed(names):
-            command = shared[name](command)
-        return command
-
-    return decorate
-
-
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
@@ -103,8 +35,8 @@ def _options(*names: str) -> Callable[[Any], Any]:
 @click.option("--tol", type=float, metavar="R", help="Relative energy error to reach; chooses meshes and eps.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--budget", metavar="LIMIT", help="Stop earlier with the best answer: 60s, 8GB, '1e6 unknowns'.")
-@click.option("--restart", type=_Place(), metavar="DIR", help="With [time]: go on from the state in this folder.")
-@_options(
+@click.option("--restart", type=Place(), metavar="DIR", help="With [time]: go on from the state in this folder.")
+@options(
     *("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "plugin", "output", "json", "quiet"),
     "log",
 )
@@ -137,7 +69,7 @@ def solve(
 
     scene = changed(scene, typed(given))
     folder = output or Path("out") / scene.name
-    _check_places(folder, json_file)
+    check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
         answer = solve(
             scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget,
@@ -146,21 +78,21 @@ def solve(
         answer.save(folder)
         drawn = report_answer(answer, folder, picture=picture)
     if json_file is not None:
-        _write_json(json_file, [answer.record])
+        write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
-        _say(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} shows it all")
+        tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} shows it all")
 
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@_options("set", "cells", "refine", "element", "method", "start", "eps", "plugin")
+@options("set", "cells", "refine", "element", "method", "start", "eps", "plugin")
 def explain(scene_file: str, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     scene = _read(scene_file)
     from fenicsx_obstacle.answers.compute import changed
     from fenicsx_obstacle.show.explain import explain
 
-    _say(explain(changed(scene, typed(given))))
+    tell(explain(changed(scene, typed(given))))
 
 
 @commands.command()
@@ -168,8 +100,8 @@ def explain(scene_file: str, **given: Any) -> None:
 @click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
               help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values); several make a grid.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
-@click.option("--latex", type=_Place(), metavar="FILE", help="The table as LaTeX.")
-@_options("set", "cells", "refine", "element", "method", "start", "eps", "plugin", "output", "json", "quiet", "log")
+@click.option("--latex", type=Place(), metavar="FILE", help="The table as LaTeX.")
+@options("set", "cells", "refine", "element", "method", "start", "eps", "plugin", "output", "json", "quiet", "log")
 def study(
     scene_file: str,
     vary: tuple[str, ...],
@@ -193,18 +125,18 @@ def study(
     from fenicsx_obstacle.show.report import report_study
 
     folder = output or Path("out") / scene.name / "-".join(values)
-    _check_places(folder, json_file, latex)
-    say = (lambda text: None) if quiet or json_file == "-" else _say
+    check_places(folder, json_file, latex)
+    say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress(scene.name, quiet=quiet):
         rows = report_study(scene, values, typed(given), folder, say, fresh=fresh, latex=latex)
     if json_file is not None:
-        _write_json(json_file, rows)
+        write_json(json_file, rows)
 
 
 @commands.command()
-@click.argument("first", type=_Place(), metavar="A")
-@click.argument("second", type=_Place(), metavar="B")
-@_options("plugin", "json")
+@click.argument("first", type=Place(), metavar="A")
+@click.argument("second", type=Place(), metavar="B")
+@options("plugin", "json")
 def compare(first: Path, second: Path, json_file: str | None) -> None:
     """Compare two saved results: norms, contact sets, forces.
 
@@ -216,15 +148,15 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 
     found = compare(Answer.read(first), Answer.read(second))
     if json_file is not None:
-        _write_json(json_file, [found])
+        write_json(json_file, [found])
     if json_file != "-":
-        _say(difference(found, str(first), str(second)))
+        tell(difference(found, str(first), str(second)))
 
 
 @commands.command()
-@click.argument("result", type=_Place())
-@click.option("--output", type=_Place(), metavar="FILE", help="Another file.  [RESULT/answer.png]")
-@_options("plugin")
+@click.argument("result", type=Place())
+@click.option("--output", type=Place(), metavar="FILE", help="Another file.  [RESULT/answer.png]")
+@options("plugin")
 def plot(result: Path, output: Path | None) -> None:
     """Draw a saved result: u, contact set and pressure; its page shows the picture too.
 
@@ -234,7 +166,7 @@ def plot(result: Path, output: Path | None) -> None:
     from fenicsx_obstacle.show.report import report_answer
 
     answer = Answer.read(result)
-    _say(report_answer(answer, result, picture=True) if output is None else answer.plot(output))
+    tell(report_answer(answer, result, picture=True) if output is None else answer.plot(output))
 
 
 @commands.command()
@@ -249,14 +181,14 @@ def scenes(name: str | None) -> None:
     from fenicsx_obstacle.scenes import catalogue
     from fenicsx_obstacle.show.scenes import list_scenes
 
-    _say(list_scenes() if name is None else catalogue.text(name).removesuffix("\n"))
+    tell(list_scenes() if name is None else catalogue.text(name).removesuffix("\n"))
 
 
 @commands.command()
 @click.argument("number", metavar="[NO]", required=False)
-@click.option("--output", type=_Place(), default=Path("out/theory"), metavar="DIR",
+@click.option("--output", type=Place(), default=Path("out/theory"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/theory]")  # fmt: skip
-@_options("json", "quiet", "log")
+@options("json", "quiet", "log")
 def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
     """Kikuchi's statements, checked: what is claimed, what is observed, and a verdict.
 
@@ -265,12 +197,12 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.theory import show_theory
 
-    _check_places(output, json_file)
-    say = (lambda text: None) if quiet or json_file == "-" else _say
+    check_places(output, json_file)
+    say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress("theory", quiet=quiet):
         rows = show_theory(number, output, say)
     if json_file is not None:
-        _write_json(json_file, rows)
+        write_json(json_file, rows)
 
 
 @commands.command()
@@ -278,9 +210,9 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 @click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: so many random scenes.")
 @click.option("--broken", is_flag=True, help="Instead: input that is wrong in every way, and what is said about it.")
 @click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
-@click.option("--output", type=_Place(), default=Path("out/hard"), metavar="DIR",
+@click.option("--output", type=Place(), default=Path("out/hard"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
-@_options("json", "quiet", "log")
+@options("json", "quiet", "log")
 def hard(
     name: str | None, count: int | None, broken: bool, faults: bool, output: Path, json_file: str | None, quiet: bool
 ) -> int:
@@ -296,8 +228,8 @@ def hard(
 
     if (name is not None) + broken + faults + (count is not None) > 1:
         raise InputError("hard: NAME, --random, --broken and --faults exclude each other")
-    _check_places(output, json_file)
-    say = (lambda text: None) if quiet or json_file == "-" else _say
+    check_places(output, json_file)
+    say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress("hard", quiet=quiet):
         if broken:
             rows = show_broken(output, say)
@@ -306,12 +238,12 @@ def hard(
         else:
             rows = show_hard(name, output, say) if count is None else show_random(count, output, say)
     if json_file is not None:
-        _write_json(json_file, rows)
+        write_json(json_file, rows)
     return 3 if any(row["verdict"] == "FAILED" for row in rows) else 0
 
 
 @commands.command()
-@click.option("--output", type=_Place(), default=Path("out/demo"), metavar="DIR",
+@click.option("--output", type=Place(), default=Path("out/demo"), metavar="DIR",
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
     """The main job on the scenes of demos/: eps- and h-study, tables, pictures."""
@@ -319,44 +251,10 @@ def demo(output: Path) -> None:
     from fenicsx_obstacle.show.progress import progress
 
     with progress("demo", quiet=False):
-        run_demo(output, _say)
+        run_demo(output, tell)
 
 
 def _read(place: str) -> Any:
     from fenicsx_obstacle.scenes import catalogue
 
     return catalogue.read(place)
-
-
-def _say(text: str) -> None:
-    """Print on rank 0."""
-    from mpi4py import MPI
-
-    from fenicsx_obstacle.show.progress import beside_bars
-
-    if MPI.COMM_WORLD.rank == 0:
-        with beside_bars(sys.stdout):
-            click.echo(text)
-
-
-def _check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
-    """Refuse places that cannot be written to before anything is computed (collective)."""
-    from mpi4py import MPI
-
-    from fenicsx_obstacle.parallel import check_file, check_folder
-
-    check_folder(MPI.COMM_WORLD, folder)
-    for option, file in (("--json", json_file), ("--latex", latex)):
-        if file is not None and file != "-":
-            check_file(MPI.COMM_WORLD, Path(file), option)
-
-
-def _write_json(file: str, records: Sequence[Any]) -> None:
-    from mpi4py import MPI
-
-    from fenicsx_obstacle.parallel import on_root, write_lines
-
-    if file == "-":
-        _say("\n".join(json.dumps(dict(record)) for record in records))
-    else:
-        on_root(MPI.COMM_WORLD, write_lines, Path(file), records)

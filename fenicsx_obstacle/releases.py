@@ -229,14 +229,6 @@ def _stay(comm: MPI.Comm, parts: int, graph: Any, ghosting: bool) -> Any:
     return _cpp.graph.AdjacencyList_int32(rows[:, 2].astype(np.int32), starts.astype(np.int32))
 
 
-def incident_entities(mesh: dmesh.Mesh, entities: np.ndarray, d0: int, d1: int) -> np.ndarray:
-    """Entities of dimension d1 that touch given entities of dimension d0 (local)."""
-    mesh.topology.create_connectivity(d0, d1)
-    mesh.topology.create_connectivity(d1, d0)
-    first = mesh if OLD else mesh.topology
-    return np.asarray(dmesh.compute_incident_entities(first, entities, d0, d1), dtype=np.int32)
-
-
 def cells_near(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.ndarray, np.ndarray]:
     """Owned cells whose padded bounding boxes hold points (local).
 

@@ -2,7 +2,9 @@
 
 For any P1 function u_h, converged or not, nodal multipliers lambda >= 0 (lower obstacle), nu >= 0 (upper) and a rest
 rho come from its residual alone, eps-free, and a flux sigma in RT0 with continuous normal parts and
+
     div sigma = -(f_0 + mean lambda - mean nu + mean rho)   in each cell, f_0 the mean of the load,
+
 is found vertex by vertex as a sum of fluxes on the patches, each the nearest (in the norm of mu^(-1/2)) to the broken
 RT0 interpolant of phi_i mu grad u_h. (Braess and Schoeberl 2008 for equations; the interpolant in place of phi_i mu
 grad u_h itself keeps the flux near on irregular meshes.)

@@ -12,7 +12,7 @@ from typing import Any
 from fenicsx_obstacle.errors import InputError
 
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
-BLUE, VERMILION, GREEN, PINK = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+BLUE, VERMILION, *_ = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 MARKERS = ("o", "s", "^", "D")
 KINDS = (".png", ".pdf", ".svg")
 DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))  # dots are for what is expected

@@ -21,7 +21,6 @@ class Figures:
     Attributes:
         case: The scene.
         verdicts: How often each was given.
-        refusal: The first message of a refusal.
         unknowns: On the finer mesh.
         monotone: Whether the maximum principle holds on it; None where nothing was solved.
         steps: Most Newton steps on the finest level, by method.
@@ -36,7 +35,6 @@ class Figures:
 
     case: Case
     verdicts: Counter[str]
-    refusal: str
     unknowns: int | None
     monotone: bool | None
     steps: dict[str, int]
@@ -60,7 +58,6 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Figures:
     return Figures(
         case=case,
         verdicts=Counter(row["verdict"] for row in rows),
-        refusal=next((row["message"] for row in rows if row["verdict"] == "refused"), ""),
         unknowns=fine[0]["dofs"] if fine else None,
         monotone=fine[0]["monotone"] if fine else None,
         steps={method: max((row["newton_iterations"] for row in solved if row["method"] == method), default=0)
