@@ -5,8 +5,20 @@ Names are loaded when they are first used: importing the package costs nothing.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
 from typing import Any
+
+# compiled for one another, so that pip must not bring them
+_COMPILED = ("dolfinx", "ufl", "petsc4py", "mpi4py", "h5py")
+if _missing := [name for name in _COMPILED if find_spec(name) is None]:
+    raise ImportError(
+        f"fenicsx_obstacle needs FEniCSx, PETSc and MPI, and {sys.executable} does not find {', '.join(_missing)}. "
+        "pip does not install them: on Debian take apt-get install python3-dolfinx python3-h5py and an environment "
+        "made by /usr/bin/python3 -m venv --system-site-packages; elsewhere fenics-dolfinx and h5py of conda-forge"
+    )
 
 _HOME = {
     "Answer": "answers.answer",
@@ -40,6 +52,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return version(__name__)
     if name not in _HOME:
         raise AttributeError(f"module 'fenicsx_obstacle' has no attribute '{name}'")
     return getattr(import_module(f"fenicsx_obstacle.{_HOME[name]}"), name)

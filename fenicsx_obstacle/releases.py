@@ -30,6 +30,9 @@ VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
 OLD = VERSION < (0, 7)  # ufl elements, AdjacencyList dofmaps
 NEW = VERSION >= (0, 10)  # create_vector(V), io.gmsh
 
+if np.issubdtype(PETSc.ScalarType, np.complexfloating):
+    raise ImportError("this PETSc computes with complex numbers: fenicsx_obstacle needs one with real numbers")
+
 # what UFL raises for values outside of a function's domain
 UFL_ERRORS = (ArithmeticError, TypeError, ValueError, *([ufl.log.UFLException] if OLD else []))
 atan2 = getattr(ufl, "atan2", None) or ufl.atan_2

@@ -1,1 +1,5 @@
-"""What a person sees: tables and pictures."""
+"""What a person sees: tables, pictures, pages and words.
+
+Enters: what turns answers and rows into text, files for reading and pictures. Stays out: mathematics that an answer
+needs, and options of the command line.
+"""

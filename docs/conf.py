@@ -1,0 +1,51 @@
+"""How Sphinx makes a site of these pages; `./obstacle docs` runs it, and any warning is an error."""
+
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
+
+project = "fenicsx_obstacle"
+author = "the fenicsx_obstacle developers"
+version = release = version_of(project)
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.apidoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_click",
+    "house",
+    "plain_docstrings",
+]
+exclude_patterns = ["_extensions", "out"]
+
+# what is generated here is not kept: every module of the package, with everything that has a docstring
+apidoc_modules = [
+    {
+        "path": "../fenicsx_obstacle",
+        "destination": "reference",
+        "exclude_patterns": ["../fenicsx_obstacle/__main__.py"],
+        "separate_modules": False,
+        "module_first": True,
+        "automodule_options": {"members", "show-inheritance"},
+    }
+]
+autodoc_member_order = "bysource"
+autodoc_class_signature = "separated"
+autodoc_typehints = "signature"
+python_use_unqualified_type_names = True
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
+default_role = "code"
+napoleon_use_ivar = True
+toc_object_entries = False  # one page for each room; its modules are in the contents, its functions are not
+
+myst_heading_anchors = 3
+nitpicky = True  # what pages name in the code has to be there; types of others are theirs
+nitpick_ignore_regex = [("py:.*", r"(?!fenicsx_obstacle\.).*")]
+suppress_warnings = ["ref.python"]  # two modules may have a Row or a Distance of their own
+
+html_theme = "furo"
+html_title = f"{project} {release}"

@@ -1,0 +1,68 @@
+"""The package as it is installed: a wheel beside the system's dolfinx, and what it says where that is missing."""
+
+import re
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from test_cli import CLEAN
+
+import fenicsx_obstacle
+
+pytestmark = pytest.mark.serial
+
+ROOT = Path(__file__).parent.parent
+
+
+def run(*command, **more):
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, env=CLEAN, timeout=150, **more)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
+    """The sdist makes the wheel; scenes, types and licence are in it; the command solves away from the clone."""
+    pytest.importorskip("build", reason="build is of the extra 'test', which the container has not")
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", tmp_path, ROOT)
+    (wheel,) = tmp_path.glob("*.whl")
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    names = zipfile.ZipFile(wheel).namelist()
+    for name in ("py.typed", "catalogue/ball.toml", "hard/suite.toml", "hard/stretched.geo"):
+        assert f"fenicsx_obstacle/{name}" in names
+    assert any(name.endswith("LICENSE") for name in names)
+    listed = run("tar", "-tzf", sdist)
+    assert "CITATION.cff" in listed and "docs/start.md" in listed and "tests/conftest.py" in listed
+    # what pip would fetch besides is here already: the environment sees this one's packages, and the system's
+    place = tmp_path / "venv"
+    run("/usr/bin/python3", "-m", "venv", "--system-site-packages", "--without-pip", place)
+    (found,) = (place / "lib").glob("python3*/site-packages")
+    run(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", found, wheel)
+    here = [path for path in sys.path if path.startswith(sys.prefix) and path.endswith("site-packages")]
+    (found / "libraries.pth").write_text("\n".join(here))
+    code = "import fenicsx_obstacle as f, sys; print(f.__file__); from fenicsx_obstacle.__main__ import main; main()"
+    said = run(place / "bin" / "python", "-c", code, "solve", "ball", "--cells", "16", cwd=tmp_path)
+    assert said.startswith(str(found)) and "contact area" in said
+    assert (tmp_path / "out" / "ball" / "answer.json").exists()
+
+
+def test_missing_libraries_are_named():
+    """Without dolfinx the import says what to install instead of failing somewhere inside."""
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import fenicsx_obstacle"
+    done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "does not find dolfinx, ufl, petsc4py, mpi4py" in done.stderr
+    assert "apt-get install python3-dolfinx" in done.stderr
+
+
+def test_one_version():
+    """pyproject.toml has the version, everything else asks for it; the changelog begins with it."""
+    assert fenicsx_obstacle.__version__ == version("fenicsx_obstacle")
+    text = (ROOT / "pyproject.toml").read_text()
+    assert f'version = "{fenicsx_obstacle.__version__}"' in text
+    first = re.search(r"^## ([\d.]+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert first and first[1] == fenicsx_obstacle.__version__
+    for file in (ROOT / "fenicsx_obstacle").rglob("*.py"):
+        assert f'"{fenicsx_obstacle.__version__}"' not in file.read_text()
