@@ -172,7 +172,12 @@ def keys_of(record):
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("ball", {"tol": 0.5}), ("disk", {"cells": 8, "method": "successive"}), ("pollutant", {"cells": 8})],
+    [
+        ("ball", {"tol": 0.5}),
+        ("disk", {"cells": 8, "method": "successive"}),
+        ("pollutant", {"cells": 8}),
+        ("put", {"cells": 8}),
+    ],
 )
 def test_results_are_described(name, options):
     """docs/results.md has each field of answer.json."""
