@@ -3,7 +3,7 @@
 from conftest import COMM
 
 from fenicsx_obstacle.studies.hard.draw import SEED, try_all
-from fenicsx_obstacle.studies.hard.judge import FAILED
+from fenicsx_obstacle.studies.hard.row import FAILED
 
 COUNT = {1: 50, 2: 20}  # on three ranks 10
 

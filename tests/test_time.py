@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from petsc4py import PETSc
 from scipy.optimize import brentq
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
+from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.solvers.steps import difference, extrapolation
 
 INTERVAL = {"shape": "interval", "cells": 16}
@@ -164,6 +166,17 @@ def test_equilibria(method):
         assert course.rows[number]["force_lower"] == pytest.approx(record["contact"]["lower"]["force"], rel=1e-8)
         assert course.rows[number]["contact_area"] == pytest.approx(record["contact"]["area"], rel=1e-12)
     assert course.rows[4]["force_lower"] > course.rows[3]["force_lower"] > 0
+
+
+def test_twice_on_one_bench():
+    """Data go back to t = 0 before another march: edge, obstacle and start depend on t here."""
+    scene = Scene(
+        mesh=INTERVAL, rate=1, tension=1, load=-1, lower="-0.1*t", boundary=[{"value": "t"}],
+        time={"end": 1, "steps": 4, "start": "t + x*(1 - x)", "scheme": "bdf2"},
+    )  # fmt: skip
+    with closing(Workbench(scene)) as bench:
+        first, second = bench.answer(), bench.answer()
+    assert np.allclose(first.u.x.array, second.u.x.array, rtol=0, atol=1e-12)
 
 
 def test_moving_stiffness():

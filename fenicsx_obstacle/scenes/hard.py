@@ -31,7 +31,6 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         meshes: The two values of `by`, from coarse to fine.
         by: The key that refines: mesh.cells, or mesh.refine for files.
         refuse: Part of the message, where there is no solution and the program must say so.
-        awaits: The effect that it needs and that is not there yet; it is listed, not solved.
     """
 
     name: str
@@ -42,7 +41,6 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     meshes: tuple[int, int] = (32, 64)
     by: str = "mesh.cells"
     refuse: str = ""
-    awaits: str = ""
 
     @cached_property
     def base(self) -> Scene:
@@ -55,6 +53,11 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         own = FOLDER / f"{name}.toml"
         scene = Scene.read(own) if own.is_file() else catalogue.scene(name)
         return scene.change(self.set) if self.set else scene
+
+    @property
+    def compared(self) -> bool:
+        """Whether ranks are compared: at rest, where what is unknown of an answer does not add up over steps."""
+        return not self.refuse and self.base.time is None
 
     def on(self, mesh: int) -> Scene:
         """The scene on the mesh of this number: 0 coarse, 1 fine."""

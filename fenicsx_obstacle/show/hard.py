@@ -15,7 +15,8 @@ from fenicsx_obstacle.scenes.hard import cases, named
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.theory import drawing
 from fenicsx_obstacle.studies.hard.figures import RESOLVED, Figures, digits_panels, figures_of, panels
-from fenicsx_obstacle.studies.hard.judge import FAILED, METHODS, REFUSED, RIGHT, Row
+from fenicsx_obstacle.studies.hard.judge import METHODS
+from fenicsx_obstacle.studies.hard.row import FAILED, REFUSED, RIGHT, Row
 from fenicsx_obstacle.studies.hard.suite import one_rank, run
 from fenicsx_obstacle.studies.theory.statement import Found, Panel
 from fenicsx_obstacle.words import counted
@@ -73,11 +74,10 @@ def summary(all_figures: Sequence[Figures], seconds: float) -> str:
     count: Counter[str] = Counter()
     for figures in all_figures:
         count += figures.verdicts
-    later = [figures.case for figures in all_figures if figures.case.awaits]
     parts = ", ".join(f"{count[verdict]} {verdict}" for verdict in (RIGHT, REFUSED, FAILED))
-    solved = len(all_figures) - len(later)
-    lines = [f"{counted(solved, 'scene')}, {counted(count.total(), 'answer')}: {parts}; {seconds / 60:.1f} min"]
-    lines += [f"not solved: {one.name} awaits {one.awaits}" for one in later]
+    lines = [
+        f"{counted(len(all_figures), 'scene')}, {counted(count.total(), 'answer')}: {parts}; {seconds / 60:.1f} min"
+    ]
     coarse = [figures for figures in all_figures if (figures.moved or 0.0) > RESOLVED]
     if coarse:
         names = ", ".join(f"{figures.case.name} ({figures.moved:.0%})" for figures in coarse)
@@ -96,8 +96,6 @@ def markdown(all_figures: Sequence[Figures]) -> str:
 
 def _described(figures: Figures) -> list[str]:
     one = figures.case
-    if one.awaits:
-        return [one.name, one.hard, *[""] * (len(MARKDOWN) - 3), f"awaits {one.awaits}"]
     verdicts = _verdicts(figures)
     if figures.unknowns is None:
         return [one.name, one.hard, *[""] * (len(MARKDOWN) - 3), verdicts]
@@ -118,8 +116,6 @@ def _verdicts(figures: Figures) -> str:
 
 def _cells(figures: Figures) -> tuple[Any, ...]:
     one, count = figures.case, figures.verdicts
-    if one.awaits:
-        return one.name, one.family, *[""] * (len(HEADS) - 3), "waits"
     steps = [figures.steps[method] or "" for method in ("vi", *METHODS)]
     maximum = {True: "yes", False: "no", None: ""}[figures.monotone]
     counts = [count[verdict] for verdict in (RIGHT, REFUSED, FAILED)]

@@ -13,7 +13,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError, ObstacleError
-from fenicsx_obstacle.studies.hard.judge import FAILED, REFUSED, RIGHT, Row
+from fenicsx_obstacle.studies.hard.row import FAILED, REFUSED, RIGHT, Row
 from fenicsx_obstacle.studies.processes import launch, records, tell
 
 AT_ONCE = 2

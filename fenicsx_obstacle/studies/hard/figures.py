@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from fenicsx_obstacle.scenes.hard import Case
-from fenicsx_obstacle.studies.hard.judge import EPS, METHODS, Row
+from fenicsx_obstacle.studies.hard.judge import EPS, METHODS
+from fenicsx_obstacle.studies.hard.row import Row
 from fenicsx_obstacle.studies.theory.statement import Curve, Panel
 
 RESOLVED = 0.1  # change of the contact force from one mesh to the next

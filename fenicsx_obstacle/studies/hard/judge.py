@@ -20,15 +20,13 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.stopping import NOTHING
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
+from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, row_of
 from fenicsx_obstacle.studies.hard.units import Units, all_units
 
 EPS: tuple[float | str, ...] = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, "auto")
 METHODS = ("penalty", "successive")
 TRIAL = 1e-6  # eps of what is tried once: other starts, units and ranks
-RIGHT, REFUSED, FAILED = "right", "refused", "FAILED"
-FLOOR = "floor of round-off"  # words of the refusal
 NO_DIGITS = {"from_heights": None, "line": None, "left": None}  # known for affine effects
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -61,12 +59,17 @@ def judge(
         starts: Solve from other starting guesses as well.
         units: Solve in other units as well.
     """
+    if scene.time is not None:
+        from fenicsx_obstacle.studies.hard.moving import judge_moving  # only where a scene has time
+
+        yield from judge_moving(scene, comm, epsilons, methods)
+        return
     start = time.perf_counter()
     try:
         bench = Workbench(scene, comm)
     except InputError as error:
         expected = bool(refuse) and refuse in str(error)
-        yield _row(scene, "", None, REFUSED if expected else FAILED, start, message=str(error))
+        yield row_of(scene, "", None, REFUSED if expected else FAILED, start, message=str(error))
         return
     with closing(bench), closing(Ground(bench.problem)) as ground:
         court = _Court(scene, bench, ground, refuse)
@@ -110,7 +113,7 @@ class _Court:
                 try:
                     outcome = solve_vi(problem) if eps is None else solve_penalty(problem, TRIAL)
                 except NotConverged as error:
-                    yield _row(self.scene, method, eps, FAILED, start, message=f"{words}: {error}", trial=words)
+                    yield row_of(self.scene, method, eps, FAILED, start, message=f"{words}: {error}", trial=words)
                     continue
                 solved = take(self.bench, self.ground, eps)
                 findings = [*of_one(solved), *same(self.known[method, eps].solved, solved, words)]
@@ -136,7 +139,7 @@ class _Court:
                     try:
                         answer = bench.answer(asked)
                     except (InputError, NotConverged) as error:
-                        yield _row(self.scene, method, eps, FAILED, start, message=str(error), trial=units.name)
+                        yield row_of(self.scene, method, eps, FAILED, start, message=str(error), trial=units.name)
                         continue
                     record = dict(answer.record)
                     solved = take(bench, ground, record["eps"])
@@ -149,10 +152,10 @@ class _Court:
         try:
             answer = self.bench.answer(self.scene.change(_solve(method, eps)))
         except InputError as error:
-            yield _row(self.scene, method, eps, REFUSED if FLOOR in str(error) else FAILED, start, message=str(error))
+            yield row_of(self.scene, method, eps, REFUSED if FLOOR in str(error) else FAILED, start, message=str(error))
             return
         except NotConverged as error:
-            yield _row(self.scene, method, eps, FAILED, start, message=str(error))
+            yield row_of(self.scene, method, eps, FAILED, start, message=str(error))
             return
         record = dict(answer.record)
         number = record["eps"]
@@ -180,7 +183,7 @@ class _Court:
         message = f"should be refused: {self.refuse}" if self.refuse else "; ".join(map(str, wrong))
         verdict = FAILED if message else RIGHT
         record = {**record, "monotone": self.ground.monotone}
-        return _row(self.scene, method, eps, verdict, start, record, findings, message, trial)
+        return row_of(self.scene, method, eps, verdict, start, record, findings, message, trial)
 
 
 def take(bench: Workbench, ground: Ground, eps: float | None) -> Solved:
@@ -228,16 +231,3 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
         Finding("other units: the same pressure", "equations scale", largest(g.comm, (d - room_p)[g.touchable]), 0.0,
                 g.monotone),
     ]  # fmt: skip
-
-
-def _row(
-    scene: Scene, method: str, eps: float | str | None, verdict: str, start: float, record: Any = None,
-    findings: Sequence[Finding] = (), message: str = "", trial: str = "",
-) -> Row:  # fmt: skip
-    keys = ("eps", "dofs", "newton_iterations", "newton_total", "energy", "contact", "penetration", "u_range",
-            "digits", "monotone", "report", "errors")  # fmt: skip
-    figures = {} if record is None else {key: record[key] for key in keys if key in record}
-    return {
-        "scene": scene.name, "method": method, "asked": eps, "trial": trial, "verdict": verdict, "message": message,
-        "seconds": time.perf_counter() - start, **figures, "findings": [finding.record for finding in findings],
-    }  # fmt: skip

@@ -12,8 +12,9 @@ from pathlib import Path
 from mpi4py import MPI
 
 from fenicsx_obstacle.scenes.hard import Case, case
-from fenicsx_obstacle.studies.hard.judge import Row, judge
+from fenicsx_obstacle.studies.hard.judge import judge
 from fenicsx_obstacle.studies.hard.ranks import write
+from fenicsx_obstacle.studies.hard.row import Row
 from fenicsx_obstacle.studies.processes import tell
 
 
@@ -30,7 +31,7 @@ def main() -> None:
     one = case(sys.argv[1])
     for row in rows_of(one):
         tell(row)
-    if not one.refuse:
+    if one.compared:
         write(one.on(0), Path(sys.argv[2]), MPI.COMM_WORLD)
 
 

@@ -18,8 +18,9 @@ from mpi4py import MPI
 from fenicsx_obstacle.accuracy.invariants import violated
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.hard import Case
-from fenicsx_obstacle.studies.hard.judge import FAILED, METHODS, RIGHT, TRIAL, Row
+from fenicsx_obstacle.studies.hard.judge import METHODS, TRIAL
 from fenicsx_obstacle.studies.hard.ranks import agree_on
+from fenicsx_obstacle.studies.hard.row import FAILED, RIGHT, Row
 
 AT_ONCE = 2
 RANKS = (2, 3)
@@ -51,16 +52,14 @@ def run(cases: Sequence[Case]) -> Iterator[tuple[Case, list[Row]]]:
 
 
 def rows_of(one: Case) -> list[Row]:
-    """The rows of a case: those its process wrote, and one for each number of ranks; none for what is awaited."""
-    if one.awaits:
-        return []
+    """The rows of a case: those its process wrote, and one for each number of ranks."""
     with tempfile.TemporaryDirectory(prefix="obstacle-") as folder:
         file = Path(folder) / "1.npz"
         text, trouble = _process([sys.executable, "-m", f"{MODULES}.one", one.name, str(file)])
         rows = [json.loads(line) for line in text.splitlines() if line.startswith("{")]
         if trouble:
             return [*rows, _lost(one, trouble)]
-        return rows if one.refuse else [*rows, *_on_ranks(one, file, Path(folder))]
+        return [*rows, *_on_ranks(one, file, Path(folder))] if one.compared else rows
 
 
 def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
