@@ -29,7 +29,7 @@ SHARES = {
     "assemble matrices": ("petsc.py:_assemble_matrix_mat",),
     "assemble vectors": ("assembly.py:_assemble",),
     "sample data": ("data.py:fixed", "data.py:lower", "data.py:upper", "data.py:cellwise"),
-    "interpolate, relax": ("problem.py:begin_from", "relaxation.py:relax"),
+    "interpolate, relax": ("nested.py:begin_from", "relaxation.py:relax"),
     "springs of the levels": ("multigrid.py:hold",),
     "residuals": ("problem.py:residual",),
     "stopping test": ("stopping.py:__call__",),

@@ -12,7 +12,7 @@ from fenicsx_obstacle import solve
 from fenicsx_obstacle.accuracy.invariants import beside_inequality, of_one, same, violated
 from fenicsx_obstacle.accuracy.solved import Ground
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.effects.effect import find, known
+from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.scenes.hard import case, cases
 from fenicsx_obstacle.studies.hard.judge import judge, take
 from fenicsx_obstacle.studies.hard.ranks import agree_on, fields_of
@@ -23,11 +23,11 @@ FEW = (1e-2, 1e-6, 1e-12)
 
 
 def test_every_effect_has_a_hard_scene():
-    """Those that scenes can name, a matrix for a tension, and obstacles on the boundary and on a curve inside."""
+    """Those that scenes can name, a matrix for a tension, all kinds of time, obstacles on the boundary and on curves."""
     scenes = [one.base for one in cases() if not one.refuse]
     named = {effect.key for scene in scenes for effect in scene.effects}
-    at_rest = {key for key in known() | known("boundary") if find(key).order == 0}  # time has cases of its own
-    assert named >= at_rest
+    assert named >= known() | known("boundary")
+    assert {scene.time.order for scene in scenes if scene.time is not None} == {0, 1, 2}
     assert any(isinstance(scene.tables.effects.get("tension"), list) for scene in scenes)
     thin = [scene for scene in scenes if scene.thin]
     assert any(scene.tables.mesh.file for scene in thin) and any(scene.tables.mesh.shape for scene in thin)
@@ -49,6 +49,17 @@ def test_scene(name):
     claims = {finding["name"]: finding["claimed"] for row in rows for finding in row["findings"]}
     assert claims["penalty and inequality: energy norm"] and claims["penetration"] is SCENES[name]
     assert ("energy rises as eps falls" in claims) is (name != "storm")
+
+
+@pytest.mark.parametrize("name", ["american_put", "melting", "wall", "drum_on_peg", "press"])
+def test_scene_with_time(name):
+    """Each step keeps what a problem at rest keeps; all together keep within the penetration, or lose energy."""
+    rows = list(judge(case(name).on(0), COMM, FEW))
+    assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), [row["message"] for row in rows]
+    assert len(rows) == 1 + 2 * len(FEW) and all(row["monotone"] for row in rows)
+    claims = {finding["name"] for row in rows for finding in row["findings"] if finding["claimed"]}
+    moving = "energy never grows", "all steps: no farther from the inequality's u than the penetration"
+    assert moving[name not in ("wall", "drum_on_peg")] in claims
 
 
 @pytest.mark.parametrize("name", ["storm", "tower", "power_1.2", "mattress", "nail", "cords_8", "stop"])

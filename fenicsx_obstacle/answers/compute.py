@@ -16,15 +16,15 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.norms import Exact
-from fenicsx_obstacle.accuracy.round_off import round_off
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.choose import Method, chain, method_of, nested, stepwise
+from fenicsx_obstacle.answers.figures import figures_of
 from fenicsx_obstacle.answers.origin import command, versions
 from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
+from fenicsx_obstacle.parallel import largest, peak_memory_mb
 from fenicsx_obstacle.scenes.formulas import nearest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import Tables
@@ -231,16 +231,6 @@ class Workbench:
         share = 1.0 if time_ is None else time_.share
         return self._report.evaluate(state.u, state.pressure, state.touching, support * share)
 
-    def _flow(self) -> dict[str, Any]:
-        """The Peclet number, where a scene has drift."""
-        problem = self.problem
-        for effect in problem.scene.effects:
-            if effect.key == "drift":
-                from fenicsx_obstacle.discrete.flow import peclet  # only where a scene names it
-
-                return {"peclet": peclet(problem.data, effect)}
-        return {}
-
     def _chain(self) -> list[Problem]:
         """Problems of all levels, kept like the problem of the finest (first use is collective)."""
         if self._problems is None:
@@ -269,33 +259,18 @@ class Workbench:
         course: Course | None,
     ) -> Answer:
         problem, level, eps = self.problem, self.problem.level, method.eps
-        contact = state.contact
-        errors: dict[str, Any] = {}
-        if self.exact is not None:
-            errors = {"errors": self.exact.errors(state.u, state.pressure, eps)}
         seconds += self.setup_seconds
-        asked = scene.tables.solve.method
         record = {
-            "scene": scene.name, "title": scene.tables.title, "method": asked,
-            **({"m_matrix": problem.m_matrix} if asked == "successive" else {}),
-            "element": scene.pair.name, "ranks": level.comm.size,
-            "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
-            "cells_total": level.cells, "dofs": level.dofs,
-            "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
-            "h": level.h, "h_max": level.h_max, "eps": eps,
-            **self._flow(), "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
+            **figures_of(problem, scene, eps, state),
+            "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
             "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, **counts,
             "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
             "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
-            "memory_mb": peak_memory_mb(level.comm), "energy": state.energy, **errors,
-            "penetration": contact.penetration,
-            "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
-            "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
-            "versions": versions(), "command": command(level.comm.size),
+            "memory_mb": peak_memory_mb(level.comm), "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
-        if problem.constrained and problem.affine and level.pair.nodal and course is None:
-            record["round_off"] = round_off(problem, state.p, eps)
+        if self.exact is not None:
+            record["errors"] = self.exact.errors(state.u, state.pressure, eps)
         if bound is not None:
             true = record.get("errors", {}).get("energy")
             record["bound"] = {**bound.record, "effectivity": bound.total / true if true else None}

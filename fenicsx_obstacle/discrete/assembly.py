@@ -113,15 +113,7 @@ class Forms:
             out.array[:] -= forces
 
     def renew(self, A: PETSc.Mat, *, stiffness: bool) -> bool:
-        """Assemble anew what has changed with time.
-
-        Args:
-            A: What `create_matrix` returned.
-            stiffness: Whether numbers in the stiffness have changed.
-
-        Returns:
-            Whether it has changed.
-        """
+        """Assemble anew what has changed with time, with A of `create_matrix`; whether the stiffness is among it."""
         return stiffness
 
     def reaction(self, out: PETSc.Vec) -> None:
@@ -141,8 +133,7 @@ class Forms:
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
         """a(u, u)/2 - f(u), and the energy of the penalty; what belongs to a step in time only if `moving`."""
         comm = self.data.level.comm
-        all_of_it = moving or self.data.moment is None
-        parts = (fem.assemble_scalar(form) for order, form in self._energies if all_of_it or order == 0)
+        parts = (fem.assemble_scalar(form) for order, form in self._energies if moving or order == 0)
         value = total(comm, sum(parts))
         for forces in self._given(moving=moving):
             value -= total(comm, forces * (self.w.x.array + self.reference.x.array)[: len(forces)])

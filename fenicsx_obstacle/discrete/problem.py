@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.admissible import check_admissible
+from fenicsx_obstacle.discrete.afloat import refuse_afloat
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
@@ -25,7 +26,6 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
-ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
 REACH = 1e3  # an obstacle so many times farther off than heights differ, or than the nearest, is no place to count from
 
 
@@ -61,7 +61,7 @@ class Problem:
         if data.thin and not (nodal and level.pair.degree == 1):
             raise InputError(f"{scene.source}: obstacles on the boundary are for elements P1 and Q1")
         others = [effect.key for effect in scene.effects if effect.key not in ("tension", "load")]
-        others += ["[time]"] if scene.time is not None else []
+        others += ["[time]"] * (scene.time is not None)
         if level.pair.voronoi and others:
             raise InputError(f"{scene.source}: element {level.pair.name} is for tension and load, not for {others[0]}")
         self.forms = forms = (Nodal if self.affine and nodal else Forms)(scene.effects, data)
@@ -76,7 +76,7 @@ class Problem:
         self.weights = forms.weights()
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
         self.load, self._net_load = self._loads()
-        self._refuse_afloat()
+        refuse_afloat(self, self._net_load)
         self.refer(self.cold_start())
 
     def cold_start(self) -> np.ndarray:
@@ -92,7 +92,7 @@ class Problem:
         np.clip(heights, lower, upper, out=heights)
         heights[dofs] = values.x.array[dofs]
         if self.constrained and total(comm, len(own)) == 0:
-            # nothing else holds a floating membrane: begin with contact everywhere, where the load presses it
+            # nothing else holds it: begin with contact everywhere, where the load presses
             down = self.above is None or (self.below is not None and self._net_load <= 0)
             heights[:] = lower - 1.0 if down else upper + 1.0
             known = np.isfinite(heights)
@@ -109,12 +109,10 @@ class Problem:
         Raises:
             InputError: If no u can satisfy the data.
         """
-        changed = self.data.move()
+        changed = self.forms.renew(self.A, stiffness=self.data.move())
         if self.data.moving:
             check_admissible(self.data)
-        changed = self.forms.renew(self.A, stiffness=changed)
-        if changed:
-            self.__dict__.pop("m_matrix", None)
+        self.__dict__.pop("m_matrix", None)
         self.load, self._net_load = self._loads()
         self.refer(heights)
         return changed
@@ -143,26 +141,6 @@ class Problem:
         dofs, values = self.data.fixed
         self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
         self._measure_gaps()
-
-    def begin_from(self, coarse: Problem) -> None:
-        """Let w be the state of the next coarser level, interpolated.
-
-        Where both ends of an edge are in contact its middle is: distances, not heights are interpolated there, or
-        the middle of a curved obstacle's edge would start far off.
-        """
-        ends, own = self.level.ends, self.level.owned
-        heights = fem.Function(self.level.V)
-        heights.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
-        heights.x.scatter_forward()
-        self.refer(heights.x.array)
-        w = self.w.x.array
-        for ours, theirs, sign in ((self.below, coarse.below, 1), (self.above, coarse.above, -1)):
-            if ours is None or theirs is None:
-                continue
-            distance = sign * (coarse.w.x.array - theirs.x.array)
-            touching = np.all(distance[ends] <= 0, axis=1) & ~self.fixed
-            w[:own][touching] = ours.x.array[:own][touching] + sign * distance[ends[touching]].mean(axis=1)
-        self.w.x.scatter_forward()
 
     def refer_to_contact(self, *, blunt: bool = False) -> bool:
         """Count w from the obstacle that each node touches now; whether that changed any.
@@ -244,7 +222,7 @@ class Problem:
 
     @property
     def symmetric(self) -> bool:
-        """Whether the Jacobian is symmetric."""
+        """Whether the Jacobian is."""
         return all(effect.symmetric for effect in self.scene.effects)
 
     @property
@@ -312,36 +290,6 @@ class Problem:
         flags.x.array[: len(owned)] = owned
         flags.x.scatter_forward()
         return flags.x.array > 0.5
-
-    def _refuse_afloat(self) -> None:
-        """Refuse a membrane held nowhere that its load does not press against its only obstacle (collective).
-
-        (3.4) with v = 1 says that contact forces and loads add up to 0, and an obstacle only pushes.
-
-        Raises:
-            InputError: Since no u is in balance.
-        """
-        comm = self.level.comm
-        if total(comm, np.count_nonzero(self.fixed)) > 0 or (self.below is None) == (self.above is None):
-            return
-        at_rest = self.elastic.array_r.copy()  # -f, of `_loads`
-        self.w.x.array[:] = 1.0
-        self.forms.elastic(self.elastic)
-        self.w.x.array[:] = 0.0
-        state = self.state()
-        diagonal = self.jacobian(state, penalised=False).getDiagonal()
-        answer = total(comm, self.elastic.array_r - at_rest)
-        shifts = answer <= ROUND_OFF * total(comm, diagonal.array_r)
-        for vector in (state, diagonal):
-            vector.destroy()
-        if not shifts:  # something else than contact answers
-            return
-        side, push = ("lower", -self._net_load) if self.below is not None else ("upper", self._net_load)
-        if push <= ROUND_OFF * total(comm, np.abs(at_rest)):
-            raise InputError(
-                f"{self.scene.source}: u is given nowhere, and the load, {self._net_load:.3g} in all, does not press "
-                f"against the {side} obstacle: no u is in balance; add a [[boundary]] with a value"
-            )
 
     def _loads(self) -> tuple[float, float]:
         """Sum of |f_i| over free dofs, and of all f_i: minus the residual of u = 0, which is the state afterwards."""

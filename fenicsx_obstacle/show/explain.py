@@ -22,6 +22,7 @@ from fenicsx_obstacle.scenes.moments import EQUILIBRIA
 from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
+from fenicsx_obstacle.show.steps import steps_of
 from fenicsx_obstacle.words import counted, plain
 
 
@@ -46,7 +47,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("boundary", _boundary(scene)),
         ("discrete", _discrete(scene)),
         ("mesh", [_mesh(scene), *_size(scene)]),
-        ("time", _time(scene)),
+        ("time", steps_of(scene)),
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
@@ -226,30 +227,6 @@ def _solver(scene: Scene) -> list[str]:
         else f"each step: {_linear_solver(scene)}, {_levels(scene)}",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
-
-
-def _time(scene: Scene) -> list[str]:
-    """The steps in time, what they begin with, and what is kept of them."""
-    time = scene.time
-    if time is None:
-        return []
-    how = {
-        "equilibria": f"equilibria at t = 0 and {counted(time.steps, 'moment')} more, to t = {time.end:g}",
-        "euler": "implicit Euler, order 1, monotone",
-        "bdf2": "BDF2, order 2, begun with a step of implicit Euler",
-        "midpoint": "elastic forces averaged over a step, order 2, contact at its end: energy never grows by a step",
-    }[time.scheme]
-    lines = [how if time.order == EQUILIBRIA else f"{counted(time.steps, 'step')} to t = {time.end:g}: {how}"]
-    if time.tolerance is not None:
-        lines[0] = f"to t = {time.end:g}: {how}"
-        lines.append(f"steps chosen so that each adds at most {time.tolerance:g} to u; the first {time.step:g}")
-    start = [] if time.start is None else [f"u = {time.start.text}"]
-    start += [] if time.velocity is None else [f"u_t = {time.velocity.text}"]
-    lines += [f"at t = 0 {', '.join(start)}"] if start else []
-    if time.order > EQUILIBRIA:
-        lines.append("a step is the problem above with a foundation and a load more, and starts from the last moment")
-    frames = f"fields at {counted(time.frames + 1, 'moment')}" if time.frames else "no fields but the last"
-    return [*lines, f"kept: figures of all moments, {frames}, and the state, from which --restart goes on"]
 
 
 def _why(scene: Scene) -> str:

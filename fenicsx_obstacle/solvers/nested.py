@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from dolfinx import fem
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
@@ -48,7 +49,7 @@ def solve_nested(
         if before is None:
             problem.refer(problem.cold_start())
         else:
-            problem.begin_from(before)
+            begin_from(problem, before)
             if problem.constrained and multigrid is not None:
                 none = np.zeros(len(problem.weights))
                 relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
@@ -60,3 +61,24 @@ def solve_nested(
                 raise
         before = problem
     return outcomes
+
+
+def begin_from(problem: Problem, coarse: Problem) -> None:
+    """Let a problem's state be that of the next coarser level, interpolated (collective).
+
+    Where both ends of an edge are in contact its middle is: distances, not heights are interpolated there, or
+    the middle of a curved obstacle's edge would start far off.
+    """
+    ends, own = problem.level.ends, problem.level.owned
+    heights = fem.Function(problem.level.V)
+    heights.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
+    heights.x.scatter_forward()
+    problem.refer(heights.x.array)
+    w = problem.w.x.array
+    for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
+        if ours is None or theirs is None:
+            continue
+        distance = sign * (coarse.w.x.array - theirs.x.array)
+        touching = np.all(distance[ends] <= 0, axis=1) & ~problem.fixed
+        w[:own][touching] = ours.x.array[:own][touching] + sign * distance[ends[touching]].mean(axis=1)
+    problem.w.x.scatter_forward()

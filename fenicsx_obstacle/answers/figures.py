@@ -1,0 +1,50 @@
+"""The figures of an answer that say what was solved, and what came out; how long it took is not among them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.accuracy.round_off import round_off
+from fenicsx_obstacle.answers.state import State
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes.scene import Scene
+
+
+def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) -> dict[str, Any]:
+    """Part of answer.json (collective).
+
+    Args:
+        problem: Just solved.
+        scene: With the [solve] table that it was solved with.
+        eps: Penalty parameter, or None.
+        state: What came out.
+    """
+    level, asked, contact = problem.level, scene.tables.solve.method, state.contact
+    figures: dict[str, Any] = {
+        "scene": scene.name, "title": scene.tables.title, "method": asked,
+        **({"m_matrix": problem.m_matrix} if asked == "successive" else {}),
+        "element": scene.pair.name, "ranks": level.comm.size,
+        "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
+        "cells_total": level.cells, "dofs": level.dofs,
+        "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
+        "h": level.h, "h_max": level.h_max, "eps": eps, **_flow(problem), "energy": state.energy,
+        "penetration": contact.penetration,
+        "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
+        "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
+    }  # fmt: skip
+    if problem.constrained and problem.affine and level.pair.nodal and scene.time is None:
+        figures["round_off"] = round_off(problem, state.p, eps)
+    return figures
+
+
+def _flow(problem: Problem) -> dict[str, float]:
+    """The Peclet number, where a scene has drift."""
+    for effect in problem.scene.effects:
+        if effect.key == "drift":
+            from fenicsx_obstacle.discrete.flow import peclet  # only where a scene names it
+
+            return {"peclet": peclet(problem.data, effect)}
+    return {}
