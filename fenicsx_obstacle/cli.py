@@ -134,6 +134,38 @@ def study(
 
 
 @commands.command()
+@click.argument("scene_file", metavar="SCENE")
+@click.option("--budget", metavar="LIMIT", help="Of each row: 60s, 8GB, '1e6 unknowns'.  [10s, 1.2e6 unknowns]")
+@click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
+@options("set", "element", "plugin", "output", "json", "quiet", "log")
+def cost(
+    scene_file: str,
+    budget: str | None,
+    output: Path | None,
+    json_file: str | None,
+    quiet: bool,
+    fresh: bool,
+    **given: Any,
+) -> None:
+    """What accuracy costs: error against time for many ways to solve a scene, and the price of the next digit.
+
+    Writes rows.jsonl, pictures and a page into out/SCENE/cost. Meshes become finer until a row would exceed
+    the budget; an interrupted run goes on where it was.
+    """
+    scene = _read(scene_file)
+    from fenicsx_obstacle.show.cost import report_cost
+    from fenicsx_obstacle.show.progress import progress
+
+    folder = output or Path("out") / scene.name / "cost"
+    _check_places(folder, json_file)
+    say = (lambda text: None) if quiet or json_file == "-" else _say
+    with progress(scene.name, quiet=quiet):
+        rows = report_cost(scene, typed(given), budget, folder, say, fresh=fresh)
+    if json_file is not None:
+        _write_json(json_file, rows)
+
+
+@commands.command()
 @click.argument("first", type=Place(), metavar="A")
 @click.argument("second", type=Place(), metavar="B")
 @options("plugin", "json")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import resource
@@ -212,6 +213,20 @@ def gathered(comm: MPI.Comm, values: np.ndarray) -> np.ndarray | None:
 def peak_memory_mb(comm: MPI.Comm) -> float:
     """Sum over ranks of the peak resident memory, in MB of 10^6 bytes (collective)."""
     return total(comm, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6)
+
+
+def forget_peak_memory(comm: MPI.Comm) -> float:
+    """Let `peak_memory_mb` begin anew, and what was freed go back to the system; where Linux allows it (collective).
+
+    Returns:
+        What all ranks occupy now, in MB of 10^6 bytes.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return total(comm, pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
 
 
 def abort_on_uncaught_errors(comm: MPI.Comm) -> None:

@@ -131,8 +131,18 @@ def squared_energy_norm(scene: Scene, e: Any, data: Sampler) -> Any:
 class Exact:
     """The scene's exact solution on one problem; forms compile on first use."""
 
-    def __init__(self, problem: Problem):
-        self.problem, scene = problem, problem.scene
+    def __init__(self, problem: Problem, scene: Scene | None = None):
+        """Compile the norms (collective).
+
+        Args:
+            problem: Where errors are measured.
+            scene: Knows the solution; by default the problem's own.
+
+        Raises:
+            InputError: If it does not know one, or it is not finite at a node.
+        """
+        scene = problem.scene if scene is None else scene
+        self.problem = problem
         exact = scene.tables.exact
         if exact is None:
             raise InputError(f"{scene.source}: has no [exact] solution")

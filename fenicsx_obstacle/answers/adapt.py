@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -91,50 +92,50 @@ def solve(
         return bench.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states)
 
 
-class _Adaptation:
-    """A solve on meshes that grow where the error is."""
+class Refinement:
+    """Answers on meshes that grow where the error is, eps so small that the mesh decides.
 
-    def __init__(self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm):
-        tolerance = absolute if relative is None else relative
-        if relative is not None and absolute is not None:
-            raise InputError("two tolerances: give --tol or --tol-absolute")
-        if tolerance is None or not 0 < tolerance < np.inf:
-            option = "--tol-absolute" if relative is None else "--tol"
-            raise InputError(f"{option} {tolerance}: must be positive and finite")
-        self.scene, self.tolerance, self.relative, self.budget = scene, tolerance, relative is not None, budget
+    Attributes:
+        scene: What is solved, with the present eps.
+        path: Unknowns, bound, eps and seconds of each mesh so far.
+        full: Whether the next mesh would have too many unknowns.
+    """
+
+    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD):
+        self.scene, self.full = scene, False
         self.given = scene.tables.solve.eps != "auto"  # eps is the user's
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
-        self.started = time.perf_counter()
         self.path: list[dict[str, Any]] = []
+        self._started = time.perf_counter()
 
-    def answer(self, *, yardstick: bool) -> Answer:
-        """The first answer whose bound is below the tolerance, or the best that the budget allows (collective)."""
+    def meshes(
+        self, share: Callable[[Answer], float] = lambda answer: BULK, unknowns: float = np.inf
+    ) -> Generator[tuple[Workbench, Answer], None, None]:
+        """Each workbench and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
+
+        Every step is collective. They are freed when the iterator is closed; time that others take between two meshes
+        is not counted.
+
+        Args:
+            share: Of the bound, in the cells to refine.
+            unknowns: No mesh has more.
+        """
         with ExitStack() as benches:
             coarsest = levels.coarsest(self.scene, self.comm)
             bench = benches.enter_context(closing(Workbench(self.scene, self.comm, coarsest)))
             while True:
                 answer = self._balanced(bench)
-                why = self._finished(answer, bench.estimator.rim.torn > 0)
-                if why is not None:
-                    break
-                # the last mesh need not be finer than it has to be
-                beyond = 1 - self._limit(answer) / _bound(answer).total
-                share = min(BULK, max(LEAST, ENOUGH * beyond))
-                finer = bench.refined(_marked(_bound(answer).indicator, share, self.comm))
+                paused = time.perf_counter()
+                yield bench, answer
+                self._started += time.perf_counter() - paused
+                finer = bench.refined(_marked(_bound(answer).indicator, share(answer), self.comm))
                 benches.enter_context(closing(finer))
-                if finer.problem.level.dofs > self.budget.unknowns:
-                    why = "the budget of unknowns"
-                    break
+                if finer.problem.level.dofs > unknowns:
+                    self.full = True
+                    yield bench, answer
+                    return
                 bench.forget_estimator()
                 bench = finer
-            if yardstick:
-                answer = bench.answer(self.scene, yardstick=True, bound=True)
-        adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
-                    "path": self.path}  # fmt: skip
-        seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
-        # the mesh is not the scene's any more; clocks differ between ranks: rank 0 speaks for all
-        here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
-        return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
     def _balanced(self, bench: Workbench) -> Answer:
         """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
@@ -149,9 +150,50 @@ class _Adaptation:
                 break
         record = answer.record
         self.path.append({"dofs": record["dofs"], "total": bound.total, "relative": bound.relative,
-                          "eps": record["eps"], "seconds": time.perf_counter() - self.started})  # fmt: skip
+                          "eps": record["eps"], "seconds": time.perf_counter() - self._started})  # fmt: skip
         _log.info("%d unknowns: error at most %.3g", record["dofs"], bound.total)
         return answer
+
+    def _may_lower_eps(self, answer: Answer) -> bool:
+        """Whether eps is ours to choose: what the user gave is kept."""
+        return answer.record["eps"] is not None and not self.given
+
+
+class _Adaptation(Refinement):
+    """The same until a tolerance is reached, or a budget is spent."""
+
+    def __init__(self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm):
+        tolerance = absolute if relative is None else relative
+        if relative is not None and absolute is not None:
+            raise InputError("two tolerances: give --tol or --tol-absolute")
+        if tolerance is None or not 0 < tolerance < np.inf:
+            option = "--tol-absolute" if relative is None else "--tol"
+            raise InputError(f"{option} {tolerance}: must be positive and finite")
+        super().__init__(scene, comm)
+        self.tolerance, self.relative, self.budget = tolerance, relative is not None, budget
+
+    def answer(self, *, yardstick: bool) -> Answer:
+        """The first answer whose bound is below the tolerance, or the best that the budget allows (collective)."""
+        why: str | None = None
+        with closing(self.meshes(self._share, self.budget.unknowns)) as meshes:
+            for bench, answer in meshes:
+                torn = bench.estimator.rim.torn > 0
+                why = "the budget of unknowns" if self.full else self._finished(answer, torn)
+                if why is not None:
+                    break
+            if yardstick:
+                answer = bench.answer(self.scene, yardstick=True, bound=True)
+        adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
+                    "path": self.path}  # fmt: skip
+        seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
+        # the mesh is not the scene's any more; clocks differ between ranks: rank 0 speaks for all
+        here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
+        return replace(answer, record=self.comm.bcast({**answer.record, **here}))
+
+    def _share(self, answer: Answer) -> float:
+        """The last mesh need not be finer than it has to be."""
+        beyond = 1 - self._limit(answer) / _bound(answer).total
+        return min(BULK, max(LEAST, ENOUGH * beyond))
 
     def _limit(self, answer: Answer) -> float:
         """The tolerance in the unit of the energy norm."""
@@ -161,10 +203,6 @@ class _Adaptation:
         if bound.relative is None and bound.total > 0:
             raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
         return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
-
-    def _may_lower_eps(self, answer: Answer) -> bool:
-        """Whether eps is ours to choose: what the user gave is kept."""
-        return answer.record["eps"] is not None and not self.given
 
     def _finished(self, answer: Answer, torn: bool) -> str | None:
         """None to go on, "" at the tolerance, otherwise what stopped it (collective)."""

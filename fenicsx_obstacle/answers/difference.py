@@ -13,7 +13,8 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
-from fenicsx_obstacle.discrete.points import values_at
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.formulas import Formula
@@ -32,9 +33,7 @@ def compare(a: Answer, b: Answer) -> dict[str, Any]:
         InputError: If the answers live in spaces of different dimensions.
     """
     a, b = linear(a), linear(b)
-    fine, coarse = (a, b) if a.level.dofs >= b.level.dofs else (b, a)
-    if fine.level.mesh.geometry.dim != coarse.level.mesh.geometry.dim:
-        raise InputError("compare: the answers live in spaces of different dimensions")
+    fine, coarse = _by_size(a, b)
     comm, own = fine.level.comm, fine.level.owned
     there = {name: _at_nodes(coarse.functions()[name], coarse, fine) for name in ("u", "pressure", "contact")}
     outside = np.isnan(there["u"])
@@ -58,12 +57,48 @@ def compare(a: Answer, b: Answer) -> dict[str, Any]:
     }
 
 
+class Nearby:
+    """Distances of answers on one mesh to a reference on another; where its nodes lie is found once."""
+
+    def __init__(self, level: Level, reference: Answer):
+        """Find the nodes (collective).
+
+        Args:
+            level: Of the answers, P1.
+            reference: P1.
+        """
+        self.reference = reference
+        points, self._mine = _everywhere(reference)
+        self._count = len(points)
+        self._rows, cells, self._weights = locate(level, points)
+        self._dofs = releases.cell_dofs(level.V)[cells]
+
+    def norms(self, answer: Answer) -> dict[str, float]:
+        """Norms of the difference of u at the nodes of the reference, as in `compare` (collective)."""
+        values = (answer.u.x.array[self._dofs] * self._weights).sum(axis=1)
+        there = mean_over_cells(answer.level.comm, self._count, self._rows, values)[self._mine]
+        return _norms(self.reference, np.where(np.isnan(there), 0.0, self.reference.u.x.array - there))
+
+
+def _by_size(a: Answer, b: Answer) -> tuple[Answer, Answer]:
+    """The finer one first."""
+    if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
+        raise InputError("compare: the answers live in spaces of different dimensions")
+    return (a, b) if a.level.dofs >= b.level.dofs else (b, a)
+
+
 def _at_nodes(function: fem.Function, source: Answer, target: Answer) -> np.ndarray:
     """Values of a function of one answer at the local nodes of another, not-a-number outside (collective)."""
-    mine = target.level.points.T
-    parts = target.level.comm.allgather(mine)
-    start = sum(len(part) for part in parts[: target.level.comm.rank])
-    return values_at(source.level, function, np.vstack(parts))[start : start + len(mine)]
+    points, mine = _everywhere(target)
+    return values_at(source.level, function, points)[mine]
+
+
+def _everywhere(answer: Answer) -> tuple[np.ndarray, slice]:
+    """The local nodes of all ranks, shape (n, 3), and which are those of this one (collective)."""
+    mine, comm = answer.level.points.T, answer.level.comm
+    parts = comm.allgather(mine)
+    start = sum(len(part) for part in parts[: comm.rank])
+    return np.vstack(parts), slice(start, start + len(mine))
 
 
 def _norms(answer: Answer, nodal: np.ndarray) -> dict[str, float]:

@@ -38,6 +38,9 @@ tbody tr + tr td { border-top: 1px solid #e4e4e0; }
 .facts td div { padding-left: 1.2em; text-indent: -1.2em; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figure img, figure svg { display: block; max-width: 100%; height: auto; }
+.words td:first-child, .words th:first-child { text-align: left; }
+.words td:first-child { font-weight: 600; }
+.lead p { max-width: 46rem; }
 .note { font-size: .85rem; color: #444; margin: .5rem 0; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); gap: 1rem; }
 .plots figure:only-child { max-width: 46rem; }
@@ -59,8 +62,8 @@ def write_answer_page(
         course: PNG file of all moments, or None.
     """
     size = f"{counted(record['cells_total'], 'cell')}, {counted(record['dofs'], 'unknown')}"
-    parts = [] if picture is None else [_section("The solution", _picture(picture, _title(scene)))]
-    parts += [] if course is None else [_section("All moments", _picture(course, f"{_title(scene)}, over time"))]
+    parts = [] if picture is None else [section("The solution", _picture(picture, _title(scene)))]
+    parts += [] if course is None else [section("All moments", _picture(course, f"{_title(scene)}, over time"))]
     _write(path, scene, f"{_how(record)}; {size}.", [*parts, *_facts_of(scene, record)], record, record["command"])
 
 
@@ -68,8 +71,8 @@ def write_study_page(
     path: Path,
     scene: Scene,
     rows: Sequence[Mapping[str, Any]],
-    table: StudyTable,
-    plots: Mapping[str, str],
+    rows_table: StudyTable,
+    drawn: Mapping[str, str],
     picture: Path | None,
     command: str,
 ) -> None:
@@ -79,19 +82,38 @@ def write_study_page(
         path: The file.
         scene: What was solved in the last row.
         rows: All rows.
-        table: As printed.
-        plots: SVG elements by name.
+        rows_table: As printed.
+        drawn: SVG elements by name.
         picture: PNG file of the last row's answer, or None.
         command: What made it.
     """
-    headline = f"Study over {', '.join(table.varied)}: {counted(len(rows), 'row')}; {_how(rows[-1])}."
-    parts = [_section("Table", _table(table))]
-    if plots:
-        drawn = "".join(f'<figure role="img" aria-label="{name}">{svg}</figure>' for name, svg in plots.items())
-        parts.append(_section(" and ".join(plots).capitalize(), f'<div class="plots">{drawn}</div>'))
+    headline = f"Study over {', '.join(rows_table.varied)}: {counted(len(rows), 'row')}; {_how(rows[-1])}."
+    parts = [section("Table", _table(rows_table))]
+    if drawn:
+        parts.append(section(" and ".join(drawn).capitalize(), plots(drawn)))
     if picture is not None:
-        parts.append(_section("The last row's solution", _picture(picture, _title(scene))))
+        parts.append(section("The last row's solution", _picture(picture, _title(scene))))
     _write(path, scene, headline, [*parts, *_facts_of(scene, rows[-1], " of the last row")], rows[-1], command)
+
+
+def write_cost_page(
+    path: Path, scene: Scene, headline: str, parts: Sequence[str], versions: Mapping[str, str], command: str
+) -> None:
+    """Write the page of `cost` (one rank).
+
+    Args:
+        path: The file.
+        scene: What was solved.
+        headline: In one line.
+        parts: Sections.
+        versions: Of the program and its libraries.
+        command: What made it.
+    """
+    about = [
+        section("What is assembled, and what is left out", facts(explained(scene))),
+        section("Scene", pre(scene.toml())),
+    ]
+    _write(path, scene, headline, [*parts, *about], {"versions": versions}, command)
 
 
 def _write(
@@ -99,7 +121,7 @@ def _write(
 ) -> None:
     title = _title(scene)
     head = [f"<h1>{escape(title)}</h1>", f'<p class="note">{escape(headline)}</p>']
-    how = _section("Reproduce", _pre(command) + _facts(record["versions"].items()))
+    how = section("Reproduce", pre(command) + facts(record["versions"].items()))
     write_text(path, _page(title, [*head, *parts, how]))
 
 
@@ -121,11 +143,31 @@ def _page(title: str, parts: Iterable[str]) -> str:
     )
 
 
-def _section(title: str, body: str) -> str:
+def section(title: str, body: str) -> str:
+    """A part of the page with its heading."""
     return f"<section>\n<h2>{escape(title)}</h2>\n{body}\n</section>"
 
 
-def _pre(text: str) -> str:
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; the first column is of words."""
+    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+    body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>\n" for row in rows)
+    return f'<div class="wide words"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
+
+
+def paragraph(text: str) -> str:
+    """A paragraph."""
+    return f"<p>{escape(text)}</p>"
+
+
+def plots(drawn: Mapping[str, str], *, wide: bool = False) -> str:
+    """SVG elements by what they show, side by side, or each as wide as the page."""
+    figures = "".join(f'<figure role="img" aria-label="{escape(name)}">{svg}</figure>' for name, svg in drawn.items())
+    return figures if wide else f'<div class="plots">{figures}</div>'
+
+
+def pre(text: str) -> str:
+    """Text as it stands."""
     return f"<pre>{escape(text)}</pre>"
 
 
@@ -152,10 +194,10 @@ def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[
     """The scene's own figures, those of every scene, the equation, and the scene itself."""
     report = [(name, "not finite" if v is None else f"{v:.6g}") for name, v in (record.get("report") or {}).items()]
     return [
-        *([_section("Report" + which, _facts(report))] if report else []),
-        _section("Figures" + which, _facts(_figures(record))),
-        _section("What is assembled, and what is left out", _facts(explained(scene))),
-        _section("Scene" + which, _pre(scene.toml())),
+        *([section("Report" + which, facts(report))] if report else []),
+        section("Figures" + which, facts(_figures(record))),
+        section("What is assembled, and what is left out", facts(explained(scene))),
+        section("Scene" + which, pre(scene.toml())),
     ]
 
 
@@ -178,10 +220,10 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     return facts
 
 
-def _facts(facts: Iterable[tuple[str, str | list[str]]]) -> str:
+def facts(known: Iterable[tuple[str, str | list[str]]]) -> str:
     """A table of names and what belongs to them, a text or several lines; without those that have none."""
     lines = ""
-    for key, value in facts:
+    for key, value in known:
         texts = value if isinstance(value, list) else [value]
         below = "".join(f"<div>{escape(text)}</div>" for text in texts)
         lines += f"<tr><th>{escape(key)}</th><td>{below}</td></tr>\n" if texts else ""

@@ -1,0 +1,78 @@
+"""Contact area and contact force of an exact solution: cells that the free boundary crosses are cut again and again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenicsx_obstacle.accuracy.quadrature import blocks, rule
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.parents import EDGES
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.releases import cell_name
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.scene import Scene
+
+TOUCHES = 1e-14  # of the heights
+DEPTH = {1: 40, 2: 12}  # how often cells are halved; in solids, where contact is not found so, never
+_CHILDREN = {1: [(0, 2), (2, 1)], 2: [(0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5)]}
+
+
+def contact_truth(scene: Scene, level: Level) -> dict[str, float]:
+    """`area` where u touches, and `force`, the integral of |p| where the scene knows p (collective).
+
+    Empty without an exact solution, in solids, and where contact is on the boundary or weighted by a radius.
+
+    Args:
+        scene: Knows the solution.
+        level: Any of its meshes: what differs between the samples of its cells is found.
+    """
+    exact, mesh = scene.tables.exact, level.mesh
+    dim, weighted = mesh.topology.dim, any(effect.radial for effect in scene.effects)
+    if exact is None or dim not in DEPTH or cell_name(mesh) not in SIMPLICES or scene.thin or weighted:
+        return {}
+    u = scene.formula(exact.u, "[exact] u")
+    obstacle = scene.tables.obstacle
+    sides = [scene.formula(value, "[obstacle]") for value in (obstacle.lower, obstacle.upper) if value is not None]
+    p = None if exact.pressure is None else scene.formula(exact.pressure, "[exact] pressure")
+    if any("distance" in scene.needs(formula) for formula in (u, *sides)):
+        return {}
+    points, weights = rule(dim)
+    where = np.vstack([points, np.eye(dim + 1)])
+
+    def values(formula: Formula, x: np.ndarray) -> np.ndarray:
+        return scene.at_points(formula, np.ascontiguousarray(x.reshape(-1, 3).T), {"eps": 0.0}).reshape(x.shape[:2])
+
+    def sampled(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        touching, pressing = np.zeros((len(cells), len(where)), dtype=bool), np.zeros(len(cells))
+        for block in blocks(len(cells)):
+            x = where @ cells[block]
+            heights = values(u, x)
+            for side in sides:
+                touching[block] |= np.abs(heights - values(side, x)) <= TOUCHES * scale
+            if p is not None:
+                pressing[block] = np.abs(values(p, x[:, : len(points)])) @ weights
+        return touching, pressing
+
+    cells, area, force = corners(mesh)[: own_cells(mesh)], 0.0, 0.0
+    scale = largest(level.comm, np.abs(values(u, cells)))
+    for depth in range(DEPTH[dim] + 1):
+        touching, pressing = sampled(cells)
+        mixed = touching.any(axis=1) != touching.all(axis=1)
+        last = depth == DEPTH[dim]
+        done = np.full(len(cells), True) if last else ~mixed
+        size = volumes(cells)
+        area += float((size * touching[:, : len(points)].dot(weights))[done].sum())
+        force += float((size * pressing)[done].sum())
+        if not last:
+            cells = _halved(cells[mixed], dim)
+    found = {"area": total(level.comm, area)}
+    return {**found, "force": total(level.comm, force)} if p is not None else found
+
+
+def _halved(cells: np.ndarray, dim: int) -> np.ndarray:
+    """Their parts with all edges halved, shape (parts, dim + 1, 3)."""
+    middles = np.stack([(cells[:, i] + cells[:, j]) / 2 for i, j in EDGES[dim]], axis=1)
+    places = np.concatenate([cells, middles], axis=1)
+    return places[:, np.array(_CHILDREN[dim])].reshape(-1, dim + 1, 3)

@@ -1,0 +1,95 @@
+"""`cost` for people: lines while it runs, tables at the end, pictures and one page (see `studies.cost`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+from mpi4py import MPI
+
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.show import cost_tables as tables
+from fenicsx_obstacle.show import page
+from fenicsx_obstacle.show.report import Say
+from fenicsx_obstacle.studies import price
+from fenicsx_obstacle.studies.cost import Ladder, Row
+from fenicsx_obstacle.studies.price import NORMS, Rows
+from fenicsx_obstacle.studies.rows import RowStore
+
+LINE = "{:14} {:>9} {:>8} {:>8} {:>7}  " + " ".join(["{:>8}"] * len(NORMS)) + "  {:>5} {:>5} {:>5}"
+
+
+def report_cost(
+    scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path, say: Say, *, fresh: bool = False
+) -> list[Row]:
+    """Run the ladder, or go on with an interrupted one; print, save and draw it (collective).
+
+    Args:
+        scene: What to solve.
+        options: Changes of the scene.
+        budget: Of one row, in words.
+        folder: Where rows.jsonl, pictures and the page go.
+        say: Prints a line on rank 0.
+        fresh: Forget the rows that are there.
+
+    Raises:
+        InputError: For bad data or a folder that cannot be written.
+    """
+    comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
+    ladder = Ladder(scene, options, budget, folder, comm)
+    stores: list[RowStore] = []  # on rank 0 alone: it holds a lock
+    on_root(comm, lambda: stores.append(RowStore(folder, fresh=fresh)))
+    try:
+        say(LINE.format(*tables.HEADS).rstrip())
+        rows = ladder.run(lambda row: _say_row(row, say), stores[0] if stores else None)
+        say("")
+        for line in summary(rows, ladder):
+            say(line)
+        if comm.rank == 0:
+            stores[0].write_table([row for row in rows if row["choice"] not in ("", "map")])
+        names = on_root(comm, _draw, folder, ladder, rows)
+        say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', *names, page.NAME])}")
+        return rows
+    finally:
+        for store in stores:
+            store.close()
+
+
+def _say_row(row: Row, say: Say) -> None:
+    if row["choice"] == "map":
+        return
+    if "errors" not in row:
+        say(fill(f"{row['choice']:14} none: {row['reason']}", 110, subsequent_indent=" " * 15))
+        return
+    say(LINE.format(*tables.cells(row)).rstrip())
+
+
+def summary(rows: Rows, ladder: Ladder) -> Iterator[str]:
+    """The tables after the rows: the next digit, the cheapest choices, where choices end, what errors are against."""
+    yield from _lines(tables.NEXT, tables.next_digit(rows))
+    yield ""
+    yield from _lines(["relative error", *(NORMS[norm] for norm in price.norms(rows))], tables.by_tolerance(rows))
+    yield "in brackets: not measured, continued along the line of the last rows"
+    yield ""
+    best = tables.best_eps(rows)
+    if best:
+        yield from _lines(tables.BEST, best)
+        yield ""
+    yield fill(tables.against(rows), 110)
+    for name, why in tables.ended(rows, ladder):
+        yield fill(f"{name}: {why}", 110, subsequent_indent="  ")
+
+
+def _lines(heads: Sequence[str], table: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in [heads, *table]) for k in range(len(heads))]
+    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+            for row in [heads, *table]]  # fmt: skip
+
+
+def _draw(folder: Path, ladder: Ladder, rows: Rows) -> list[str]:
+    from fenicsx_obstacle.show.cost_page import write_page  # with matplotlib: only once all rows are there
+
+    return write_page(folder, ladder, rows)

@@ -1,0 +1,223 @@
+"""Plots of `cost`: error against time and other prices, the parts of h and eps, the map over both (one rank)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.show.figures import figure, plain
+from fenicsx_obstacle.studies.price import NORMS, Rows, largest_harmless_eps, norms, relative, solved, trusted, unit
+
+_BLUE, _SKY, _GREEN, _ORANGE, _RED, _PINK, _GREY = (
+    "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#777777",
+)  # fmt: skip
+_COLOURS = {"VI": _BLUE, "VI cold": _GREY, "eps fixed": _PINK, "eps = h": _RED, "eps = h^2": _ORANGE, "auto": _GREEN,
+            "adaptive": "#111111"}  # fmt: skip
+_MARKERS = {"VI": "o", "VI cold": "x", "eps fixed": "D", "eps = h": "s", "eps = h^2": "^", "auto": "v",
+            "adaptive": "*"}  # fmt: skip
+PARTS = ("eps = h", "eps = h^2", "auto")
+_WORDS = {"auto": "eps = h$^2$/100 (auto)", "eps = h^2": "eps = h$^2$ (paper)", "eps = h": "eps = h"}
+
+
+def drawings(rows: Rows) -> Iterator[tuple[str, str, Any]]:
+    """Each plot with its name and what it shows."""
+    yield "seconds", "Error against seconds, for each way of measuring it", against_seconds(rows)
+    yield "prices", "Error in the energy norm against Poisson solves, memory and unknowns", against_prices(rows)
+    if any(row.get("parts") for row in solved(rows)):
+        yield "parts", "The error, and the parts of it that mesh and penalty contribute", parts(rows)
+    if any(row["choice"] == "map" and "errors" in row for row in rows):
+        yield "map", "The error over mesh and penalty parameter", over_h_and_eps(rows)
+
+
+def against_seconds(rows: Rows) -> Any:
+    """One panel for each norm, the legend in a panel of its own."""
+    measured = norms(rows)
+    columns = 3
+    count = -(-(len(measured) + 1) // columns)
+    page, grid = figure(11.5, 3.6 * count, rows=count, columns=columns)
+    panels = np.atleast_1d(grid).ravel()
+    for axes, norm in zip(panels, measured, strict=False):
+        for name, part in _lines(rows, norm).items():
+            axes.loglog([row["seconds"] for row in part], [relative(row, norm) for row in part], **_look(name))
+        _floor(axes, rows, norm)
+        axes.set(title=NORMS[norm], xlabel="seconds, mesh and estimate included", ylabel="relative error")
+        _grid(axes)
+    for axes in panels[len(measured) :]:
+        axes.axis("off")
+    _legend(panels[len(measured)], rows)
+    page.suptitle(_title(rows, "What accuracy costs"), fontsize=11)
+    return page
+
+
+def against_prices(rows: Rows) -> Any:
+    """Energy error against Poisson solves, memory and unknowns."""
+    page, panels = figure(11.5, 4.4, columns=3)
+    scale = unit(rows) or 1.0
+    keys = {
+        "Poisson solves (one linear solve on the finest uniform mesh is 1)": lambda row: row["seconds"] / scale,
+        "memory of the row, MB": lambda row: max(row["memory_mb"], 0.1),
+        "unknowns": lambda row: row["dofs"],
+    }
+    for axes, (label, value) in zip(panels, keys.items(), strict=True):
+        for name, part in _lines(rows, "energy").items():
+            axes.loglog([value(row) for row in part], [relative(row, "energy") for row in part], **_look(name))
+        axes.set(xlabel=label, ylabel="relative error, energy norm")
+        axes.xaxis.label.set_fontsize(8.5)
+        _grid(axes)
+    _legend(panels[0], rows, inside=True)
+    page.suptitle(_title(rows, "The same error by other prices"), fontsize=11)
+    return page
+
+
+def parts(rows: Rows) -> Any:
+    """Total error, part of the mesh (without penalty) and part of the penalty, for three rules of eps."""
+    own = next(row["element"] for row in solved(rows) if row.get("parts"))
+    shown = [norm for norm in ("energy", "l2", "max") if norm in norms(rows)]
+    page, grid = figure(11.5, 3.1 * len(shown), rows=len(shown), columns=3)
+    panels = np.atleast_2d(grid)
+    of_mesh = [row for row in solved(rows) if row["choice"] == f"{own} VI"]
+    for line, norm in zip(panels, shown, strict=True):
+        low, high = np.inf, 0.0
+        for axes, rule in zip(line, PARTS, strict=True):
+            part = [row for row in solved(rows) if row["choice"] == f"{own} {rule}" and "eps" in row["parts"]]
+            h = [row["h"] for row in part]
+            eps = [row["parts"]["eps"][norm] / row["sizes"][norm] for row in part]
+            whole = [relative(row, norm) or 0.0 for row in part]
+            axes.loglog([row["h"] for row in of_mesh], [relative(row, norm) for row in of_mesh], "o-", color=_BLUE,
+                        label="part of the mesh (no penalty)")  # fmt: skip
+            axes.loglog(h, eps, "s--", color=_RED, label="part of eps")
+            axes.loglog(h, whole, "-", color="#111111", linewidth=2.2, label="error")
+            low, high = min([low, *eps]) / 2, max([high, *whole]) * 2
+            floor = max((row["floor"] for row in part), default=0.0)
+            axes.annotate(f"floor of round-off: {floor:.0e}", (0.98, 0.03), xycoords="axes fraction", ha="right",
+                          fontsize=7.5, color=_GREY)  # fmt: skip
+            axes.axhline(floor, linestyle=":", color=_GREY)
+            axes.set(xlabel="h", ylabel=f"relative, {NORMS[norm]}")
+            if norm == shown[0]:
+                axes.set_title(_WORDS[rule])
+        for axes in line:
+            axes.set_ylim(low, high)
+            _grid(axes)
+    panels[0, 0].legend(fontsize=7.5)
+    page.suptitle(_title(rows, f"Where the error of {own} comes from"), fontsize=11)
+    return page
+
+
+def over_h_and_eps(rows: Rows) -> Any:
+    """The error as colours over h and eps, with the paper's rule, ours, the best eps and the region of round-off."""
+    from matplotlib.colors import LogNorm
+
+    places = [row for row in rows if row["choice"] == "map"]
+    shown = [norm for norm in (*NORMS, "pressure") if any(norm in row.get("errors", {}) for row in places)]
+    shown = [norm for norm in shown if norm in ("energy", "l2", "max", "pressure") or norm in norms(rows)][:6]
+    count = -(-len(shown) // 3)
+    page, grid = figure(11.5, 4.3 * count, rows=count, columns=min(len(shown), 3))
+    panels = np.atleast_1d(grid).ravel()
+    sides = np.array(sorted({row["h"] for row in places}))
+    values = np.array(sorted({row["eps"] for row in places}))
+    edges = _edges(sides), _edges(values)
+    for axes, norm in zip(panels, shown, strict=False):
+        found = np.full((len(values), len(sides)), np.nan)
+        for row in places:
+            size = row.get("sizes", {}).get(norm)
+            if size and row["errors"].get(norm):
+                place = np.searchsorted(values, row["eps"]), np.searchsorted(sides, row["h"])
+                found[place] = row["errors"][norm] / size
+        drawn = axes.pcolormesh(*edges, np.ma.masked_invalid(found), norm=LogNorm(), cmap="viridis_r")
+        page.colorbar(drawn, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)
+        of_h = {row["h"]: row for row in places}
+        line = [of_h[h] for h in sides]
+        axes.loglog(sides, [row["paper"] for row in line], "^-", color="white", markeredgecolor="black",
+                    label="paper: eps = h$^2$")  # fmt: skip
+        axes.loglog(sides, [row["auto"] for row in line], "v-", color="#9ff7cf", markeredgecolor="black",
+                    label="auto: h$^2$/100")  # fmt: skip
+        best = largest_harmless_eps(rows, norm)
+        if best:
+            axes.loglog(*np.array(best).T, "*--", color="#ff9f80", markeredgecolor="black", markersize=10,
+                        label="largest eps that does no harm")  # fmt: skip
+        _round_off(axes, line, places, edges)
+        axes.set(xlabel="h", ylabel="eps", title=NORMS.get(norm, "pressure, L2 norm"))
+        axes.set_xlim(edges[0][0], edges[0][-1])
+        axes.set_ylim(edges[1][0], edges[1][-1])
+    for axes in panels[len(shown) :]:
+        axes.axis("off")
+    panels[0].legend(fontsize=7, loc="upper left")
+    page.suptitle(_title(rows, "Relative error over mesh and penalty parameter"), fontsize=11)
+    return page
+
+
+def _round_off(axes: Any, line: Sequence[Any], places: Sequence[Any], edges: tuple[np.ndarray, np.ndarray]) -> None:
+    """Where eps is refused, and where a program that divides u - obstacle by eps would have lost the pressure."""
+    sides = np.array([row["h"] for row in line])
+    floor = np.array([row["floor"] for row in line])
+    wide = np.concatenate([[edges[0][0]], sides, [edges[0][-1]]])
+    if np.all(floor > 0):
+        floor = np.interp(np.log(wide), np.log(sides), np.log(floor))
+        axes.fill_between(wide, edges[1][0], np.exp(floor), facecolor="white", edgecolor="#555555", hatch="xx", lw=0)
+    lost = [max((row["eps"] for row in places if row["h"] == h and (row.get("line") or 0) > 1e-2), default=None)
+            for h in sides]  # fmt: skip
+    if all(lost):
+        axes.loglog(sides, lost, ":", color="white", linewidth=1.5)
+        axes.annotate("below: (u - obstacle)/eps is round-off", (sides[0], lost[0]), fontsize=6.5, color="white",
+                      textcoords="offset points", xytext=(2, -9))  # fmt: skip
+
+
+def _edges(values: np.ndarray) -> np.ndarray:
+    """Sides of the boxes around values, in the middle between logarithms."""
+    logs = np.log(values)
+    middles = (logs[1:] + logs[:-1]) / 2
+    return np.exp(np.concatenate([[2 * logs[0] - middles[0]], middles, [2 * logs[-1] - middles[-1]]]))
+
+
+def _lines(rows: Rows, norm: str) -> dict[str, list[Any]]:
+    """The rows of each choice with an error in this norm."""
+    found: dict[str, list[Any]] = {}
+    for row in solved(rows):
+        if (relative(row, norm) or 0) > 0 and trusted(rows, row, norm):
+            found.setdefault(row["choice"], []).append(row)
+    return found
+
+
+def _floor(axes: Any, rows: Rows, norm: str) -> None:
+    """What round-off leaves, along the rows of the default."""
+    part = [row for row in _lines(rows, norm).get("P1 auto", []) if row["floor"] > 0]
+    low = axes.get_ylim()[0]
+    if part and max(row["floor"] for row in part) > low / 1e3:
+        axes.loglog([row["seconds"] for row in part], [row["floor"] for row in part], ":", color=_GREY)
+
+
+def _look(name: str) -> dict[str, Any]:
+    element, _, rule = name.partition(" ")
+    quadratic = element == "P2"
+    return {
+        "color": _COLOURS[rule], "marker": _MARKERS[rule], "linestyle": "--" if quadratic else "-",
+        "markerfacecolor": "white" if quadratic else _COLOURS[rule], "markersize": 8 if rule == "adaptive" else 5,
+        "linewidth": 2.0 if rule in ("adaptive", "auto") else 1.2, "label": name.replace("h^2", "h$^2$"),
+    }  # fmt: skip
+
+
+def _legend(axes: Any, rows: Rows, *, inside: bool = False) -> None:
+    names = dict.fromkeys(row["choice"] for row in solved(rows))
+    for name in names if not inside else ():
+        axes.plot([], [], **_look(name))
+    axes.legend(fontsize=6.5 if inside else 9, loc="best" if inside else "center")
+
+
+def _grid(axes: Any) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        few = low > 0 and np.log10(high / low) < 2.2
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=9))
+        axis.set_minor_locator(NullLocator())
+        if few and low > 1e-4 and high < 1e5:
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.grid(True, which="major", color="0.9")
+
+
+def _title(rows: Rows, words: str) -> str:
+    title = next((row["title"] for row in rows if row.get("title")), "")
+    return plain(f"{words}: {title}" if title else words)

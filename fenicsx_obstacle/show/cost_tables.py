@@ -1,0 +1,118 @@
+"""Tables of `cost`: rows, the next digit, the cheapest choices, the best eps, and what is not there (one rank)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fenicsx_obstacle.studies import price
+from fenicsx_obstacle.studies.cost import Ladder
+from fenicsx_obstacle.studies.price import NORMS, TOLERANCES, Rows
+
+HEADS = ("choice", "unknowns", "eps", "seconds", "MB", *NORMS, "DoA", "DoS", "DoE")
+THEORY = {"energy": "4/3", "l2": "2", "max": "2", "force": "2", "area": "2", "pressure": "2"}
+TAS = (
+    "Errors are relative. DoA, DoS, DoE: digits of accuracy, -log10(energy error), of size, log10(unknowns), and of "
+    "efficacy, -log10(energy error x seconds); the time-accuracy-size spectrum of Chang and others (2018). Seconds are "
+    "those of mesh, preparations, solve and, where meshes are adaptive, estimates and all meshes before."
+)
+NEXT = ["next digit of", "by", "error so far", "seconds", "one more digit", "takes", "unknowns", "MB", "round-off at"]
+BEST = ["error in", "best eps ~ h^q: q", "theory", "h", "best eps", "paper's eps", "auto"]
+
+
+def cells(row: Mapping[str, Any]) -> list[str]:
+    """A row below `HEADS`."""
+    errors = [price.relative(row, norm) for norm in NORMS]
+    digits = price.digits(row, "energy")
+    return [
+        row["choice"], str(row["dofs"]), "none" if row["eps"] is None else f"{row['eps']:.1e}", f"{row['seconds']:.3g}",
+        f"{max(row['memory_mb'], 0):.0f}", *("" if e is None else f"{e:.1e}" for e in errors),
+        *(["", "", ""] if digits is None else [f"{digit:.2f}" for digit in digits]),
+    ]  # fmt: skip
+
+
+def next_digit(rows: Rows) -> list[list[str]]:
+    """The price of the next digit, a line for each norm."""
+    found = []
+    for norm in price.norms(rows):
+        p = price.price(rows, norm)
+        if p is None:
+            continue
+        after = ["not in sight", "", "", ""]
+        if p.factor is not None and p.next_seconds is not None:
+            size = [f"{value:.2g}" if value else "" for value in (p.next_dofs, p.next_memory)]
+            after = [f"x {p.factor:.2g} in time", duration(p.next_seconds), *size]
+        found.append([NORMS[norm], p.choice, f"{p.error:.1e}", duration(p.seconds), *after, f"{p.floor:.0e}"])
+    return found
+
+
+def by_tolerance(rows: Rows) -> list[list[str]]:
+    """The cheapest choice for each tolerance and norm."""
+    found = []
+    for tolerance in TOLERANCES:
+        cells = []
+        for norm in price.norms(rows):
+            first = next(iter(price.cheapest(rows, norm, tolerance)), None)
+            text = "-"
+            if first is not None:
+                line, seconds = first
+                text = f"{line.name}, {duration(seconds)}"
+                text = text if line.measured(tolerance) else f"({text})"
+            cells.append(text)
+        if any(text != "-" for text in cells):
+            found.append([f"{tolerance:g}", *cells])
+    return found
+
+
+def best_eps(rows: Rows) -> list[list[str]]:
+    """The largest eps that does no harm, read off the map, beside theory and the two rules."""
+    found, places = [], [row for row in rows if row["choice"] == "map"]
+    for norm in (*price.norms(rows), "pressure"):
+        pairs = price.largest_harmless_eps(rows, norm)
+        power = price.power_of_h(pairs)
+        if power is None:
+            continue
+        h, eps = pairs[-1]
+        row = next(row for row in places if row["h"] == h)
+        found.append([NORMS.get(norm, "pressure"), f"{power:.2f}", THEORY[norm], f"{h:.3g}", f"{eps:.1e}",
+                      f"{row['paper']:.1e}", f"{row['auto']:.1e}"])  # fmt: skip
+    return found
+
+
+def against(rows: Rows) -> str:
+    """What errors are measured against, in words."""
+    first = price.truth(rows)
+    if first["exact"]:
+        parts = [f"contact {name} {first[name]:.9g}" for name in ("area", "force") if name in first]
+        return "Errors are against the exact solution" + (f": {', '.join(parts)}." if parts else ".")
+    changed = ", ".join(f"{NORMS[norm]} {value:.1e}" for norm, value in first["changed"].items())
+    bound = first.get("bound")
+    if bound is None:
+        how = "No bound of its own error is known for this scene."
+    else:
+        kind = "at most" if bound["guaranteed"] else "about"
+        how = f"Its own energy error is {kind} {bound['total']:.2e} ({bound['words']})."
+    return (
+        f"No exact solution is known: errors are against the finest solution that was affordable, {first['dofs']} "
+        f"unknowns. {how} Its last refinement changed it by: {changed}. Errors within {price.TRUSTED:g} times that, or "
+        "in the energy norm within the bound, are left out of curves and prices."
+    )
+
+
+def ended(rows: Rows, ladder: Ladder) -> list[tuple[str, str]]:
+    """Why each choice has no further row."""
+    failed = {row["choice"] for row in price.failures(rows)}
+    return [
+        (choice.name, ("did not do it: " if choice.name in failed else "ends: ") + ladder.ends[choice.name])
+        for choice in ladder.choices
+        if choice.name in ladder.ends
+    ]
+
+
+def duration(value: float) -> str:
+    """Seconds in the unit that fits."""
+    if value < 120:
+        return f"{value:.2g} s"
+    if value < 7200:
+        return f"{value / 60:.2g} min"
+    return f"{value / 3600:.2g} h" if value < 48 * 3600 else f"{value / 86400:.2g} days"

@@ -1,0 +1,86 @@
+"""The ways to an answer that `cost` compares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from fenicsx_obstacle.scenes.scene import Scene
+
+FIRST = "eps of the first mesh"  # stands for the number that h^2 is there
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One way.
+
+    Attributes:
+        name: In tables.
+        words: What it is, for somebody who has not read the paper.
+        solve: Keys of the [solve] table.
+        adaptive: Whether meshes are refined where the error is, instead of everywhere.
+    """
+
+    name: str
+    words: str
+    solve: Mapping[str, Any] = field(default_factory=dict)
+    adaptive: bool = False
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """Choices of one group are solved on the same meshes with the same preparations: element and start."""
+        return self.solve["element"], self.solve.get("start", "nested")
+
+    def on(self, scene: Scene) -> Scene:
+        """The scene, solved this way."""
+        return scene.change({f"solve.{key}": value for key, value in self.solve.items()})
+
+
+def choices(scene: Scene) -> list[Choice]:
+    """All of them; those that do not serve a scene say so when they are tried.
+
+    The element is the scene's own; P2 stands beside it.
+    """
+    own, nested, penalty = scene.pair.name, "started from the solution on the next coarser mesh", {"method": "penalty"}
+    if own == "P2":
+        own = "P1"
+    held, found = bool(_sides(scene)), []
+    if held:
+        found += [
+            Choice(f"{own} VI", f"no penalty: the inequality itself, by PETSc's SNES VI, {nested}",
+                   {"element": own, "method": "vi"}),
+            Choice(f"{own} VI cold", "the same solver started without contact, as most people run it",
+                   {"element": own, "method": "vi", "start": "cold"}),
+            Choice(f"{own} eps fixed", "penalty with one value of eps for all meshes, as many codes do",
+                   {"element": own, "eps": FIRST, **penalty}),
+            Choice(f"{own} eps = h", "penalty with eps proportional to the side h of a cell",
+                   {"element": own, "eps": "h", **penalty}),
+            Choice(f"{own} eps = h^2", "penalty with Kikuchi's eps = h^2, which keeps the order of convergence",
+                   {"element": own, "eps": "h^2", **penalty}),
+        ]  # fmt: skip
+    found += [
+        Choice(f"{own} auto", f"this program's default: penalty with eps = h^2/100, {nested}",
+               {"element": own, "eps": "auto", **penalty}),
+        Choice(f"{own} adaptive", "the same on meshes refined where a bound of the error says that it is",
+               {"element": own, "eps": "auto", **penalty}, adaptive=True),
+    ]  # fmt: skip
+    if held:
+        found += [
+            Choice("P2 VI", "quadratic elements, the inequality itself", {"element": "P2", "method": "vi"}),
+            Choice("P2 eps = h^2", "quadratic elements with Kikuchi's eps = h^2",
+                   {"element": "P2", "eps": "h^2", **penalty}),
+        ]  # fmt: skip
+    found += [
+        Choice("P2 auto", "quadratic elements, contact at the middles of edges, eps = h^2/100",
+               {"element": "P2", "eps": "auto", **penalty}),
+        Choice("P2 adaptive", "the same on meshes refined where a bound of the error says that it is",
+               {"element": "P2", "eps": "auto", **penalty}, adaptive=True),
+    ]  # fmt: skip
+    return found
+
+
+def _sides(scene: Scene) -> list[Any]:
+    """Its obstacles."""
+    places = scene.tables.boundary if scene.thin else [scene.tables.obstacle]
+    return [value for place in places for value in (place.lower, place.upper) if value is not None]

@@ -1,0 +1,397 @@
+"""What accuracy costs: every choice on finer and finer meshes, each row with its errors, time and memory.
+
+A row is on the disk as soon as it is finished; whatever ends the run, the next one goes on from there.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.accuracy.norms import Distance
+from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.choose import penalty_parameter
+from fenicsx_obstacle.answers.compute import Workbench, changed
+from fenicsx_obstacle.discrete.memory import fits
+from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.parallel import forget_peak_memory, largest, on_root, peak_memory_mb, total
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.newton import smallest_eps
+from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+from fenicsx_obstacle.studies.choices import FIRST, Choice, choices
+from fenicsx_obstacle.studies.rows import RowStore, row_key
+from fenicsx_obstacle.studies.truth import ExactTruth, Truth, make_reference, read_reference, sizes_of
+
+_log = logging.getLogger(__name__)
+Row = dict[str, Any]
+OnRow = Callable[[Row], None]
+DEFAULT_BUDGET = "10s, 1.2e6 unknowns"
+FIRST_CELLS = {1: 16, 2: 16, 3: 8}
+FACTOR = {1: 4, 2: 2, 3: 2}  # cells per side from one mesh to the next
+GROWTH = 3.0  # of an adaptive mesh over the one before
+MAP_MESHES, MAP_EPS = 4, 20  # of the map over h and eps: meshes, and powers of ten
+REFERENCE = "reference"
+EPSILON = float(np.finfo(float).eps)
+
+
+class Ladder:
+    """The rows of `cost` for one scene.
+
+    Attributes:
+        scene: What is solved.
+        choices: The ways that are compared.
+        ends: Why the rows of a choice end where they do, by its name.
+        truth: What errors are measured against; there is none before `run`.
+    """
+
+    truth: Truth
+
+    def __init__(self, scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path, comm: MPI.Comm):
+        """Nothing is computed yet.
+
+        Args:
+            scene: What to solve.
+            options: Changes of the scene, as in `solve`.
+            budget: Of one row; by default `DEFAULT_BUDGET`.
+            folder: Where a reference solution is kept.
+            comm: Communicator; a mesh of the scene's own brings its own.
+
+        Raises:
+            InputError: If an option does not fit.
+        """
+        self.full = changed(scene, dict(options))
+        self.comm = self.full.mesh.comm if self.full.mesh is not None else comm
+        # what the scene knows of its solution costs time that belongs to no solver
+        self.scene = self.full.change({"exact": None, "report": {}})
+        self.budget, self.folder = Budget.of(budget or DEFAULT_BUDGET), folder
+        self.choices, self.ends = choices(self.full), dict[str, str]()
+        self._store: RowStore | None = None
+        self._warm: set[tuple[Any, ...]] = set()
+        self._fixed: float | None = None
+
+    def run(self, on_row: OnRow, store: RowStore | None) -> list[Row]:
+        """All rows (collective).
+
+        Args:
+            on_row: Called with each row.
+            store: Where they are kept: on rank 0, None elsewhere.
+        """
+        self._store = store
+        rows = [self._find_truth()]
+        groups = list(dict.fromkeys(choice.group for choice in self.choices if not choice.adaptive))
+        for group in groups:
+            members = [choice for choice in self.choices if choice.group == group and not choice.adaptive]
+            for row in self._uniform(members):
+                rows.append(row)
+                on_row(row)
+        for choice in self.choices:
+            for row in self._adaptive(choice) if choice.adaptive else ():
+                rows.append(row)
+                on_row(row)
+        for row in self._map():
+            rows.append(row)
+            on_row(row)
+        return rows
+
+    def sizes(self) -> Iterator[Scene]:
+        """The scene on uniform meshes, each finer than the one before."""
+        table = self.scene.tables.mesh
+        dim = {"interval": 1, "box": 3}.get(table.shape or "", 2)
+        if table.shape is None:
+            yield from (self.scene.change({"mesh.refine": table.refine + k}) for k in range(20))
+        else:
+            first = {"mesh.refine": 0}
+            yield from (
+                self.scene.change({**first, "mesh.cells": FIRST_CELLS[dim] * FACTOR[dim] ** k}) for k in range(20)
+            )
+
+    def _find_truth(self) -> Row:
+        """The first row: what errors are measured against (collective)."""
+        coarse = next(self.sizes())
+        key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
+        row = on_root(self.comm, self._find, key)
+        if self.full.tables.exact is not None:
+            self.truth = ExactTruth(self.full, self.comm)
+        else:
+            if row is not None:
+                try:
+                    self.truth = read_reference(self.folder / REFERENCE, row)
+                except InputError:  # the folder was removed
+                    row = None
+            if row is None:
+                _log.info("the reference solution, on a finer mesh than all others")
+                limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
+                found = make_reference(coarse, self.sizes(), *limits, self.comm)
+                found.answer.save(self.folder / REFERENCE)
+                self.truth = found
+        return row or self._keep(key, {"choice": "", **self.truth.record})
+
+    def _uniform(self, members: Sequence[Choice]) -> Iterator[Row]:
+        """Rows of choices that share their meshes (collective)."""
+        found: dict[str, list[Row]] = {choice.name: [] for choice in members}
+        for size in self.sizes():
+            going = [choice for choice in members if choice.name not in self.ends]
+            if not going:
+                return
+            bench: _Bench | str | None = None
+            try:
+                for choice in going:
+                    scene = self._scene_of(choice, size)
+                    key = self._key(scene, choice.name)
+                    row = on_root(self.comm, self._find, key)
+                    if row is None:
+                        bench = bench or self._bench(scene)
+                        row = self._keep(key, self._row_of(choice, bench, scene))
+                    if choice.solve.get("eps") == "h^2" and self._fixed is None:
+                        self._fixed = row.get("eps")
+                    found[choice.name].append(row)
+                    yield row
+                    self._end(choice, found[choice.name], scene)
+            finally:
+                if isinstance(bench, _Bench):
+                    bench.close()
+                    self.truth.forget()
+
+    def _bench(self, scene: Scene) -> _Bench | str:
+        """A workbench whose forms are compiled already, or why there is none (collective)."""
+        try:
+            key = scene.pair.name, scene.tables.solve.start
+            if key not in self._warm:
+                self._warm.add(key)
+                for method in ("penalty", "vi"):
+                    with closing(Workbench(scene, self.comm)) as bench, suppress(NotConverged, InputError):
+                        bench.answer(scene.change({"solve.method": method, "solve.eps": "auto"}))
+            return _Bench(scene, self.comm)
+        except InputError as error:
+            return self._why(error)
+
+    def _row_of(self, choice: Choice, bench: _Bench | str, scene: Scene) -> Row:
+        """A row, or why there is none (collective)."""
+        row: Row = {"choice": choice.name, "adaptive": False, "element": scene.pair.name}
+        if isinstance(bench, str):
+            return {**row, "reason": bench}
+        try:
+            forget_peak_memory(self.comm)
+            answer = bench.work.answer(scene)
+        except (NotConverged, InputError) as error:
+            return {**row, "dofs": bench.work.problem.level.dofs, "reason": self._why(error)}
+        row |= self._figures(bench.work, answer, bench.before, bench.distance)
+        row |= {"poisson_seconds": bench.poisson, "seconds": bench.work.mesh_seconds + row["solve"]}
+        row["parts"] = bench.parts(answer)
+        return row
+
+    def _figures(self, work: Workbench, answer: Answer, before: float, distance: Distance) -> Row:
+        """What every row has (collective)."""
+        memory, record = peak_memory_mb(self.comm) - before, answer.record
+        seconds = record["seconds"]
+        return {
+            "dofs": record["dofs"], "cells": record["cells"], "cells_total": record["cells_total"], "h": record["h"],
+            "eps": record["eps"], "newton": record["newton_iterations"], "krylov": record["krylov_iterations"],
+            "solve": seconds["solve"], "mesh": seconds["mesh"], "memory_mb": memory,
+            "errors": self.truth.errors(work, answer), "sizes": sizes_of(distance, answer),
+            "floor": floor_of(work, answer),
+        }  # fmt: skip
+
+    def _adaptive(self, choice: Choice) -> Iterator[Row]:
+        """Rows of one choice on meshes that are refined where the error is (collective)."""
+        scene, found = choice.on(next(self.sizes())), list[Row]()
+        self._end(choice, found, scene)
+        while choice.name not in self.ends:  # what is on the disk
+            key = self._key(scene, f"{choice.name} {len(found)}")
+            row = on_root(self.comm, self._find, key)
+            if row is None:
+                break
+            found.append(row)
+            yield row
+            self._end(choice, found, scene)
+        if choice.name in self.ends:
+            return
+        base: Row = {"choice": choice.name, "adaptive": True, "element": scene.pair.name}
+        try:
+            before = forget_peak_memory(self.comm)
+            refinement = Refinement(scene, self.comm)
+            with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
+                for number, (work, answer) in enumerate(meshes):
+                    if refinement.full:
+                        self.ends[choice.name] = _too_many(self.budget)
+                        break
+                    if number < len(found):
+                        continue
+                    bound = answer.bound
+                    assert bound is not None
+                    row = {
+                        **base,
+                        **self._figures(work, answer, before, Distance(work.problem)),
+                        "bound": bound.record,
+                        "parts": {},
+                    }
+                    row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None}
+                    key = self._key(scene, f"{choice.name} {number}")
+                    found.append(self._keep(key, row))
+                    self.truth.forget()
+                    yield found[-1]
+                    self._end(choice, found, scene)
+                    if choice.name in self.ends:
+                        break
+        except (NotConverged, InputError) as error:
+            key = self._key(scene, f"{choice.name} {len(found)}")
+            found.append(self._keep(key, {**base, "reason": self._why(error)}))
+            self._end(choice, found, scene)
+            yield found[-1]
+
+    def _map(self) -> Iterator[Row]:
+        """Rows over h and eps, from 1/mu L^2 down past the floor of round-off (collective)."""
+        penalised = [choice for choice in self.choices if choice.solve.get("eps") == "h^2"]
+        if not penalised:
+            return
+        for size in islice(self.sizes(), MAP_MESHES):
+            scene = penalised[0].on(size)
+            keys = [self._key(scene, f"map {k}") for k in range(MAP_EPS)]
+            stored = [on_root(self.comm, self._find, key) for key in keys]
+            bench = None if all(stored) else self._bench(scene)
+            if isinstance(bench, str):
+                return
+            for k, (key, row) in enumerate(zip(keys, stored, strict=True)):
+                if row is None:
+                    assert bench is not None
+                    row = self._keep(key, self._place(bench, scene, k))
+                yield row
+            if bench is not None:
+                bench.close()
+                self.truth.forget()
+
+    def _place(self, bench: _Bench, scene: Scene, k: int) -> Row:
+        """One place of the map (collective)."""
+        problem = bench.work.problem
+        h = problem.level.h
+        unit = penalty_parameter(problem, scene) / h**2  # 1/mu
+        eps = unit * problem.data.extent**2 * 10.0**-k
+        row: Row = {"choice": "map", "h": h, "eps": eps, "paper": unit * h**2, "auto": unit * h**2 / 100,
+                    "floor": smallest_eps(problem)}  # fmt: skip
+        try:
+            answer = bench.work.answer(scene.change({"solve.eps": eps}))
+        except (NotConverged, InputError) as error:
+            return {**row, "reason": self._why(error)}
+        row |= {"errors": self.truth.errors(bench.work, answer), "sizes": sizes_of(bench.distance, answer)}
+        return {**row, "line": answer.record.get("round_off", {}).get("line")}
+
+    def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
+        """Note why there is no further row, if there is none (collective)."""
+        if not rows:
+            return
+        last, dim = rows[-1], {"interval": 1, "box": 3}.get(scene.tables.mesh.shape or "", 2)
+        if last.get("reason"):
+            self.ends[choice.name] = last["reason"]
+            return
+        growth = GROWTH if choice.adaptive else float(FACTOR[dim] ** dim)
+        times = [row["seconds"] for row in rows]
+        if choice.adaptive:
+            next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
+        else:
+            next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
+        why = ""
+        if next_ > self.budget.seconds:
+            why = f"the next mesh would take about {next_:.2g} s; the budget is {self.budget.seconds:g} s"
+        elif growth * last["dofs"] > self.budget.unknowns and not choice.adaptive:
+            why = _too_many(self.budget)
+        elif growth * last["memory_mb"] > self.budget.megabytes:
+            why = f"the next mesh would take more than the budget of {self.budget.megabytes:g} MB"
+        elif not fits(growth * last["dofs"], dim, self.comm):
+            why = "the next mesh would not fit into the memory of this machine"
+        if why:
+            self.ends[choice.name] = why
+
+    def _why(self, error: Exception) -> str:
+        """A message without the name of the scene, which all of them share."""
+        return str(error).removeprefix(f"{self.full.source}: ")
+
+    def _scene_of(self, choice: Choice, size: Scene) -> Scene:
+        scene = choice.on(size) if choice.solve.get("eps") != FIRST else None
+        if scene is None:
+            with_eps = {**choice.solve, "eps": self._first_eps(size)}
+            scene = size.change({f"solve.{key}": value for key, value in with_eps.items()})
+        return scene
+
+    def _first_eps(self, size: Scene) -> float:
+        """h^2/mu on the first mesh (collective)."""
+        if self._fixed is None:
+            first = next(self.sizes()).change({"solve.eps": "h^2", "solve.method": "penalty"})
+            with closing(Workbench(first, self.comm)) as bench:
+                self._fixed = penalty_parameter(bench.problem, first)
+        return self._fixed
+
+    def _key(self, scene: Scene, kind: str) -> str:
+        exact = "" if self.full.tables.exact is None else repr(self.full.tables.exact)
+        return on_root(self.comm, row_key, scene, f"cost {kind} {exact}", self.comm.size)
+
+    def _find(self, key: str) -> Row | None:
+        return None if self._store is None else self._store.find(key)
+
+    def _keep(self, key: str, row: Row) -> Row:
+        """The row on the disk, the same on all ranks (collective)."""
+
+        def add() -> Row:
+            return row if self._store is None else self._store.add(key, row)
+
+        return on_root(self.comm, add)
+
+
+class _Bench:
+    """A workbench, the solution of the inequality on its mesh, and what a Poisson solve takes there."""
+
+    def __init__(self, scene: Scene, comm: MPI.Comm):
+        self.before = forget_peak_memory(comm)
+        self.work, self.scene = Workbench(scene, comm), scene
+        self._reference: Answer | None = None
+        self.distance = Distance(self.work.problem)
+        self.poisson = comm.bcast(poisson_seconds(self.work.problem.level))
+
+    def close(self) -> None:
+        """Free what it holds (collective)."""
+        self._reference = None
+        del self.distance
+        self.work.close()
+
+    def parts(self, answer: Answer) -> dict[str, dict[str, float]]:
+        """The part of eps: distance to the solution of the inequality on the same mesh (collective)."""
+        if answer.record["method"] == "vi":
+            self._reference = answer
+        if answer.record["eps"] is None:
+            return {}
+        if self._reference is None:
+            with suppress(NotConverged):
+                self._reference = self.work.answer(self.scene.change({"solve.method": "vi"}))
+        if self._reference is None:
+            return {}
+        e, comm = answer.u.x.array - self._reference.u.x.array, answer.level.comm
+        return {"eps": {"energy": self.distance.energy(e), "l2": self.distance.l2(e), "max": largest(comm, np.abs(e))}}
+
+
+def floor_of(bench: Workbench, answer: Answer) -> float:
+    """What unbalanced forces and round-off leave of u, relative to it (collective).
+
+    Systems are solved until forces balance to 1e-10, and heights are rounded: machine epsilon times the stiffness of
+    each node and its height, summed, over the forces that act, is what no solver can do better.
+    """
+    problem, comm = bench.problem, answer.level.comm
+    step = answer.history[-1]
+    if step.forces <= 0:
+        return EPSILON
+    rounded = 0.0
+    if problem.affine and problem.level.pair.nodal:
+        u = answer.u.x.array[: problem.level.owned]
+        rounded = EPSILON * total(comm, problem.nodal.diagonal * np.abs(u) * ~problem.fixed)
+    return max(step.unbalanced, rounded) / step.forces
+
+
+def _too_many(budget: Budget) -> str:
+    return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"

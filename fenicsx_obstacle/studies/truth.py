@@ -1,0 +1,161 @@
+"""What errors are measured against: the exact solution, or the finest solution that is affordable, with its bound."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.accuracy.norms import Distance, Exact
+from fenicsx_obstacle.accuracy.truth import contact_truth
+from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.difference import Nearby
+from fenicsx_obstacle.answers.linear import linear
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.scenes.scene import Scene
+
+_log = logging.getLogger(__name__)
+FINER = 4.0  # times the seconds and unknowns of a row: what a reference may take
+NORMS = ("energy", "l2", "max", "force", "area")
+GROWTH = 3.0  # of unknowns from one adaptive mesh to the next, about
+Errors = dict[str, float]
+
+
+class ExactTruth:
+    """Errors against [exact]; of the contact as far as it is known.
+
+    Attributes:
+        record: What was taken for the truth.
+    """
+
+    def __init__(self, scene: Scene, comm: MPI.Comm):
+        """Find contact area and force of the exact solution (collective)."""
+        self.scene = scene
+        self._contact = contact_truth(scene, levels.coarsest(scene, comm))
+        self.record: dict[str, Any] = {"exact": True, **self._contact}
+        self._exact: tuple[Workbench, Exact] | None = None
+
+    def errors(self, bench: Workbench, answer: Answer) -> Errors:
+        """By norm; `pressure` too where the scene knows it (collective)."""
+        if self._exact is None or self._exact[0] is not bench:
+            self._exact = bench, Exact(bench.problem, self.scene)
+        found = self._exact[1].errors(answer.u, answer.pressure, answer.record["eps"])
+        norms = {"energy": "energy", "l2": "l2", "max": "max", "pressure_l2": "pressure"}
+        errors = {name: found[key] for key, name in norms.items() if key in found}
+        return errors | _contact_errors(answer, self._contact)
+
+    def forget(self) -> None:
+        """Let go of a workbench."""
+        self._exact = None
+
+
+class Reference:
+    """Errors against a solution on a finer mesh.
+
+    Attributes:
+        record: Unknowns, bound, and how much the last refinement changed of each norm.
+    """
+
+    def __init__(self, answer: Answer, record: Mapping[str, Any]):
+        self.answer, self.record = linear(answer), dict(record)
+        self._contact = contact_of(answer)
+        self._nearby: tuple[Workbench, Nearby] | None = None
+
+    def errors(self, bench: Workbench, answer: Answer) -> Errors:
+        """By norm (collective)."""
+        if answer.level.pair.degree > 1:
+            norms = Nearby(linear(answer).level, self.answer).norms(linear(answer))
+        else:
+            if self._nearby is None or self._nearby[0] is not bench:
+                self._nearby = bench, Nearby(answer.level, self.answer)
+            norms = self._nearby[1].norms(answer)
+        errors = {"energy": norms.get("energy", norms["h1"]), "l2": norms["l2"], "max": norms["max"]}
+        return errors | _contact_errors(answer, self._contact)
+
+    def forget(self) -> None:
+        """Let go of a workbench."""
+        self._nearby = None
+
+
+Truth = ExactTruth | Reference
+
+
+def contact_of(answer: Answer) -> dict[str, float]:
+    """Contact area and force of both obstacles."""
+    contact = answer.record["contact"]
+    force = sum(contact[side]["force"] for side in ("lower", "upper") if side in contact)
+    return {"area": contact["area"], "force": force}
+
+
+def sizes_of(distance: Distance, answer: Answer) -> Errors:
+    """The norms of the solution itself, by which errors become relative (collective)."""
+    u = answer.u.x.array
+    comm = answer.level.comm
+    sizes = {"energy": distance.energy(u), "l2": distance.l2(u), "max": largest(comm, np.abs(u)), **contact_of(answer)}
+    return {**sizes, "pressure": distance.pressure(answer.pressure.x.array)}
+
+
+def _contact_errors(answer: Answer, truth: Mapping[str, float]) -> Errors:
+    return {name: abs(value - truth[name]) for name, value in contact_of(answer).items() if name in truth}
+
+
+def make_reference(scene: Scene, sizes: Iterator[Scene], seconds: float, unknowns: float, comm: MPI.Comm) -> Reference:
+    """The finest solution within the limits, times `FINER` (collective).
+
+    Refined where the error is, with its bound, where there are bounds for the scene; else on the finest uniform mesh.
+
+    Args:
+        scene: On its coarsest mesh.
+        sizes: The scene on finer and finer uniform meshes.
+        seconds: Limit of a row.
+        unknowns: Likewise.
+        comm: Communicator.
+    """
+    found: list[Answer] = []
+    try:
+        refinement = Refinement(scene, comm)
+        with closing(refinement.meshes(unknowns=FINER * unknowns)) as meshes:
+            for _, answer in meshes:
+                found = [*found[-1:], answer]
+                spent, dofs = refinement.path[-1]["seconds"], answer.record["dofs"]
+                last = spent * (1 + GROWTH / 2) > FINER * seconds or GROWTH * dofs > FINER * unknowns
+                if comm.bcast(last):
+                    break
+    except InputError as error:
+        _log.info("no bound: %s", error)
+        for finer in sizes:
+            with closing(Workbench(finer, comm)) as bench:
+                found = [*found[-1:], bench.answer()]
+            record = found[-1].record
+            growth = 2.0 ** found[-1].level.mesh.topology.dim
+            last = growth * record["seconds"]["total"] > FINER * seconds or growth * record["dofs"] > FINER * unknowns
+            if comm.bcast(last):
+                break
+    answer, before = found[-1], found[0]
+    bound = answer.bound
+    record = {"exact": False, "dofs": answer.record["dofs"], "eps": answer.record["eps"], **contact_of(answer)}
+    if bound is not None:
+        record["bound"] = {"total": bound.total, "relative": bound.relative, "words": bound.words,
+                           "guaranteed": bound.guaranteed}  # fmt: skip
+    reference = Reference(answer, record)
+    before = linear(before)
+    norms = Nearby(before.level, reference.answer).norms(before)
+    reference.record["changed"] = {
+        "energy": norms.get("energy", norms["h1"]), "l2": norms["l2"], "max": norms["max"],
+        **_contact_errors(before, contact_of(answer)),
+    }  # fmt: skip
+    return reference
+
+
+def read_reference(folder: Path, record: Mapping[str, Any]) -> Reference:
+    """The reference of an earlier run (collective)."""
+    return Reference(Answer.read(folder), record)

@@ -1,0 +1,185 @@
+"""What accuracy costs: prices follow from rows, rows survive, and every choice has its errors or a reason."""
+
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+from test_cli import CLEAN, run
+from test_rows import kill
+
+from fenicsx_obstacle import Scene
+from fenicsx_obstacle.accuracy.truth import contact_truth
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
+from fenicsx_obstacle.scenes import catalogue
+from fenicsx_obstacle.studies import cost, price
+from fenicsx_obstacle.studies.cost import Ladder
+from fenicsx_obstacle.studies.rows import RowStore
+
+SMALL = "0.2s, 1500 unknowns"
+
+
+def line(name, order, *, first=0.1, rows=5, element="P1", lucky=()):
+    """Rows whose energy error falls like seconds^-order, from 0.1 at 1 s on, each four times as dear."""
+    found = []
+    for k in range(rows):
+        error = first * 4.0 ** (-order * k) * (1e-3 if k in lucky else 1)
+        found.append({"choice": name, "element": element, "seconds": 4.0**k, "dofs": 100 * 4**k, "memory_mb": 4.0**k,
+                      "errors": {"energy": error}, "sizes": {"energy": 1.0}, "floor": 1e-10,
+                      "poisson_seconds": 4.0**k / 3})  # fmt: skip
+    return found
+
+
+EXACT = {"choice": "", "exact": True}
+
+
+def test_price_of_a_digit_is_ten_to_the_order():
+    """error ~ t^-1/2: a digit costs 100 times the time; t^-1: 10 times; a cheaper line wins where lines cross."""
+    rows = [EXACT, *line("slow", 0.5), *line("fast", 1.0, first=0.4)]
+    p = price.price(rows, "energy")
+    assert p.choice == "fast" and p.factor == pytest.approx(10) and p.next_seconds == pytest.approx(2560)
+    assert price.price([EXACT, *line("slow", 0.5)], "energy").factor == pytest.approx(100)
+    names = [price.cheapest(rows, "energy", e)[0][0].name for e in (0.09, 0.005)]
+    assert names == ["slow", "fast"]  # they cross at 16 s and 0.025
+    assert price.cheapest(rows, "energy", 1e-5) == []  # too far to tell
+    assert price.digits(rows[1], "energy") == (1.0, 2.0, 1.0)
+    assert price.unit(rows) == pytest.approx(256 / 3)
+
+
+def test_lucky_hits_do_not_count():
+    """An error that happens to be small once, in the middle or at the end, makes no price."""
+    for lucky in ((2,), (4,)):
+        curve = price.curves([EXACT, *line("a", 0.5, lucky=lucky)], "energy")[0]
+        assert np.all(np.diff(np.log(curve.error)) <= 1e-12)
+        assert curve.error[2] >= 0.1 * 4.0**-1.5 * 0.5 and curve.error[4] > 0.1 * 4.0**-2 / 8
+
+
+def test_small_meshes_do_not_make_digits_cheap():
+    """Where start-up hides the growth of time, the next digit takes at least as many times longer as unknowns grow."""
+    rows = [{**row, "seconds": 1.0 + 0.01 * k} for k, row in enumerate(line("a", 0.5))]
+    assert price.price([EXACT, *rows], "energy").factor >= 99
+
+
+def test_errors_below_the_reference_are_left_out():
+    changed = {"energy": 0.0, "l2": 0.0}
+    first = {"choice": "", "exact": False, "changed": changed, "bound": {"total": 0.02, "guaranteed": True}}
+    assert len(price.curves([first, *line("a", 0.5)], "energy")[0].rows) == 3
+
+
+def test_contact_of_exact_solutions():
+    """Cells that the free boundary crosses are halved until area and force of the ball, pi a^2 and 2 pi A, are right to
+    1e-6; of a string, which leaves its obstacle like d^2, to the root of the round-off of heights."""
+    ball, string = catalogue.scene("ball"), catalogue.scene("string_torsion")
+    found, a = contact_truth(ball, levels.coarsest(ball, COMM)), 0.6979651482233736
+    assert found["area"] == pytest.approx(math.pi * a**2, rel=1e-6)
+    assert found["force"] == pytest.approx(2 * math.pi * a**2 / math.sqrt(1 - a**2), rel=1e-6)
+    assert contact_truth(string, levels.coarsest(string, COMM))["area"] == pytest.approx(0.6, abs=2e-7)
+
+
+def ladder(scene, folder, budget=SMALL, stop=None):
+    """All rows; or those before `stop` of them are there, as if the run were interrupted."""
+    stores = []
+    on_root(COMM, lambda: stores.append(RowStore(folder)))
+    found = []
+
+    def on_row(row):
+        found.append(row)
+        if len(found) == stop:
+            raise KeyboardInterrupt
+
+    try:
+        one = Ladder(scene, {}, budget, folder, COMM)
+        try:
+            return one, one.run(on_row, stores[0] if stores else None)
+        except KeyboardInterrupt:
+            return one, found
+    finally:
+        for store in stores:
+            store.close()
+
+
+def test_ladder_of_a_string(folder):
+    """Every choice has rows or a reason; parts and errors fit; the best eps goes with h^2 for heights, h^(4/3) for
+    slopes (THEORY of the map); what was interrupted is not computed again."""
+    scene = catalogue.scene("string_parabola")
+    _, begun = ladder(scene, folder, stop=7)
+    one, rows = ladder(scene, folder)
+    assert [row["run"] for row in rows[1:8]] == [1] * 7 == [row["run"] for row in begun]
+    assert {row["choice"] for row in price.solved(rows)} >= {"P1 VI", "P1 VI cold", "P1 eps = h^2", "P1 auto"}
+    failed = {row["choice"]: row["reason"] for row in price.failures(rows)}
+    assert "P2 is for triangle cells" in failed["P2 auto"] and "P1 on triangles" in failed["P1 adaptive"]
+    assert set(one.ends) == {choice.name for choice in one.choices}
+    for row in price.solved(rows):
+        if row["parts"]:
+            mesh = next(r for r in rows if r.get("choice") == "P1 VI" and r["dofs"] == row["dofs"])
+            for norm in ("energy", "l2"):
+                assert abs(row["errors"][norm] - mesh["errors"][norm]) <= row["parts"]["eps"][norm] * (1 + 1e-6)
+    powers = {norm: price.power_of_h(price.largest_harmless_eps(rows, norm)) for norm in ("energy", "l2")}
+    assert powers["l2"] == pytest.approx(2, abs=0.3) and powers["energy"] == pytest.approx(4 / 3, abs=0.3)
+    refused = [row for row in rows if row["choice"] == "map" and "reason" in row]
+    assert refused and all("floor of round-off" in row["reason"] and row["eps"] < row["floor"] for row in refused)
+
+
+def test_without_an_exact_solution(folder, monkeypatch):
+    """Errors are against the finest solution, whose own bound is told, and those of fine meshes are smaller."""
+    from fenicsx_obstacle.show.cost_tables import against
+
+    monkeypatch.setattr(cost, "MAP_MESHES", 0)
+    _, rows = ladder(membrane(load=1, upper=0.05), folder, budget="0.3s, 1200 unknowns")
+    first = price.truth(rows)
+    assert not first["exact"] and first["bound"]["guaranteed"]
+    assert "finest solution" in against(rows) and "at most" in against(rows)
+    for name in ("P1 auto", "P1 adaptive"):
+        part = [row["errors"]["energy"] for row in price.solved(rows) if row["choice"] == name]
+        assert len(part) > 1 and part[-1] < part[0] / 1.5
+    again = ladder(membrane(load=1, upper=0.05), folder, budget="0.3s, 1200 unknowns")[1]
+    assert [row["key"] for row in again] == [row["key"] for row in rows]
+
+
+def test_peak_memory_begins_anew():
+    before = forget_peak_memory(COMM)
+    large = np.ones(20_000_000)
+    assert peak_memory_mb(COMM) - before > 0.9 * COMM.size * large.nbytes / 1e6
+    del large
+    assert forget_peak_memory(COMM) - before < 0.2 * COMM.size * 160
+
+
+@pytest.mark.serial
+def test_killed_and_page(tmp_path):
+    """kill -9 in the middle: finished rows stay, the same command goes on, and the page stands alone."""
+    import subprocess
+    import sys
+
+    out = tmp_path / "out"
+    words = ["cost", "string_parabola", "--budget", SMALL, "--output", str(out)]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fenicsx_obstacle", *words], env=CLEAN, start_new_session=True, **silent
+    )
+    rows = out / "rows.jsonl"
+    while (not rows.exists() or rows.read_bytes().count(b"\n") < 5) and process.poll() is None:
+        time.sleep(0.01)
+    kill(process)
+    kept = [
+        json.loads(text)["key"] for text in rows.read_bytes().decode().splitlines(keepends=True) if text[-1] == "\n"
+    ]
+    done = run(*words)
+    assert done.returncode == 0, done.stderr
+    keys = [json.loads(text)["key"] for text in rows.read_text().splitlines()]
+    assert keys[: len(kept)] == kept and len(set(keys)) == len(keys) > len(kept)
+    assert "next digit of" in done.stdout and "P2 auto: did not do it" in done.stdout
+    page = (out / "report.html").read_text()
+    assert page.count("<svg") == 4 and "The price of the next digit" in page
+    assert "http" not in page.replace("http://www.w3.org", "") and "<script" not in page
+    assert all((out / f"{name}.png").stat().st_size > 10_000 for name in ("seconds", "prices", "parts", "map"))
+
+
+def test_choices_of_a_scene_without_obstacle():
+    """No penalty, no inequality: meshes and elements alone are compared."""
+    from fenicsx_obstacle.studies.choices import choices
+
+    names = [choice.name for choice in choices(Scene(mesh={"shape": "rectangle"}, tension=1, load=1))]
+    assert names == ["P1 auto", "P1 adaptive", "P2 auto", "P2 adaptive"]
