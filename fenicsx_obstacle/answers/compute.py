@@ -93,8 +93,7 @@ class Workbench:
         self._problems: list[Problem] | None = None
         self._solved_below = before is not None and nested(scene)
         if before is not None and self._solved_below:
-            below = before._hierarchy()
-            self._grids = [*below, Multigrid(self.problem, below[-1])]
+            self._grids = self._above(before)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
         if scene.report:
@@ -206,7 +205,8 @@ class Workbench:
             return [method.solve(self.problem)]
         stiffness = np.inf if method.eps is None else 1.0 / method.eps
         if self._solved_below:
-            return solve_nested(grids[-1:], method.solve, stiffness, self._hierarchy()[-2].problem)
+            new = 2 if self.problem.level.pair.stacks else 1
+            return solve_nested(grids[-new:], method.solve, stiffness, self._hierarchy()[-1 - new].problem)
         return solve_nested(grids, method.solve, stiffness)
 
     def _march(self, method: Method, grids: Sequence[Multigrid | Problem]) -> March:
@@ -238,6 +238,15 @@ class Workbench:
             self._problems = chain(self.problem)
             self.setup_seconds += time.perf_counter() - start
         return self._problems
+
+    def _above(self, before: Workbench) -> list[Multigrid]:
+        """The multigrid of all levels, those of the mesh below taken over (collective)."""
+        below, level = before._hierarchy(), self.problem.level
+        if level.pair.stacks:  # P1 on this mesh is above P1 on the other
+            assert level.coarse is not None
+            below = below[:-1]
+            below = [*below, Multigrid(Problem(self.problem.scene, level.coarse), below[-1])]
+        return [*below, Multigrid(self.problem, below[-1])]
 
     def _hierarchy(self) -> list[Multigrid]:
         """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""

@@ -36,7 +36,7 @@ class Level:
         materials: Owned cells of each named material; None likewise.
         shape: The recipe asked for, for shapes; `mesh` has a coarser grid where it is to be refined.
         pair: V_h, the rule I and Q_h.
-        coarse: The level it was refined from.
+        coarse: The level it was refined from; of P2 that of P1 on the same mesh.
         parents: For each owned cell the local cell of `coarse` it came from.
         places: Where in it the corners of the cell are.
     """
@@ -76,7 +76,11 @@ class Level:
 
         The ends of the edge it halves, or twice the vertex it coincides with; shape (owned dofs, 2).
         """
-        assert self.coarse is not None and self.parents is not None and self.places is not None
+        assert self.coarse is not None
+        if self.parents is None or self.places is None:  # P2 over P1 on the same mesh
+            cells = len(releases.cell_dofs(self.V))
+            places = np.tile(np.arange(releases.cell_dofs(self.V).shape[1]), (cells, 1))
+            return parents.ends_of(self.V, self.coarse.V, np.arange(cells), places)
         return parents.ends_of(self.V, self.coarse.V, self.parents, self.places)
 
     @cached_property
@@ -192,9 +196,9 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
 
 
 def of_pair(level: Level, pair: Pair) -> Level:
-    """The same mesh with the spaces of another pair; where these do not nest it stands alone."""
+    """The same mesh with the spaces of another pair: P2 hangs on the level itself, what does not nest stands alone."""
     if not pair.nests:
-        return replace(level, pair=pair, coarse=None, parents=None, places=None, named=level.facets,
+        return replace(level, pair=pair, coarse=level if pair.stacks else None, parents=None, places=None, named=level.facets,
                        materials=level.groups)  # fmt: skip
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
@@ -228,6 +232,9 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
     Raises:
         InputError: For other cells than intervals and triangles.
     """
+    if level.pair.stacks:
+        assert level.coarse is not None
+        return of_pair(refined_where(level.coarse, marked), level.pair)
     new, cells, places = bisection.refined_where(level.V, marked)
     fine = Level(
         new, _largest_side(new), shape=level.shape, pair=level.pair, coarse=level, parents=cells, places=places

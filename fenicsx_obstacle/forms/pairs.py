@@ -52,6 +52,11 @@ class Pair:
         return self.degree == 1 and all(cell in SIMPLICES for cell in self.rules)
 
     @property
+    def stacks(self) -> bool:
+        """Whether V_h holds P1 on the same mesh, with nodes at its vertices and at the middles of its edges."""
+        return self.degree == 2 and all(cell in SIMPLICES for cell in self.rules)
+
+    @property
     def nodal(self) -> bool:
         """Whether the points of I are nodes of V_h, so that u may touch the obstacle node by node."""
         return self.pressure[0] != "DG"
