@@ -26,13 +26,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import hypot, pi, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import TOUCHES
-from fenicsx_obstacle.accuracy.flux import SHARP, Equilibration, Flux
+from fenicsx_obstacle.accuracy.flux import KNOWN, SHARP, Equilibration, Flux
 from fenicsx_obstacle.accuracy.peaks import Peaks, Rim
 from fenicsx_obstacle.accuracy.quadrature import rule
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
@@ -40,6 +41,9 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.materials import Materials
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.accuracy.flux_p2 import Flux2
 
 ROUND_OFF = 1e-9  # of the heights
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
@@ -94,20 +98,12 @@ class Estimator:
         mesh, pair = level.mesh, level.pair
         if releases.cell_name(mesh) != "triangle" or pair.degree != 1 or pair.voronoi or mesh.geometry.dim != 2:
             what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
-            raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, not for {what}")
-        if not any(effect.key == "tension" for effect in scene.effects):
-            raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
-        if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
-            raise InputError(f"{scene.source}: the error bound needs a tension alike in all directions")
-        if any(effect.key == "point_load" for effect in scene.effects):
-            raise InputError(f"{scene.source}: the energy of a point load is infinite: there is no bound of its error")
-        if problem.data.radial:
-            raise InputError(f"{scene.source}: the error bound is for plane problems, not for axial symmetry")
-        if problem.data.thin:
-            raise InputError(f"{scene.source}: the error bound is for obstacles in the domain, not on its boundary")
+            raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}")
+        self._refuse()
         self.triangles = Triangles(problem.data)
         self.equilibration = Equilibration(self.triangles)
-        self._sample_tension()
+        self._sample_tension_of(self.equilibration.mu)
+        self._held = self.equilibration.held
         self.rim = Rim(self.triangles)
         self._rim_energy = self.rim.energy(self._mu_max)
         sides = [side for side in ("lower", "upper") if getattr(problem.data, side) is not None]
@@ -118,6 +114,24 @@ class Estimator:
         self._oscillation = self.triangles.diameter / pi * self.equilibration.oscillation / np.sqrt(self._mu_min)
         self._friedrichs, self._exact_constant = self._constant()
         self._least_tension = smallest(level.comm, self._mu_min)
+
+    def _refuse(self) -> None:
+        """What there is no bound for.
+
+        Raises:
+            InputError: Saying why.
+        """
+        problem, scene = self.problem, self.problem.scene
+        if not any(effect.key == "tension" for effect in scene.effects):
+            raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
+        if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
+            raise InputError(f"{scene.source}: the error bound needs a tension alike in all directions")
+        if any(effect.key == "point_load" for effect in scene.effects):
+            raise InputError(f"{scene.source}: the energy of a point load is infinite: there is no bound of its error")
+        if problem.data.radial:
+            raise InputError(f"{scene.source}: the error bound is for plane problems, not for axial symmetry")
+        if problem.data.thin:
+            raise InputError(f"{scene.source}: the error bound is for obstacles in the domain, not on its boundary")
 
     def lend_load(self) -> None:
         """Let the problem have the load by the quadrature used here, which sees where formulas jump (collective)."""
@@ -165,7 +179,7 @@ class Estimator:
         return Bound(
             total=bound, admissible_total=B, relative=bound / height if height > 0 else None,
             discretisation=norm(of_u), penalty=norm(penetrated), algebraic=algebraic, data=data,
-            guaranteed=not doubts, words=_in_words(doubts, sampled_only),
+            guaranteed=not doubts, words=in_words(doubts, sampled_only),
             indicator=indicator,
             admissible=admissible,
         )  # fmt: skip
@@ -231,10 +245,11 @@ class Estimator:
         means = rest[self.triangles.dofs].mean(axis=1)
         return sqrt(total(self.problem.level.comm, self.triangles.area * means**2))
 
-    def _sample_tension(self) -> None:
+    def _sample_tension_of(self, mu: np.ndarray) -> None:
         """Where the tension varies within cells: points and values there, and its least, mean and largest value."""
-        triangles, mu = self.triangles, self.equilibration.mu
+        triangles = self.triangles
         self._mu_min = self._mu_mean = self._mu_max = mu
+        self._varies = np.zeros(len(mu), dtype=bool)
         self._varying: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
         value = next(effect.value for effect in self.problem.scene.effects if effect.key == "tension")
         parts: Sequence = list(value.parts.values()) if isinstance(value, Materials) else [value]
@@ -251,6 +266,7 @@ class Estimator:
         cells = np.flatnonzero(sharp)
         self._varying.append((cells, points, weights, triangles.values(value, points, cells)))
         for cells, _, weights, tension in self._varying:
+            self._varies[cells] = True
             self._mu_min[cells], self._mu_max[cells] = tension.min(axis=1), tension.max(axis=1)
             self._mu_mean[cells] = tension @ weights
         if smallest(self.problem.level.comm, self._mu_min) <= 0:
@@ -273,7 +289,7 @@ class Estimator:
         facets = problem.level.boundary_facets
         outer[facets[facets < len(outer)]] = True
         cells, opposite = np.nonzero(outer[triangles.facets])
-        held = self.equilibration.held[cells, opposite]
+        held = self._held[cells, opposite]
         ends = np.stack([x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]], axis=1)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         around = total(comm, length)
@@ -290,13 +306,14 @@ class Estimator:
             return 1 / float(np.linalg.norm(wave)), True
         return 2 * float(sides.max()), False
 
-    def _doubts(self, flux: Flux, unbalanced: float, bound: float, crossing: float) -> tuple[list[str], bool]:
+    def _doubts(self, flux: Flux | Flux2, unbalanced: float, bound: float, crossing: float) -> tuple[list[str], bool]:
         """What the bound does not cover (collective); whether it is the obstacle between the nodes alone."""
         level = self.problem.level
-        doubts = [f"it knows tension and load, not {key}" for key in self.equilibration.others]
+        effects = [effect.key for effect in self.problem.scene.effects]
+        doubts = [f"it knows tension and load, not {key}" for key in effects if key not in KNOWN]
         if level.shape is not None and level.shape.project is not None:
             doubts.append("it is for the polygon of the mesh, not for the curved domain")
-        if total(level.comm, np.count_nonzero(self.equilibration.held)) == 0:
+        if total(level.comm, np.count_nonzero(self._held)) == 0:
             doubts.append("u is given nowhere")
         if self.rim.torn > 0:
             doubts.append(f"boundary values jump by {self.rim.torn:.2g}, so that no u has a finite energy")
@@ -314,7 +331,7 @@ class Estimator:
         return doubts, others == 0
 
 
-def _in_words(doubts: list[str], sampled_only: bool) -> str:
+def in_words(doubts: list[str], sampled_only: bool) -> str:
     if not doubts:
         return "certified"
     return ("certified for the sampled obstacle" if sampled_only else "an indicator") + ": " + "; ".join(doubts)

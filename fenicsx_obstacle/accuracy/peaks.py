@@ -36,9 +36,14 @@ class Rim:
         volume: Integral of the cones over each cell.
     """
 
-    def __init__(self, triangles: Triangles):
-        """Sample the boundary values (collective)."""
-        self.triangles, data = triangles, triangles.data
+    def __init__(self, triangles: Triangles, middles: np.ndarray | None = None):
+        """Sample the boundary values (collective).
+
+        Args:
+            triangles: The cells.
+            middles: Of P2 the nodal values at the middle of the edge opposite to each vertex, shape (cells, 3).
+        """
+        self.triangles, data, self._middles = triangles, triangles.data, middles
         scene, cells = data.scene, len(triangles.area)
         values = data.fixed[1].x.array
         part = np.full(max(triangles.facets.max(initial=-1) + 1, 1), -1)
@@ -57,7 +62,7 @@ class Rim:
             beside, opposite = np.nonzero(part[triangles.facets] == number)
             d = triangles.values(formula, _on_edge(opposite, steps), beside)
             ends = values[triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
-            d = d - (1 - steps) * ends[:, :1] - steps * ends[:, 1:]
+            d = d - self._interpolated(beside, opposite, ends, steps[None])
             self.torn = max(self.torn, largest(comm, np.abs(d[:, [0, -1]])))
             d[:, [0, -1]] = 0.0
             curved = np.abs(d).max(axis=1, initial=0.0) > ROUND_OFF * heights
@@ -74,6 +79,15 @@ class Rim:
         # (H/3) int d: the cone is (1 - t/H) d
         means = (self._d[:, :-1] + self._d[:, 1:]).mean(axis=1) / 2
         np.add.at(self.volume, self.cells, 2 * triangles.area[self.cells] / 3 * means)
+
+    def _interpolated(
+        self, cells: np.ndarray, opposite: np.ndarray, ends: np.ndarray, steps: np.ndarray
+    ) -> np.ndarray:
+        """The nodal interpolant along the edges opposite to vertices."""
+        linear = (1 - steps) * ends[:, :1] + steps * ends[:, 1:]
+        if self._middles is None:
+            return linear
+        return linear + 4 * steps * (1 - steps) * (self._middles[cells, opposite] - ends.mean(axis=1))[:, None]
 
     def energy(self, mu: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad||^2 of the cones in each cell, mu being the largest tension there."""
@@ -105,7 +119,7 @@ class Rim:
             step = np.divide(share[..., 1], width, out=np.zeros_like(width), where=width > 0)
             ends = values[self.triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
             g = self.triangles.values(formula, _on_edge(opposite, step), beside)
-            np.add.at(found, row[beside], width * (g - (1 - step) * ends[:, :1] - step * ends[:, 1:]))
+            np.add.at(found, row[beside], width * (g - self._interpolated(beside, opposite, ends, step)))
         return found
 
 

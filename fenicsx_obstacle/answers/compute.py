@@ -138,9 +138,12 @@ class Workbench:
             InputError: If there are none for its elements.
         """
         if self._estimator is None:
-            from fenicsx_obstacle.accuracy.bound import Estimator  # only where it is asked for
+            if self.problem.level.pair.stacks:  # imported only where it is asked for
+                from fenicsx_obstacle.accuracy.bound_p2 import Estimator2 as Kind
+            else:
+                from fenicsx_obstacle.accuracy.bound import Estimator as Kind
 
-            self._estimator = Estimator(self.problem)
+            self._estimator = Kind(self.problem)
             if self.problem.affine:
                 self._estimator.lend_load()
         return self._estimator

@@ -1,0 +1,419 @@
+"""Multiplier and equilibrated flux of a P2 state with contact at the middles of edges.
+
+The multiplier is the Crouzeix-Raviart function lambda with nodal values at these middles, so that int lambda psi_a is
+what the rule makes of it for every hat psi_a: patches of free vertices are compatible but for rho_a, the force that is
+out of balance. The flux is in RT1, again a sum over vertices,
+    div sigma = -(Pi_1 f + lambda + rho)   in each cell, rho = sum of rho_a psi_a,
+of fluxes on the patches that are nearest to the broken RT1 interpolant of psi_a mu grad u_h. Divergence and normal parts
+leave few unknowns: what goes round the vertex, and a first moment on each edge from it; the moments inside follow.
+
+Functions of RT1 are given on the reference triangle (Piola) by eight moments: of each edge i, opposite to vertex i and
+run through from vertex i + 1 to i + 2, the flux F_i out of it and its moment G_i with 2 s - 1; then int sigma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.fans import Fans
+from fenicsx_obstacle.accuracy.flux import SHARP
+from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.samples import array_of
+from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.scenes.materials import Value
+
+MASS = (np.ones((3, 3)) + np.eye(3)) / 12  # int psi_j psi_k over the area
+_KINDS = {1: 2 / 120, 2: 4 / 120, 3: 12 / 120}
+TRIPLES = np.array(
+    [[[_KINDS[4 - len({i, j, k})] for k in range(3)] for j in range(3)] for i in range(3)]
+)  # int psi_i psi_j psi_k over the area
+MIDDLES = MASS[None] - 2 * TRIPLES  # int (1 - 2 psi_m) psi_j psi_k: of the multiplier at middle m, opposite to vertex m
+
+
+def _basis() -> np.ndarray:
+    """The eight functions dual to the moments, as coefficients of the monomials of `_monomials`, shape (8, 8)."""
+    s, w = np.polynomial.legendre.leggauss(4)
+    s, w = (s + 1) / 2, w / 2
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    rows = []
+    for i in range(3):
+        start, end = corners[(i + 1) % 3], corners[(i + 2) % 3]
+        x = start + s[:, None] * (end - start)
+        out = np.array([(end - start)[1], -(end - start)[0]])  # its length is the edge's
+        flux = np.einsum("x,mpx->mp", out, _monomials(x))
+        rows += [flux @ w, flux @ (w * (2 * s - 1))]
+    points, weights = rule(2)
+    inside = np.einsum("mpx,p->xm", _monomials(points[:, 1:]), weights / 2)
+    return np.linalg.inv(np.vstack([*rows, inside]))
+
+
+def _monomials(x: np.ndarray) -> np.ndarray:
+    """Eight vector fields that span RT1 at reference points (n, 2), shape (8, n, 2)."""
+    X, Y = x.T
+    one, zero = np.ones_like(X), np.zeros_like(X)
+    pairs = [(one, zero), (zero, one), (X, zero), (Y, zero), (zero, X), (zero, Y), (X * X, X * Y), (X * Y, Y * Y)]
+    return np.stack([np.stack(pair, axis=1) for pair in pairs])
+
+
+BASIS = _basis()
+
+
+def reference_fields(where: np.ndarray) -> np.ndarray:
+    """The eight functions at barycentric points (n, 3), shape (8, n, 2)."""
+    return np.einsum("md,mpx->dpx", BASIS, _monomials(where[:, 1:]))
+
+
+def _grams() -> np.ndarray:
+    """Gram matrices of their components, xx, xy + yx, yy, shape (3, 8, 8)."""
+    points, weights = rule(2)
+    fields = reference_fields(points)
+    products = np.einsum("ipx,jpy,p->xyij", fields, fields, weights / 2)
+    return np.stack([products[0, 0], products[0, 1] + products[1, 0], products[1, 1]])
+
+
+GRAMS = _grams()
+# fluxes of a corner a, b, c = vertices 0, 1, 2, nothing leaving opposite to a: F and G on a-b, on a-c (from a on), int
+_CORNER = np.zeros((8, 6))
+_CORNER[4, 0] = _CORNER[5, 1] = _CORNER[2, 2] = _CORNER[6, 4] = _CORNER[7, 5] = 1.0
+_CORNER[3, 3] = -1.0
+# what goes round the vertex, the moment that enters across a-b, the one that leaves across a-c
+_MOVES = np.array([(-1, 0, 1, 0, -0.5, 0.5), (0, -1, 0, 0, -0.5, 0), (0, 0, 0, 1, 0, 0.5)]).T
+_OF_CORNER = np.einsum("ij,kil,lm->kjm", _CORNER, GRAMS, _CORNER)
+_FORMS = np.einsum("iu,kij,jv->kuv", _MOVES, _OF_CORNER, _MOVES)
+_PULLS = np.einsum("iu,kij->kuj", _MOVES, _OF_CORNER)
+
+
+@dataclass(frozen=True)
+class Flux2:
+    """Multipliers and flux; arrays over owned cells, counter-clockwise.
+
+    Attributes:
+        lower: lambda at the middles of the edges opposite to each vertex, shape (cells, 3).
+        upper: Likewise of the upper obstacle.
+        rest: rho at the vertices, shape (cells, 3).
+        moments: Of sigma, shape (cells, 8).
+        normal: Fluxes out of the edges, shape (cells, 3).
+        incompatible: Largest flux that a fan of a free vertex leaves over.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    rest: np.ndarray
+    moments: np.ndarray
+    normal: np.ndarray
+    incompatible: float
+
+
+class Equilibration2:
+    """Everything about flux and multipliers that depends on mesh and data alone.
+
+    Attributes:
+        triangles: The owned cells, with the dofs of P1.
+        nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
+        mu: Mean tension of each cell, as the solver has it.
+        load: int f psi_j psi_k, shape (cells, 3, 3).
+        oscillation: ||f - Pi_1 f||_T.
+        missing: Force at owned nodes that the load's formula gives more than what the solver makes of it.
+        others: Effects that it does not know: none.
+    """
+
+    def __init__(self, triangles: Triangles, data: Data):
+        """Sample the load, sort the corners (collective).
+
+        Args:
+            triangles: Of P1 on the same mesh.
+            data: Of P2.
+        """
+        self.triangles, self.data, self.level = triangles, data, data.level
+        self.others: list[str] = []
+        count = len(triangles.area)
+        dofs = releases.cell_dofs(self.level.V)[:count]
+        self.nodes = np.hstack([triangles.turned(dofs[:, :3]), triangles.turned(dofs[:, 3:])])
+        is_held = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
+        for facets in data.held:
+            is_held[facets[facets < len(is_held)]] = True
+        self.held = is_held[triangles.facets]
+        below = triangles.data.level
+        self.fans = Fans(below, triangles.dofs, self.held)
+        self.free = np.ones(below.owned, dtype=bool)
+        fixed = triangles.data.fixed[0]
+        self.free[fixed[fixed < below.owned]] = False
+        self._given = np.zeros(len(self._function().x.array), dtype=bool)
+        self._given[data.fixed[0]] = True
+        self._sample_tension()
+        self._sample_load()
+        self.mass = self.fans.at_vertices(self.fans.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0])
+        weights = self.summed(np.repeat(triangles.area[:, None] / 3, 3, axis=1), middles=True)
+        self._weights = np.where(weights > 0, weights, 1.0)
+        self._prepare_fans()
+
+    def _function(self) -> fem.Function:
+        return fem.Function(self.level.V)
+
+    def summed(self, values: np.ndarray, *, middles: bool = False) -> np.ndarray:
+        """Sums over the cells around each local node of P2, from values (cells, 6), or (cells, 3) at middles
+        (collective)."""
+        function = self._function()
+        np.add.at(function.x.array, self.nodes[:, 3:] if middles else self.nodes, values)
+        releases.add_ghosts(function)
+        function.x.scatter_forward()
+        return function.x.array.copy()
+
+    def _in_cells(self, value: Value, points: np.ndarray, *, positive: bool = False) -> np.ndarray:
+        """What the solver has of a formula at barycentric points, shape (cells, points)."""
+        made = self.data.cellwise(value, positive=positive)
+        values = array_of(made)
+        if len(values) == 1 and not isinstance(made, fem.Function):
+            return np.full((len(self.triangles.area), len(points)), values[0])
+        dofs = releases.cell_dofs(self.level.W)[: len(self.triangles.area)]
+        dofs = np.hstack([self.triangles.turned(dofs[:, :3]), self.triangles.turned(dofs[:, 3:])])
+        return values[dofs] @ quadratics(points)
+
+    def _sample_tension(self) -> None:
+        """int mu psi_j psi_k and the mean of mu."""
+        tension = next(effect for effect in self.data.scene.effects if effect.key == "tension")
+        points, weights = rule(2)
+        mu = self._in_cells(tension.value, points, positive=True)
+        self.mu = mu @ weights
+        products = np.einsum("pj,pk->pjk", points, points)
+        self._mu_products = self.triangles.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
+
+    def _sample_load(self) -> None:
+        triangles, area = self.triangles, self.triangles.area
+        self.load, self.oscillation = np.zeros((len(area), 3, 3)), np.zeros(len(area))
+        missing = np.zeros((len(area), 3, 3))
+        points, weights = rule(2)
+        for value in (effect.value for effect in self.data.scene.effects if effect.key == "load"):
+            solver = self._in_cells(value, points)
+            of_solver = self._products(solver, points, weights, slice(None))
+            if triangles.data.uniform(value):
+                self.load += of_solver
+                continue
+            values = triangles.values(value, points)
+            exact, waves = self._products(values, points, weights, slice(None)), self._wave(values, points, weights)
+            sizes = np.abs(values).max(axis=1, initial=0.0)
+            sharp = np.flatnonzero(np.ptp(values, axis=1) > SHARP * largest(self.level.comm, sizes))
+            dense, shares = halved_rule(2)
+            values = triangles.values(value, dense, sharp)
+            exact[sharp] = self._products(values, dense, shares, sharp)
+            waves[sharp] = self._wave(values, dense, shares)
+            self.load += exact
+            self.oscillation += np.sqrt(area * waves)
+            missing += exact - of_solver
+        self.missing = self.summed(against_nodes(missing))[: self.level.owned]
+
+    def _products(
+        self, values: np.ndarray, points: np.ndarray, weights: np.ndarray, cells: np.ndarray | slice
+    ) -> np.ndarray:
+        """int f psi_j psi_k."""
+        products = np.einsum("p,pj,pk->pjk", weights, points, points)
+        return self.triangles.area[cells][:, None, None] * np.einsum("cp,pjk->cjk", values, products)
+
+    @staticmethod
+    def _wave(values: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Mean square of the distance to the nearest linear function."""
+        linear = values @ (weights[:, None] * points) @ np.linalg.inv(MASS)
+        return (values - linear @ points.T) ** 2 @ weights
+
+    def _prepare_fans(self) -> None:
+        """Metric of each corner, and the matrices of the fans."""
+        triangles = self.triangles
+        x = triangles.x
+        forms = []
+        self._metrics = []
+        for i in range(3):
+            to_b, to_c = x[:, (i + 1) % 3] - x[:, i], x[:, (i + 2) % 3] - x[:, i]
+            self._metrics.append(metric(to_b, to_c, triangles.area, self.mu))
+            forms.append(np.einsum("kc,kuv->cuv", self._metrics[-1], _FORMS))
+        form = np.stack(forms, axis=1)  # cells, corners, 3, 3
+        pairs = [(u, v) for u in range(3) for v in range(u, 3)]
+        gathered = self.fans.gather(*(form[:, :, u, v] for u, v in pairs))
+        self._forms = np.empty((3, 3, gathered.shape[1]))
+        for (u, v), values in zip(pairs, gathered, strict=True):
+            self._forms[u, v] = self._forms[v, u] = values
+        lengths = np.zeros(len(self.fans.vertex), dtype=np.int64)
+        for step in self.fans.steps:
+            lengths[: step.stop - step.start] += 1
+        starts = np.array([step.start for step in self.fans.steps])
+        self._groups = []
+        for length in np.unique(lengths):
+            for closed in (True, False):
+                fans = np.flatnonzero((lengths == length) & (self.fans.closed == closed))
+                if len(fans):
+                    self._groups.append((fans, starts[:length][None] + fans[:, None], closed))
+
+    def flux(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Flux2:
+        """Multipliers and flux of a state (collective).
+
+        Args:
+            u: Values at local nodes of P2.
+            touches_lower: Whether u is at the lower obstacle or beyond it, at local nodes.
+            touches_upper: Likewise of the upper one.
+        """
+        triangles, fans = self.triangles, self.fans
+        area, gradient = triangles.area, self.gradients(u)
+        slopes = np.einsum("xck,xca->cak", gradient, triangles.normal) / (2 * area)[:, None, None]  # grad psi_a at k
+        K = np.einsum("cak,ckj->caj", slopes, self._mu_products)  # int mu grad u . grad psi_a psi_j
+        lower, upper = self._multipliers(K, touches_lower, touches_upper)
+        pushes = self.load + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
+        drops = (pushes - K).sum(axis=2)
+        below = fem.Function(triangles.data.level.V)
+        below.x.array[: below.function_space.dofmap.index_map.size_local] = np.where(
+            self.free, -fans.at_vertices(fans.gather(drops)[0]) / self.mass, 0.0
+        )
+        below.x.scatter_forward()
+        rest = below.x.array[triangles.dofs]
+        pushes = pushes + rest[:, :, None] * (area[:, None, None] * MASS)
+        drops = (pushes - K).sum(axis=2)
+        R = K - pushes  # int div sigma^a psi_j
+        pulls = self._pulls(u, gradient, K, R, drops)
+        drops, *pulls = fans.gather(drops, *pulls)
+        before, after = fans.walk(drops)
+        round_, entering, leaving = self._solved(before, after, np.array(pulls))
+        left = np.abs(after[fans.last])[fans.closed | ~(fans.entry_held | fans.exit_held)]
+        parts = fans.scatter(before + round_, after + round_, entering, leaving)
+        return Flux2(lower, upper, rest, *self._joined(R, *parts), max(largest(self.level.comm, left), 0.0))
+
+    def gradients(self, u: np.ndarray) -> np.ndarray:
+        """grad u_h at the vertices of each cell, shape (2, cells, 3)."""
+        values, normal = u[self.nodes], self.triangles.normal
+        found = np.einsum("cj,xcj->xc", -values[:, :3], normal)[:, :, None].repeat(3, axis=2)
+        # phi_j = psi_j (2 psi_j - 1): slope 3 at its vertex, -1 elsewhere; of a middle 4 psi at the two ends
+        found = found + 4 * values[None, :, :3] * normal
+        middle = values[:, 3:]
+        for k in range(3):
+            j, m = (k + 1) % 3, (k + 2) % 3
+            found[:, :, k] += 4 * (middle[:, m] * normal[:, :, j] + middle[:, j] * normal[:, :, m])
+        return found / (2 * self.triangles.area)[None, :, None]
+
+    def _multipliers(
+        self, K: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """lambda and nu at the middles: what pushes away from an obstacle that is touched (collective)."""
+        j, k = [1, 2, 0], [2, 0, 1]
+        forces = 4 * (K[:, j, k] + K[:, k, j] - self.load[:, j, k])
+        residual = self.summed(forces, middles=True) / self._weights
+        residual[self._given] = 0.0
+        found = []
+        for sign, touches in ((1, touches_lower), (-1, touches_upper)):
+            nodal = np.where(touches, np.maximum(sign * residual, 0.0), 0.0)
+            found.append(self._along_the_boundary(nodal, touches)[self.nodes[:, 3:]])
+        return found[0], found[1]
+
+    def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
+        """Where u is given and touches, the mean of the cell's other middles: any value >= 0 will do (collective)."""
+        corner = values[self.nodes[:, 3:]]
+        others = self.summed((next_(corner) + previous(corner)) / 2, middles=True)
+        cells = self.summed(np.ones_like(corner), middles=True)
+        wanted = self._given & touches & (cells > 0)
+        return np.where(wanted, others / np.maximum(cells, 1.0), values)
+
+    def _pulls(
+        self, u: np.ndarray, gradient: np.ndarray, K: np.ndarray, R: np.ndarray, drops: np.ndarray
+    ) -> list[np.ndarray]:
+        """How far each corner's flux without further moments is from its target, against each unknown."""
+        normal, mu = self.triangles.normal, self.mu
+        found = []
+        for i in range(3):
+            b, c = (i + 1) % 3, (i + 2) % 3
+            target = []
+            for other, opposite in ((b, c), (c, b)):
+                ends = [-mu * (gradient[0, :, k] * normal[0, :, opposite] + gradient[1, :, k] * normal[1, :, opposite])
+                        for k in (i, other)]  # fmt: skip
+                target += [ends[0] / 3 + ends[1] / 6, -ends[0] / 6]
+            target += [K[:, b, i], K[:, c, i]]
+            out = -drops[:, i]
+            zero = np.zeros_like(out)
+            given = [zero, zero, out, zero, -R[:, i, b], out / 2 - R[:, i, c]]
+            e = np.stack([one - other for one, other in zip(given, target, strict=True)])
+            found.append(np.einsum("kc,kuj,jc->uc", self._metrics[i], _PULLS, e))
+        stacked = np.stack(found, axis=2)  # unknowns, cells, corners
+        return [stacked[k] for k in range(3)]
+
+    def _solved(
+        self, before: np.ndarray, after: np.ndarray, pulls: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What goes round each vertex, and the moments on its edges, along the fans (local)."""
+        round_, entering, leaving = (np.zeros_like(before) for _ in range(3))
+        pulls = pulls + self._forms[:, 0] * before
+        for fans, places, closed in self._groups:
+            count, length = places.shape
+            size = 1 + length + (not closed)
+            A, b = np.zeros((count, size, size)), np.zeros((count, size))
+            unknowns = []
+            for k in range(length):
+                entry, exit_ = ((k - 1) % length, k) if closed else (k, k + 1)
+                unknowns.append((0, 1 + entry, 1 + exit_))
+                for u, row in enumerate(unknowns[-1]):
+                    b[:, row] -= pulls[u, places[:, k]]
+                    for v, column in enumerate(unknowns[-1]):
+                        A[:, row, column] += self._forms[u, v, places[:, k]]
+            if not closed:
+                # nothing leaves through the free boundary
+                last = after[places[:, -1]]
+                for free, edge, value in (
+                    (~self.fans.exit_held[fans], size - 1, -last), (~self.fans.entry_held[fans], 1, 0.0 * last)
+                ):  # fmt: skip
+                    for row, right in ((0, value), (edge, 0.0 * value)):
+                        A[free, row], b[free, row] = 0.0, right[free]
+                        A[free, row, row] = 1.0
+            x = np.linalg.solve(A, b[:, :, None])[:, :, 0]
+            for k, (_, entry, exit_) in enumerate(unknowns):
+                at = places[:, k]
+                round_[at], entering[at], leaving[at] = x[:, 0], x[:, entry], x[:, exit_]
+        return round_, entering, leaving
+
+    def _joined(
+        self, R: np.ndarray, before: np.ndarray, after: np.ndarray, entering: np.ndarray, leaving: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The moments of the sum of all corners' fluxes in each cell, and the fluxes out of its edges."""
+        # edge i is a-b of the corner before its start i + 1, and a-c of the one at its end i + 2
+        F = -next_(before) + previous(after)
+        G = -next_(entering) - previous(leaving)
+        inside = np.zeros((len(R), 3))
+        for i in range(3):
+            b, c = (i + 1) % 3, (i + 2) % 3
+            along_b = (-before[:, i] - entering[:, i]) / 2 - R[:, i, b]
+            along_c = (after[:, i] + leaving[:, i]) / 2 - R[:, i, c]
+            inside[:, b] += along_b
+            inside[:, c] += along_c
+            inside[:, i] -= along_b + along_c
+        moments = np.stack([F[:, 0], G[:, 0], F[:, 1], G[:, 1], F[:, 2], G[:, 2], inside[:, 1], inside[:, 2]], axis=1)
+        return moments, F
+
+    def membrane(self, u: np.ndarray) -> np.ndarray:
+        """The moments of mu grad u_h with the mean tension, shape (cells, 8)."""
+        gradient, normal, mu = self.gradients(u), self.triangles.normal, self.mu
+        found = np.empty((len(mu), 8))
+        for i in range(3):
+            ends = [-mu * (gradient[0, :, k] * normal[0, :, i] + gradient[1, :, k] * normal[1, :, i])
+                    for k in ((i + 1) % 3, (i + 2) % 3)]  # fmt: skip
+            found[:, 2 * i], found[:, 2 * i + 1] = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 6
+        mean = gradient.mean(axis=2) * mu / 2
+        for k in (1, 2):
+            found[:, 5 + k] = mean[0] * normal[0, :, k] + mean[1] * normal[1, :, k]
+        return found
+
+
+def metric(to_b: np.ndarray, to_c: np.ndarray, area: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    """J^T J / (det J mu) of cells with these edges from a vertex: xx, xy, yy, shape (3, cells)."""
+    products = [np.einsum("cx,cx->c", p, q) for p, q in ((to_b, to_b), (to_b, to_c), (to_c, to_c))]
+    return np.stack(products) / (2 * area * mu)
+
+
+def quadratics(points: np.ndarray) -> np.ndarray:
+    """The functions of P2 at barycentric points: vertices, then middles opposite to them, shape (6, points)."""
+    psi = points.T
+    return np.vstack([psi * (2 * psi - 1), 4 * psi[[1, 2, 0]] * psi[[2, 0, 1]]])
+
+
+def against_nodes(products: np.ndarray) -> np.ndarray:
+    """int f phi_i of the functions of P2 from int f psi_j psi_k, shape (cells, 6)."""
+    vertices = 2 * np.einsum("cjj->cj", products) - products.sum(axis=2)
+    return np.hstack([vertices, 4 * products[:, [1, 2, 0], [2, 0, 1]]])
