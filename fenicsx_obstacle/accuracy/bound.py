@@ -98,7 +98,9 @@ class Estimator:
         mesh, pair = level.mesh, level.pair
         if releases.cell_name(mesh) != "triangle" or pair.degree != 1 or pair.voronoi or mesh.geometry.dim != 2:
             what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
-            raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}")
+            raise InputError(
+                f"{scene.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}"
+            )
         self._refuse()
         self.triangles = Triangles(problem.data)
         self.equilibration = Equilibration(self.triangles)

@@ -1,6 +1,7 @@
 """The error bound of `bound` for P2 with contact at the middles of edges.
 
-    ||e||^2 <= (sigma - mu grad v, grad e) + int lambda_+ (v - lower) + ... + (f - Pi_1 f + lambda - lambda_+, e) - (rho, e),
+    ||e||^2 <= (sigma - mu grad v, grad e) + int lambda_+ (v - lower) + int nu_+ (upper - v)
+             + (f - Pi_1 f + lambda - lambda_+ - nu + nu_+, e) - (rho, e),
 
 e = u - v, with the flux of `flux_p2`. Two things are new. The multiplier, linear in each cell, may be negative near the
 free boundary: lambda_+ is what of it is left when its slope is reduced there, and the difference, of mean zero, counts
@@ -10,6 +11,7 @@ each cell: at vertices nothing holds u_h, so that it is below the obstacle howev
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import hypot, pi, sqrt
 
 import numpy as np
@@ -124,7 +126,7 @@ class Estimator2(Estimator):
         nodal = u[equilibration.nodes]
         lift, moved, crossed, contact, loose = self._lifted(nodal, flux)
         distance = flux.moments - equilibration.membrane(u)
-        of_u = self._distance(u, flux, distance)
+        of_u = self._distance2(u, flux, distance)
         of_v = np.where(self._varies, (np.sqrt(of_u) + np.sqrt(moved)) ** 2, of_u - 2 * crossed(distance) + moved)
         of_v = np.maximum(of_v, 0.0)
 
@@ -171,7 +173,9 @@ class Estimator2(Estimator):
             found.append(flags.x.array > 0.5)
         return found[0], found[1]
 
-    def _lifted(self, nodal: np.ndarray, flux: Flux2):
+    def _lifted(
+        self, nodal: np.ndarray, flux: Flux2
+    ) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray], np.ndarray, np.ndarray]:
         """What is added to u so that it is above the obstacle (collective).
 
         Returns:
@@ -211,7 +215,7 @@ class Estimator2(Estimator):
         nodes = [corners[2], *corners[:2], _number(0.5, 0.5), _number(0.0, 0.5), _number(0.5, 0.0)]
         return added[:, nodes], moved, crossed, contact, loose
 
-    def _distance(self, u: np.ndarray, flux: Flux2, moments: np.ndarray) -> np.ndarray:
+    def _distance2(self, u: np.ndarray, flux: Flux2, moments: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad u_h - mu^(-1/2) sigma||_T^2."""
         triangles, mu = self.triangles, self.equilibration2.mu
         squares = np.einsum("kc,kij,ci,cj->c", self._metric / mu, GRAMS, moments, moments, optimize=True)

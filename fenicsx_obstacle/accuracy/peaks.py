@@ -80,9 +80,7 @@ class Rim:
         means = (self._d[:, :-1] + self._d[:, 1:]).mean(axis=1) / 2
         np.add.at(self.volume, self.cells, 2 * triangles.area[self.cells] / 3 * means)
 
-    def _interpolated(
-        self, cells: np.ndarray, opposite: np.ndarray, ends: np.ndarray, steps: np.ndarray
-    ) -> np.ndarray:
+    def _interpolated(self, cells: np.ndarray, opposite: np.ndarray, ends: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """The nodal interpolant along the edges opposite to vertices."""
         linear = (1 - steps) * ends[:, :1] + steps * ends[:, 1:]
         if self._middles is None:

@@ -30,6 +30,7 @@ BULK = 0.5  # share of the bound in the cells that are refined (Doerfler)
 LEAST = 0.1
 ENOUGH = 3.0  # cells with this share of the bound, refined, lower it by 1: cut into four, their norms lose 3/8
 BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
+AHEAD = 0.04  # times that: solvers do not mind, and the next meshes need no smaller one
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
 
 
@@ -142,7 +143,7 @@ class Refinement:
         answer = bench.answer(self.scene, bound=True)
         bound = _bound(answer)
         while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
-            eps = answer.record["eps"] * max(0.02, 0.4 * BALANCED * bound.discretisation / bound.penalty)
+            eps = answer.record["eps"] * max(0.02, AHEAD * BALANCED * bound.discretisation / bound.penalty)
             self.scene = self.scene.change({"solve.eps": eps})
             answer, before = bench.answer(self.scene, bound=True), bound
             bound = _bound(answer)

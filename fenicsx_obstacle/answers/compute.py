@@ -138,12 +138,10 @@ class Workbench:
             InputError: If there are none for its elements.
         """
         if self._estimator is None:
-            if self.problem.level.pair.stacks:  # imported only where it is asked for
-                from fenicsx_obstacle.accuracy.bound_p2 import Estimator2 as Kind
-            else:
-                from fenicsx_obstacle.accuracy.bound import Estimator as Kind
+            from fenicsx_obstacle.accuracy.bound import Estimator  # only where it is asked for
+            from fenicsx_obstacle.accuracy.bound_p2 import Estimator2
 
-            self._estimator = Kind(self.problem)
+            self._estimator = (Estimator2 if self.problem.level.pair.stacks else Estimator)(self.problem)
             if self.problem.affine:
                 self._estimator.lend_load()
         return self._estimator

@@ -198,7 +198,8 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
 def of_pair(level: Level, pair: Pair) -> Level:
     """The same mesh with the spaces of another pair: P2 hangs on the level itself, what does not nest stands alone."""
     if not pair.nests:
-        return replace(level, pair=pair, coarse=level if pair.stacks else None, parents=None, places=None, named=level.facets,
+        below = level if pair.stacks else None
+        return replace(level, pair=pair, coarse=below, parents=None, places=None, named=level.facets,
                        materials=level.groups)  # fmt: skip
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 

@@ -1,0 +1,139 @@
+"""P2 with contact at the middles of edges: solved by multigrid, bounded, refined where the error is."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+from mpi4py import MPI
+
+from fenicsx_obstacle import InputError, solve
+from fenicsx_obstacle.accuracy import flux_p2
+from fenicsx_obstacle.accuracy.triangles import lattice
+from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.scenes import catalogue
+
+PLANE = ("ball", "biactive", "biactive_power", "cone", "disk_flat", "disk_mu_jump", "halfplane", "nsv", "ring_wedge",
+         "smooth_square", "torsion_disk", "two_obstacle_square")  # fmt: skip
+NAMES = sorted(PLANE)[:: COMM.size]  # on several ranks they differ by round-off only
+
+
+def quadratic(name, **changes):
+    return catalogue.scene(name).change({"solve.element": "P2", "mesh.cells": 16, **changes})
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_steps_do_not_grow(method):
+    """Multigrid of P1 below P2: from P1 on the same mesh few Newton and CG steps lead to the cold solution."""
+    for name in ("ball", "two_obstacle_square"):
+        scene = quadratic(name, **{"solve.method": method, "mesh.cells": 32})
+        nested, cold = solve(scene), solve(scene, start="cold")
+        assert nested.record["newton_iterations"] <= 4 and nested.record["krylov_iterations"] <= 25
+        difference = np.abs(nested.u.x.array - cold.u.x.array)
+        assert largest(COMM, difference) < 1e-8 * nested.record["u_range"]
+
+
+def test_moments_determine_a_flux():
+    """The eight functions of RT1 are dual to their moments, and a linear field is found again from its own."""
+    x = lattice(4)[:, 1:]
+    # the field (1 + 2x, y) on the reference triangle: fluxes and first moments of its edges, and its integral
+    fields = flux_p2._monomials(x)
+    field = fields[0] + 2 * fields[2] + fields[5]
+    s, w = np.polynomial.legendre.leggauss(3)
+    s, w = (s + 1) / 2, w / 2
+    corners, found = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), []
+    for i in range(3):
+        start, end = corners[(i + 1) % 3], corners[(i + 2) % 3]
+        at = start + s[:, None] * (end - start)
+        flux = (1 + 2 * at[:, 0]) * (end - start)[1] - at[:, 1] * (end - start)[0]
+        found += [flux @ w, flux @ (w * (2 * s - 1))]
+    moments = np.array([*found, 1 / 2 + 1 / 3, 1 / 6])
+    assert np.allclose(np.einsum("d,dpx->px", moments, flux_p2.reference_fields(lattice(4))), field)
+
+
+@pytest.mark.parametrize("perturb", [0.0, 0.3])
+def test_the_flux_is_in_balance(perturb):
+    """div sigma = -(Pi_1 f + lambda - nu + rho) in each cell, the normal part and its moment are continuous, and the
+    fans of free vertices close."""
+    for name in ("ball", "two_obstacle_square"):
+        with closing(Workbench(quadratic(name, **{"mesh.perturb": perturb}))) as bench:
+            bench.answer(bound=True)
+            estimator, problem = bench.estimator, bench.problem
+            flux = estimator.equilibration2.flux(problem.heights().x.array, *estimator._touching())
+            triangles = estimator.triangles
+            load = estimator.equilibration2.load.sum(axis=(1, 2))
+            others = (flux.lower - flux.upper + flux.rest).mean(axis=1) * triangles.area
+            scale = largest(COMM, np.abs(flux.normal))
+            assert largest(COMM, np.abs(flux.normal.sum(axis=1) + load + others)) < 1e-14 * max(scale, 1)
+            facets, count = triangles.facets.ravel(), np.bincount(triangles.facets.ravel())
+            inside = count == 2
+            both = np.bincount(facets, weights=flux.normal.ravel())[inside]
+            # out of the other cell, along the other direction: the moment is the same number
+            moments = flux.moments[:, [1, 3, 5]].ravel()
+            order = np.argsort(facets, kind="stable")
+            twice = np.flatnonzero(facets[order][1:] == facets[order][:-1])
+            jump = moments[order][twice] - moments[order][twice + 1]
+            assert largest(COMM, np.abs(both)) < 1e-14 * scale and largest(COMM, np.abs(jump)) < 1e-14 * scale
+            assert flux.incompatible < 1e-13 * scale
+            assert largest(COMM, np.abs(flux.rest)) < 1e-6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_known_error_is_above_its_bound(name):
+    """From a soft obstacle to a hard one, and nowhere more than 5 times the error."""
+    scene = quadratic(name)
+    with closing(Workbench(scene)) as bench:
+        for eps in ("h", "h^2", "1e-10"):
+            answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+            bound, error = answer.bound, answer.record["errors"]["energy"]
+            assert bound.guaranteed and bound.words == "certified"
+            assert error <= bound.total <= 5 * error
+        assert bound.penalty < 1e-5 * bound.total and bound.algebraic < 1e-8 * bound.total
+
+
+def test_adaptive_order():
+    """Refined where the bound says so, the energy error of the ball falls faster than N^(-1.7/2), with its bound; on
+    uniform meshes it is N^(-3/4), since u is in H^(5/2-)."""
+    scene = quadratic("ball")
+    rows = []
+    with closing(Refinement(scene, COMM).meshes(unknowns=8000)) as meshes:
+        for _, answer in meshes:
+            record = answer.record
+            rows.append((record["dofs"], record["errors"]["energy"], answer.bound.total))
+            assert record["errors"]["energy"] <= answer.bound.total <= 4 * record["errors"]["energy"]
+    dofs, error, bound = np.log(np.array(rows)).T
+    for values in (error, bound):
+        assert np.polyfit(dofs / 2, values, 1)[0] < -1.7
+    first, second = (solve(scene, cells=cells).record["errors"]["energy"] for cells in (16, 64))
+    assert np.log(first / second) / np.log(4) == pytest.approx(1.5, abs=0.2)
+
+
+def test_tolerance_is_reached():
+    """A tenth of what P1 needs: the ball to 1 %, certified, with a few thousand unknowns."""
+    record = solve(quadratic("ball"), tol=0.01).record
+    assert record["adaptive"]["reached"] and record["bound"]["guaranteed"]
+    assert record["errors"]["energy"] <= record["bound"]["total"] and record["dofs"] < 8000
+
+
+def test_the_same_on_any_number_of_ranks():
+    for name in ("ball", "two_obstacle_square"):
+        together, alone = (solve(quadratic(name), comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
+        for key in ("total", "discretisation", "penalty", "data"):
+            assert abs(getattr(together, key) - getattr(alone, key)) <= 1e-9 * alone.total, key
+        assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=1e-8)
+
+
+def test_free_sides_and_other_effects():
+    """Nothing leaves through free sides; effects besides tension and load are refused."""
+    exact = "sin(pi*x/2)*sin(pi*y)"
+    free = membrane(
+        load=f"1.25*pi^2*{exact}", lower=-10, exact=exact,
+        boundary=[{"on": ["left", "top", "bottom"], "value": 0}],
+    ).change({"solve.element": "P2"})  # fmt: skip
+    answer = solve(free, bound=True)
+    error = answer.record["errors"]["energy"]
+    assert answer.bound.guaranteed and error <= answer.bound.total <= 1.5 * error
+    with pytest.raises(InputError, match="not for foundation"):
+        solve(membrane(load=1, upper=0.05, foundation=20).change({"solve.element": "P2"}), bound=True)
