@@ -85,14 +85,20 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
+@click.option("--tol", type=float, metavar="R", help="Also what 'solve --tol R' will take, from a few seconds of it.")
 @options("set", "cells", "refine", "element", "method", "start", "eps", "plugin")
-def explain(scene_file: str, **given: Any) -> None:
+def explain(scene_file: str, tol: float | None, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     scene = _read(scene_file)
     from fenicsx_obstacle.answers.compute import changed
     from fenicsx_obstacle.show.explain import explain
 
-    tell(explain(changed(scene, typed(given))))
+    scene = changed(scene, typed(given))
+    tell(explain(scene))
+    if tol is not None:
+        from fenicsx_obstacle.show.forecast import forecast_text
+
+        tell(forecast_text(scene, tol))
 
 
 @commands.command()
@@ -157,12 +163,12 @@ def cost(
     from fenicsx_obstacle.show.progress import progress
 
     folder = output or Path("out") / scene.name / "cost"
-    _check_places(folder, json_file)
-    say = (lambda text: None) if quiet or json_file == "-" else _say
+    check_places(folder, json_file)
+    say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress(scene.name, quiet=quiet):
         rows = report_cost(scene, typed(given), budget, folder, say, fresh=fresh)
     if json_file is not None:
-        _write_json(json_file, rows)
+        write_json(json_file, rows)
 
 
 @commands.command()

@@ -98,7 +98,7 @@ class Refinement:
 
     Attributes:
         scene: What is solved, with the present eps.
-        path: Unknowns, bound, eps and seconds of each mesh so far.
+        path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
     """
 
@@ -151,7 +151,8 @@ class Refinement:
                 break
         record = answer.record
         self.path.append({"dofs": record["dofs"], "total": bound.total, "relative": bound.relative,
-                          "eps": record["eps"], "seconds": time.perf_counter() - self._started})  # fmt: skip
+                          "eps": record["eps"], "seconds": time.perf_counter() - self._started,
+                          "memory_mb": record["memory_mb"]})  # fmt: skip
         _log.info("%d unknowns: error at most %.3g", record["dofs"], bound.total)
         return answer
 
