@@ -73,7 +73,7 @@ def cost(bench: Workbench) -> None:
     first, *others = (timed(estimator.bound)[1] for _ in range(4))
     each = min(others)
     show(f"{scene.name}: {level.dofs} unknowns, Poisson {unit:.2f} s, solve {solve:.2f} s; a bound {each:.2f} s = "
-         f"{each / unit:.2f} units; once per mesh {once:.2f} s, and {first - each:.2f} s for the obstacle near contact = "
+         f"{each / unit:.2f} units; once per mesh {once:.2f} s, and {first - each:.2f} s near contact = "
          f"{(once + first - each) / unit:.2f} units")  # fmt: skip
 
 
