@@ -27,7 +27,9 @@ def test_unknowns_and_memory(name, element):
     path = path_of(scene, 15000 if element == "P1" else 30000)
     last = path[-1]
     known = [step for step in path if step["dofs"] < last["dofs"] / 6]
-    found = continued(known, last["relative"])
+    next_ = path[len(known)]
+    probe = {**next_, "seconds": next_["seconds"] - known[-1]["seconds"]}
+    found = continued(known, last["relative"], 1 if element == "P1" else 2, probe)
     assert not found.reached and len(known) >= 3
     assert 1 / 2 < found.dofs / last["dofs"] < 2
     assert 1 / 2 < found.memory_mb / last["memory_mb"] < 2
@@ -41,7 +43,7 @@ def test_time_of_a_path_that_goes_on_as_it_began():
         dofs = 1000 * 2**k
         seconds += 0.1 + 1e-5 * dofs
         path.append({"dofs": dofs, "relative": dofs**-0.5, "seconds": seconds, "memory_mb": 100 + 1e-3 * 2 * dofs})
-    found = continued(path[:6], path[-1]["relative"])
+    found = continued(path[:6], path[-1]["relative"], 1, {"dofs": 64000, "seconds": 0.74, "memory_mb": 228})
     assert found.order == pytest.approx(0.5) and found.meshes == 12
     assert found.dofs == pytest.approx(path[-1]["dofs"], rel=1e-6)
     assert found.seconds == pytest.approx(path[-1]["seconds"], rel=1e-3)

@@ -1,13 +1,15 @@
 """What a tolerance will take, before it is run: a few seconds of the same run, continued.
 
 Meshes that are refined where the error is soon settle: their bound falls like a power of the unknowns, and unknowns
-grow by the same factor from mesh to mesh. A mesh takes some time whatever its size, and some for each unknown; memory
-is taken by all meshes together, since the coarse ones stay as levels of multigrid.
+grow by the same factor from mesh to mesh. A mesh takes some time whatever its size, and some for each unknown: that is
+told by one larger mesh, the last with all cells refined. Memory is taken by all meshes together, since the coarse
+ones stay as levels of multigrid.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -16,13 +18,15 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
 
-SECONDS = 4.0  # of calibration
+SECONDS = 3.0  # of calibration, and the larger mesh after it
 SETTLED = 5  # meshes at the end of the calibration that tell how things go on
 LEAST = 4  # meshes at least
-ORDERS = (0.35, 1.6)  # of the bound in 1/unknowns: what is believed
+ORDERS = (0.7, 1.1)  # of the bound in 1/unknowns, over that of smooth solutions: what is believed
 Path = Sequence[dict[str, Any]]
 
 
@@ -65,53 +69,65 @@ def forecast(scene: Scene, tol: float, *, seconds: float = SECONDS, comm: MPI.Co
     if not 0 < tol < np.inf:
         raise InputError(f"--tol {tol}: must be positive and finite")
     refinement = Refinement(scene, comm)
+    probe = None
     with closing(refinement.meshes()) as meshes:
-        for _ in meshes:
+        for work, _ in meshes:
             last = refinement.path[-1]
             if last["relative"] is None:
                 raise InputError(f"{scene.source}: u is 0 so far: a relative tolerance means nothing")
             enough = last["seconds"] > seconds and len(refinement.path) >= LEAST
-            if comm.bcast(last["relative"] <= tol or enough):
+            if comm.bcast(last["relative"] <= tol):
                 break
-    return comm.bcast(continued(refinement.path, tol))
+            if comm.bcast(enough):
+                probe = _larger(work, refinement.scene)
+                break
+    return comm.bcast(continued(refinement.path, tol, scene.pair.degree, probe))
 
 
-def continued(path: Path, tol: float) -> Forecast:
-    """The path of a refinement continued to a tolerance (local)."""
+def _larger(work: Workbench, scene: Scene) -> dict[str, float]:
+    """What the mesh with all cells refined takes (collective)."""
+    start = time.perf_counter()
+    work.forget_estimator()
+    everywhere = np.ones(own_cells(work.problem.level.mesh), dtype=bool)
+    with closing(work.refined(everywhere)) as finer:
+        record = finer.answer(scene, bound=True).record
+    return {"dofs": record["dofs"], "seconds": time.perf_counter() - start, "memory_mb": record["memory_mb"]}
+
+
+def continued(path: Path, tol: float, degree: int, probe: Mapping[str, float] | None) -> Forecast:
+    """The path of a refinement continued to a tolerance (local).
+
+    Args:
+        path: Its meshes.
+        tol: Relative energy error.
+        degree: Of the elements.
+        probe: Unknowns, seconds and memory of one larger mesh.
+    """
     dofs, relative, seconds, memory = (
         np.array([float(step[key]) for step in path]) for key in ("dofs", "relative", "seconds", "memory_mb")
     )
-    last = slice(-min(SETTLED, len(path)), None)
-    if relative[-1] <= tol:
+    if relative[-1] <= tol or probe is None:
         spent = float(seconds[-1])
         return Forecast(float(dofs[-1]), spent, float(memory[-1]), len(path), 0.0, spent, True)
-    order = -_slope(np.log(dofs[last]), np.log(relative[last])) if len(path) > 1 else 0.5
-    order = float(np.clip(order, *ORDERS))
+    last = slice(-min(SETTLED, len(path)), None)
+    order = -_slope(np.log(dofs[last]), np.log(relative[last]))
+    order = float(np.clip(order, *(degree / 2 * np.array(ORDERS))))
     wanted = dofs[-1] * (relative[-1] / tol) ** (1 / order)
     growth = float(np.clip((dofs[-1] / dofs[last][0]) ** (1 / max(len(dofs[last]) - 1, 1)), 1.2, 4.0))
     count = max(int(np.ceil(np.log(wanted / dofs[-1]) / np.log(growth))), 1)
     later = dofs[-1] * (wanted / dofs[-1]) ** (np.arange(1, count + 1) / count)
-    fixed, each = _line(dofs, np.diff(seconds, prepend=0.0))
-    everything = np.cumsum(dofs)
-    half = len(dofs) // 2
-    per_unknown = max((memory[-1] - memory[half]) / max(everything[-1] - everything[half], 1.0), 0.0)
+    # a line through the larger mesh and what is usual on the small ones
+    usual, size = float(np.median(np.diff(seconds)[last])), float(np.median(dofs[last]))
+    each = max((probe["seconds"] - usual) / max(probe["dofs"] - size, 1.0), 0.0)
+    fixed = max(usual - each * size, 0.0)
+    each = min(each, probe["seconds"] / probe["dofs"])
+    per_unknown = max((probe["memory_mb"] - memory[-1]) / probe["dofs"], 0.0)
     return Forecast(
         float(wanted), float(seconds[-1] + np.sum(fixed + each * later)),
-        float(memory[-1] + per_unknown * later.sum()), len(path) + count, order, float(seconds[-1]), False,
+        float(memory[-1] + per_unknown * later.sum()), len(path) + count, order, float(seconds[-1]) + probe["seconds"],
+        False,
     )  # fmt: skip
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
     return float(np.polyfit(x, y, 1)[0]) if np.ptp(x) > 0 else 0.0
-
-
-def _line(dofs: np.ndarray, spent: np.ndarray) -> tuple[float, float]:
-    """Seconds of a mesh, and of each unknown, neither negative; the last meshes, which are the largest, count most."""
-    weight = np.sqrt(dofs / dofs[-1])
-    A = np.stack([np.ones(len(dofs)), dofs], axis=1) * weight[:, None]
-    (fixed, each), *_ = np.linalg.lstsq(A, spent * weight, rcond=None)
-    if each <= 0:
-        return 0.0, float(spent[-1] / dofs[-1])
-    if fixed <= 0:
-        return 0.0, float(np.sum(spent * dofs) / np.sum(dofs**2))
-    return float(fixed), float(each)
