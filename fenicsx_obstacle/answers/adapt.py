@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.bound import Bound
 
 _log = logging.getLogger(__name__)
-BULK = 0.5  # share of the bound in the cells that are refined (Doerfler)
+BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
 LEAST = 0.1
 ENOUGH = 3.0  # cells with this share of the bound, refined, lower it by 1: cut into four, their norms lose 3/8
 BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
@@ -109,8 +109,13 @@ class Refinement:
         self.path: list[dict[str, Any]] = []
         self._started = time.perf_counter()
 
+    @property
+    def bulk(self) -> float:
+        """What to refine, for these elements."""
+        return BULK[self.scene.pair.degree]
+
     def meshes(
-        self, share: Callable[[Answer], float] = lambda answer: BULK, unknowns: float = np.inf
+        self, share: Callable[[Answer], float] | None = None, unknowns: float = np.inf
     ) -> Generator[tuple[Workbench, Answer], None, None]:
         """Each workbench and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
 
@@ -118,7 +123,7 @@ class Refinement:
         is not counted.
 
         Args:
-            share: Of the bound, in the cells to refine.
+            share: Of the bound, in the cells to refine; by default `BULK`.
             unknowns: No mesh has more.
         """
         with ExitStack() as benches:
@@ -129,7 +134,8 @@ class Refinement:
                 paused = time.perf_counter()
                 yield bench, answer
                 self._started += time.perf_counter() - paused
-                finer = bench.refined(_marked(_bound(answer).indicator, share(answer), self.comm))
+                bulk = self.bulk if share is None else share(answer)
+                finer = bench.refined(_marked(_bound(answer).indicator, bulk, self.comm))
                 benches.enter_context(closing(finer))
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
@@ -195,7 +201,7 @@ class _Adaptation(Refinement):
     def _share(self, answer: Answer) -> float:
         """The last mesh need not be finer than it has to be."""
         beyond = 1 - self._limit(answer) / _bound(answer).total
-        return min(BULK, max(LEAST, ENOUGH * beyond))
+        return min(self.bulk, max(LEAST, ENOUGH * beyond))
 
     def _limit(self, answer: Answer) -> float:
         """The tolerance in the unit of the energy norm."""
