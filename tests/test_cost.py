@@ -154,7 +154,7 @@ def test_killed_and_page(tmp_path):
     import sys
 
     out = tmp_path / "out"
-    words = ["cost", "string_parabola", "--budget", SMALL, "--output", str(out)]
+    words = ["cost", "string_parabola", "--budget", "30s, 100 unknowns", "--output", str(out)]
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(
         [sys.executable, "-m", "fenicsx_obstacle", *words], env=CLEAN, start_new_session=True, **silent

@@ -44,22 +44,25 @@ def contact_truth(scene: Scene, level: Level) -> dict[str, float]:
     def values(formula: Formula, x: np.ndarray) -> np.ndarray:
         return scene.at_points(formula, np.ascontiguousarray(x.reshape(-1, 3).T), {"eps": 0.0}).reshape(x.shape[:2])
 
-    def sampled(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def sampled(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         touching, pressing = np.zeros((len(cells), len(where)), dtype=bool), np.zeros(len(cells))
+        mixed = np.zeros(len(cells), dtype=bool)
         for block in blocks(len(cells)):
             x = where @ cells[block]
             heights = values(u, x)
             for side in sides:
                 touching[block] |= np.abs(heights - values(side, x)) <= TOUCHES * scale
+            mixed[block] = touching[block].any(axis=1) != touching[block].all(axis=1)
             if p is not None:
-                pressing[block] = np.abs(values(p, x[:, : len(points)])) @ weights
-        return touching, pressing
+                pressure = values(p, x)
+                pressing[block] = np.abs(pressure[:, : len(points)]) @ weights
+                mixed[block] |= (pressure != 0).any(axis=1) != (pressure != 0).all(axis=1)
+        return touching, pressing, mixed
 
     cells, area, force = corners(mesh)[: own_cells(mesh)], 0.0, 0.0
     scale = largest(level.comm, np.abs(values(u, cells)))
     for depth in range(DEPTH[dim] + 1):
-        touching, pressing = sampled(cells)
-        mixed = touching.any(axis=1) != touching.all(axis=1)
+        touching, pressing, mixed = sampled(cells)
         last = depth == DEPTH[dim]
         done = np.full(len(cells), True) if last else ~mixed
         size = volumes(cells)

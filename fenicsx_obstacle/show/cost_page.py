@@ -20,7 +20,7 @@ READ = {
     "seconds": """Down is more accurate, right is dearer: the lowest line at a given time is the best buy. A straight
 line that falls by one digit over d digits of time makes each further digit cost 10^d times as much. Solid: linear
 elements (P1); dashed: quadratic ones (P2). The grey dotted line, where it is near enough to be seen, is what
-unbalanced forces and rounding leave: no mesh gets below it.""",
+unbalanced forces and rounding leave: below it digits are noise.""",
     "prices": """The same rows by other prices. One Poisson solve is one linear problem without obstacle on the finest
 uniform mesh here, solved by algebraic multigrid: a scale that depends little on the machine. Memory is what a row
 takes beyond what the program occupied before.""",

@@ -6,6 +6,7 @@ A row is on the disk as soon as it is finished; whatever ends the run, the next 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from itertools import islice, pairwise
@@ -26,6 +27,7 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import forget_peak_memory, largest, on_root, peak_memory_mb, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import smallest_eps
+from fenicsx_obstacle.solvers.stopping import TOLERANCE
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 from fenicsx_obstacle.studies.choices import FIRST, Choice, choices
 from fenicsx_obstacle.studies.rows import RowStore, row_key
@@ -217,13 +219,14 @@ class Ladder:
             return
         base: Row = {"choice": choice.name, "adaptive": True, "element": scene.pair.name}
         try:
-            before = forget_peak_memory(self.comm)
+            before, memory = forget_peak_memory(self.comm), 0.0
             refinement = Refinement(scene, self.comm)
             with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
                 for number, (work, answer) in enumerate(meshes):
                     if refinement.full:
                         self.ends[choice.name] = _too_many(self.budget)
                         break
+                    memory = max(memory, peak_memory_mb(self.comm) - before)
                     if number < len(found):
                         continue
                     bound = answer.bound
@@ -234,7 +237,7 @@ class Ladder:
                         "bound": bound.record,
                         "parts": {},
                     }
-                    row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None}
+                    row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
                     key = self._key(scene, f"{choice.name} {number}")
                     found.append(self._keep(key, row))
                     self.truth.forget()
@@ -242,6 +245,7 @@ class Ladder:
                     self._end(choice, found, scene)
                     if choice.name in self.ends:
                         break
+                    forget_peak_memory(self.comm)  # of what measured the errors
         except (NotConverged, InputError) as error:
             key = self._key(scene, f"{choice.name} {len(found)}")
             found.append(self._keep(key, {**base, "reason": self._why(error)}))
@@ -259,6 +263,9 @@ class Ladder:
             stored = [on_root(self.comm, self._find, key) for key in keys]
             bench = None if all(stored) else self._bench(scene)
             if isinstance(bench, str):
+                return
+            if bench is not None and bench.work.problem.level.dofs > self.budget.unknowns:
+                bench.close()
                 return
             for k, (key, row) in enumerate(zip(keys, stored, strict=True)):
                 if row is None:
@@ -377,10 +384,10 @@ class _Bench:
 
 
 def floor_of(bench: Workbench, answer: Answer) -> float:
-    """What unbalanced forces and round-off leave of u, relative to it (collective).
+    """About what unbalanced forces and round-off leave of u, relative to it (collective).
 
-    Systems are solved until forces balance to 1e-10, and heights are rounded: machine epsilon times the stiffness of
-    each node and its height, summed, over the forces that act, is what no solver can do better.
+    Systems are solved until forces balance to 1e-10 of those that act, and heights are rounded: machine epsilon times
+    the stiffness of each node and its height, with signs at random.
     """
     problem, comm = bench.problem, answer.level.comm
     step = answer.history[-1]
@@ -389,8 +396,8 @@ def floor_of(bench: Workbench, answer: Answer) -> float:
     rounded = 0.0
     if problem.affine and problem.level.pair.nodal:
         u = answer.u.x.array[: problem.level.owned]
-        rounded = EPSILON * total(comm, problem.nodal.diagonal * np.abs(u) * ~problem.fixed)
-    return max(step.unbalanced, rounded) / step.forces
+        rounded = EPSILON * math.sqrt(total(comm, (problem.nodal.diagonal * u * ~problem.fixed) ** 2))
+    return min(step.unbalanced / step.forces, TOLERANCE) + rounded / step.forces
 
 
 def _too_many(budget: Budget) -> str:

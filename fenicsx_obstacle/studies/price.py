@@ -39,12 +39,14 @@ class Curve:
         error: Relative; of each row the largest of its own and all dearer rows, and none that falls steeper than
             `STEEPEST`, so that lucky hits do not count.
         slope: Of log error over log seconds at the end; 0 where it does not fall.
+        failed: Whether it did not converge on the next mesh: its line is not continued.
     """
 
     name: str
     rows: Rows
     error: np.ndarray
     slope: float
+    failed: bool = False
 
     def cost(self, error: float, key: str = "seconds") -> float | None:
         """Seconds, or another figure, for an error; None beyond `FAR` (local)."""
@@ -54,7 +56,7 @@ class Curve:
             return float(np.exp(cost[0]))
         if target >= e[-1]:
             return float(np.exp(np.interp(-target, -e, cost)))
-        if self.slope >= -FLAT or error * FAR < self.error[-1] * (1 - 1e-9):
+        if self.failed or self.slope >= -FLAT or error * FAR < self.error[-1] * (1 - 1e-9):
             return None
         # small meshes cost the same whatever their size: nothing grows less than the unknowns
         of_size = _slope(self.rows, self.error, "dofs")
@@ -131,7 +133,7 @@ def _there(rows: Rows, norm: str) -> bool:
 
 def curves(rows: Rows, norm: str) -> list[Curve]:
     """One for each choice with rows that can be trusted."""
-    found = []
+    found, failed = [], {row["choice"] for row in failures(rows)}
     for name in dict.fromkeys(row["choice"] for row in solved(rows)):
         part = sorted((row for row in solved(rows) if row["choice"] == name), key=lambda row: row["seconds"])
         part = [row for row in part if (relative(row, norm) or 0) > 0 and trusted(rows, row, norm)]
@@ -141,7 +143,7 @@ def curves(rows: Rows, norm: str) -> list[Curve]:
                 fall = (part[k - 1]["dofs"] / part[k]["dofs"]) ** STEEPEST
                 errors[k] = max(errors[k], errors[k - 1] * min(fall, 1.0))
             errors = np.maximum.accumulate(errors[::-1])[::-1]
-            found.append(Curve(name, part, errors, _slope(part, errors, "seconds")))
+            found.append(Curve(name, part, errors, _slope(part, errors, "seconds"), name in failed))
     return found
 
 
