@@ -8,7 +8,7 @@ from conftest import COMM, membrane
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, solve
-from fenicsx_obstacle.accuracy import flux_p2
+from fenicsx_obstacle.accuracy import rt1
 from fenicsx_obstacle.accuracy.triangles import lattice
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.compute import Workbench
@@ -39,7 +39,7 @@ def test_moments_determine_a_flux():
     """The eight functions of RT1 are dual to their moments, and a linear field is found again from its own."""
     x = lattice(4)[:, 1:]
     # the field (1 + 2x, y) on the reference triangle: fluxes and first moments of its edges, and its integral
-    fields = flux_p2._monomials(x)
+    fields = rt1._monomials(x)
     field = fields[0] + 2 * fields[2] + fields[5]
     s, w = np.polynomial.legendre.leggauss(3)
     s, w = (s + 1) / 2, w / 2
@@ -50,7 +50,7 @@ def test_moments_determine_a_flux():
         flux = (1 + 2 * at[:, 0]) * (end - start)[1] - at[:, 1] * (end - start)[0]
         found += [flux @ w, flux @ (w * (2 * s - 1))]
     moments = np.array([*found, 1 / 2 + 1 / 3, 1 / 6])
-    assert np.allclose(np.einsum("d,dpx->px", moments, flux_p2.reference_fields(lattice(4))), field)
+    assert np.allclose(np.einsum("d,dpx->px", moments, rt1.reference_fields(lattice(4))), field)
 
 
 @pytest.mark.parametrize("perturb", [0.0, 0.3])

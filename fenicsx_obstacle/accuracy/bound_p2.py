@@ -19,8 +19,9 @@ from dolfinx import fem
 
 from fenicsx_obstacle.accuracy.bound import Bound, Estimator, in_words
 from fenicsx_obstacle.accuracy.contact import TOUCHES
-from fenicsx_obstacle.accuracy.flux_p2 import GRAMS, MASS, Equilibration2, Flux2, metric, quadratics, reference_fields
+from fenicsx_obstacle.accuracy.flux_p2 import Equilibration2, Flux2
 from fenicsx_obstacle.accuracy.peaks import DENSE, Rim
+from fenicsx_obstacle.accuracy.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem

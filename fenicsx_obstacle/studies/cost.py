@@ -6,10 +6,9 @@ A row is on the disk as soon as it is finished; whatever ends the run, the next 
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +21,12 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.choose import penalty_parameter
 from fenicsx_obstacle.answers.compute import Workbench, changed
-from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.parallel import forget_peak_memory, largest, on_root, peak_memory_mb, total
+from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import smallest_eps
-from fenicsx_obstacle.solvers.stopping import TOLERANCE
-from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 from fenicsx_obstacle.studies.choices import FIRST, Choice, choices
+from fenicsx_obstacle.studies.measured import Bench, ending, floor_of, too_many
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 from fenicsx_obstacle.studies.truth import ExactTruth, Truth, make_reference, read_reference, sizes_of
 
@@ -144,7 +141,7 @@ class Ladder:
             going = [choice for choice in members if choice.name not in self.ends]
             if not going:
                 return
-            bench: _Bench | str | None = None
+            bench: Bench | str | None = None
             try:
                 for choice in going:
                     scene = self._scene_of(choice, size)
@@ -159,11 +156,11 @@ class Ladder:
                     yield row
                     self._end(choice, found[choice.name], scene)
             finally:
-                if isinstance(bench, _Bench):
+                if isinstance(bench, Bench):
                     bench.close()
                     self.truth.forget()
 
-    def _bench(self, scene: Scene) -> _Bench | str:
+    def _bench(self, scene: Scene) -> Bench | str:
         """A workbench whose forms are compiled already, or why there is none (collective)."""
         try:
             key = scene.pair.name, scene.tables.solve.start
@@ -172,11 +169,11 @@ class Ladder:
                 for method in ("penalty", "vi"):
                     with closing(Workbench(scene, self.comm)) as bench, suppress(NotConverged, InputError):
                         bench.answer(scene.change({"solve.method": method, "solve.eps": "auto"}))
-            return _Bench(scene, self.comm)
+            return Bench(scene, self.comm)
         except InputError as error:
             return self._why(error)
 
-    def _row_of(self, choice: Choice, bench: _Bench | str, scene: Scene) -> Row:
+    def _row_of(self, choice: Choice, bench: Bench | str, scene: Scene) -> Row:
         """A row, or why there is none (collective)."""
         row: Row = {"choice": choice.name, "adaptive": False, "element": scene.pair.name}
         if isinstance(bench, str):
@@ -224,7 +221,7 @@ class Ladder:
             with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
                 for number, (work, answer) in enumerate(meshes):
                     if refinement.full:
-                        self.ends[choice.name] = _too_many(self.budget)
+                        self.ends[choice.name] = too_many(self.budget)
                         break
                     memory = max(memory, peak_memory_mb(self.comm) - before)
                     if number < len(found):
@@ -276,7 +273,7 @@ class Ladder:
                 bench.close()
                 self.truth.forget()
 
-    def _place(self, bench: _Bench, scene: Scene, k: int) -> Row:
+    def _place(self, bench: Bench, scene: Scene, k: int) -> Row:
         """One place of the map (collective)."""
         problem = bench.work.problem
         h = problem.level.h
@@ -293,27 +290,9 @@ class Ladder:
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""
-        if not rows:
-            return
-        last, dim = rows[-1], {"interval": 1, "box": 3}.get(scene.tables.mesh.shape or "", 2)
-        if last.get("reason"):
-            self.ends[choice.name] = last["reason"]
-            return
+        dim = {"interval": 1, "box": 3}.get(scene.tables.mesh.shape or "", 2)
         growth = GROWTH if choice.adaptive else float(FACTOR[dim] ** dim)
-        times = [row["seconds"] for row in rows]
-        if choice.adaptive:
-            next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
-        else:
-            next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
-        why = ""
-        if next_ > self.budget.seconds:
-            why = f"the next mesh would take about {next_:.2g} s; the budget is {self.budget.seconds:g} s"
-        elif growth * last["dofs"] > self.budget.unknowns and not choice.adaptive:
-            why = _too_many(self.budget)
-        elif growth * last["memory_mb"] > self.budget.megabytes:
-            why = f"the next mesh would take more than the budget of {self.budget.megabytes:g} MB"
-        elif not fits(growth * last["dofs"], dim, self.comm):
-            why = "the next mesh would not fit into the memory of this machine"
+        why = ending(rows, growth, dim, self.budget, self.comm, adaptive=choice.adaptive)
         if why:
             self.ends[choice.name] = why
 
@@ -350,55 +329,3 @@ class Ladder:
             return row if self._store is None else self._store.add(key, row)
 
         return on_root(self.comm, add)
-
-
-class _Bench:
-    """A workbench, the solution of the inequality on its mesh, and what a Poisson solve takes there."""
-
-    def __init__(self, scene: Scene, comm: MPI.Comm):
-        self.before = forget_peak_memory(comm)
-        self.work, self.scene = Workbench(scene, comm), scene
-        self._reference: Answer | None = None
-        self.distance = Distance(self.work.problem)
-        self.poisson = comm.bcast(poisson_seconds(self.work.problem.level))
-
-    def close(self) -> None:
-        """Free what it holds (collective)."""
-        self._reference = None
-        del self.distance
-        self.work.close()
-
-    def parts(self, answer: Answer) -> dict[str, dict[str, float]]:
-        """The part of eps: distance to the solution of the inequality on the same mesh (collective)."""
-        if answer.record["method"] == "vi":
-            self._reference = answer
-        if answer.record["eps"] is None:
-            return {}
-        if self._reference is None:
-            with suppress(NotConverged):
-                self._reference = self.work.answer(self.scene.change({"solve.method": "vi"}))
-        if self._reference is None:
-            return {}
-        e, comm = answer.u.x.array - self._reference.u.x.array, answer.level.comm
-        return {"eps": {"energy": self.distance.energy(e), "l2": self.distance.l2(e), "max": largest(comm, np.abs(e))}}
-
-
-def floor_of(bench: Workbench, answer: Answer) -> float:
-    """About what unbalanced forces and round-off leave of u, relative to it (collective).
-
-    Systems are solved until forces balance to 1e-10 of those that act, and heights are rounded: machine epsilon times
-    the stiffness of each node and its height, with signs at random.
-    """
-    problem, comm = bench.problem, answer.level.comm
-    step = answer.history[-1]
-    if step.forces <= 0:
-        return EPSILON
-    rounded = 0.0
-    if problem.affine and problem.level.pair.nodal:
-        u = answer.u.x.array[: problem.level.owned]
-        rounded = EPSILON * math.sqrt(total(comm, (problem.nodal.diagonal * u * ~problem.fixed) ** 2))
-    return min(step.unbalanced / step.forces, TOLERANCE) + rounded / step.forces
-
-
-def _too_many(budget: Budget) -> str:
-    return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"

@@ -1,0 +1,112 @@
+"""A mesh of `cost` with what is measured on it, and when a choice has come as far as the budget goes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.accuracy.norms import Distance
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.discrete.memory import fits
+from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.parallel import forget_peak_memory, largest, total
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.stopping import TOLERANCE
+from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+
+EPSILON = float(np.finfo(float).eps)
+
+
+class Bench:
+    """A workbench, the solution of the inequality on its mesh, and what a Poisson solve takes there."""
+
+    def __init__(self, scene: Scene, comm: MPI.Comm):
+        self.before = forget_peak_memory(comm)
+        self.work, self.scene = Workbench(scene, comm), scene
+        self._reference: Answer | None = None
+        self.distance = Distance(self.work.problem)
+        self.poisson = comm.bcast(poisson_seconds(self.work.problem.level))
+
+    def close(self) -> None:
+        """Free what it holds (collective)."""
+        self._reference = None
+        del self.distance
+        self.work.close()
+
+    def parts(self, answer: Answer) -> dict[str, dict[str, float]]:
+        """The part of eps: distance to the solution of the inequality on the same mesh (collective)."""
+        if answer.record["method"] == "vi":
+            self._reference = answer
+        if answer.record["eps"] is None:
+            return {}
+        if self._reference is None:
+            with suppress(NotConverged):
+                self._reference = self.work.answer(self.scene.change({"solve.method": "vi"}))
+        if self._reference is None:
+            return {}
+        e, comm = answer.u.x.array - self._reference.u.x.array, answer.level.comm
+        return {"eps": {"energy": self.distance.energy(e), "l2": self.distance.l2(e), "max": largest(comm, np.abs(e))}}
+
+
+def floor_of(bench: Workbench, answer: Answer) -> float:
+    """About what unbalanced forces and round-off leave of u, relative to it (collective).
+
+    Systems are solved until forces balance to 1e-10 of those that act, and heights are rounded: machine epsilon times
+    the stiffness of each node and its height, with signs at random.
+    """
+    problem, comm = bench.problem, answer.level.comm
+    step = answer.history[-1]
+    if step.forces <= 0:
+        return EPSILON
+    rounded = 0.0
+    if problem.affine and problem.level.pair.nodal:
+        u = answer.u.x.array[: problem.level.owned]
+        rounded = EPSILON * math.sqrt(total(comm, (problem.nodal.diagonal * u * ~problem.fixed) ** 2))
+    return min(step.unbalanced / step.forces, TOLERANCE) + rounded / step.forces
+
+
+def ending(
+    rows: Sequence[Mapping[str, Any]], growth: float, dim: int, budget: Budget, comm: MPI.Comm, *, adaptive: bool
+) -> str:
+    """Why there is no row after these, or "" (collective).
+
+    Args:
+        rows: Of one choice.
+        growth: Of unknowns from one mesh to the next.
+        dim: Of the mesh.
+        budget: Of a row.
+        comm: Communicator.
+        adaptive: Whether seconds are those of all meshes so far.
+    """
+    if not rows:
+        return ""
+    last = rows[-1]
+    if last.get("reason"):
+        return str(last["reason"])
+    times = [row["seconds"] for row in rows]
+    if adaptive:
+        next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
+    else:
+        next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
+    if next_ > budget.seconds:
+        return f"the next mesh would take about {next_:.2g} s; the budget is {budget.seconds:g} s"
+    if growth * last["dofs"] > budget.unknowns and not adaptive:
+        return too_many(budget)
+    if growth * last["memory_mb"] > budget.megabytes:
+        return f"the next mesh would take more than the budget of {budget.megabytes:g} MB"
+    if not fits(growth * last["dofs"], dim, comm):
+        return "the next mesh would not fit into the memory of this machine"
+    return ""
+
+
+def too_many(budget: Budget) -> str:
+    """That a mesh is too large for a budget."""
+    return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"
