@@ -23,7 +23,7 @@ FEW = (1e-2, 1e-6, 1e-12)
 
 
 def test_every_effect_has_a_hard_scene():
-    """Those that scenes can name, a matrix for a tension, all kinds of time, obstacles on the boundary and on curves."""
+    """All that scenes can name, a matrix for a tension, all kinds of time, obstacles on the boundary and on curves."""
     scenes = [one.base for one in cases() if not one.refuse]
     named = {effect.key for scene in scenes for effect in scene.effects}
     assert named >= known() | known("boundary")
