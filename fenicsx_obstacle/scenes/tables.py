@@ -15,6 +15,7 @@ from fenicsx_obstacle.scenes.formulas import SHOWN, nearest
 
 Value = float | str  # a number or a formula
 MAX_BYTES = 1_000_000  # of a scene file
+MAX_PARTS = 1000  # of the boundary
 MAX_DEPTH = 8  # of tables and lists within each other
 Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
@@ -176,6 +177,8 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
     Raises:
         InputError: Naming the table and key, and the nearest known key for an unknown one.
     """
+    if isinstance(parts := raw.get("boundary"), list) and len(parts) > MAX_PARTS:
+        raise InputError(f"{source}: [[boundary]]: {len(parts)} tables; the limit is {MAX_PARTS}")
     try:
         return msgspec.convert(raw, Tables)
     except msgspec.ValidationError as error:
