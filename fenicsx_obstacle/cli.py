@@ -62,7 +62,7 @@ def solve(
     """
     scene = _read(scene_file)  # a mistake in it is told before finite elements are loaded
     from fenicsx_obstacle.answers.adapt import solve
-    from fenicsx_obstacle.answers.compute import changed
+    from fenicsx_obstacle.answers.changes import changed
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_answer
@@ -90,7 +90,7 @@ def solve(
 def explain(scene_file: str, tol: float | None, **given: Any) -> None:
     """Print the equation that is assembled, the solver, and what is left out."""
     scene = _read(scene_file)
-    from fenicsx_obstacle.answers.compute import changed
+    from fenicsx_obstacle.answers.changes import changed
     from fenicsx_obstacle.show.explain import explain
 
     scene = changed(scene, typed(given))

@@ -34,8 +34,10 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import TOUCHES
 from fenicsx_obstacle.accuracy.flux import KNOWN, SHARP, Equilibration, Flux
+from fenicsx_obstacle.accuracy.friedrichs import friedrichs
 from fenicsx_obstacle.accuracy.peaks import Peaks, Rim
 from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.accuracy.scope import in_words, refuse_no_bound
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
@@ -101,7 +103,7 @@ class Estimator:
             raise InputError(
                 f"{scene.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}"
             )
-        self._refuse()
+        refuse_no_bound(problem)
         self.triangles = Triangles(problem.data)
         self.equilibration = Equilibration(self.triangles)
         self._sample_tension_of(self.equilibration.mu)
@@ -114,26 +116,8 @@ class Estimator:
         self._from_middle = np.ascontiguousarray(np.moveaxis(x - x.mean(axis=1, keepdims=True), 2, 0))
         self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / 12
         self._oscillation = self.triangles.diameter / pi * self.equilibration.oscillation / np.sqrt(self._mu_min)
-        self._friedrichs, self._exact_constant = self._constant()
+        self._friedrichs, self._exact_constant = friedrichs(self.triangles, self._held)
         self._least_tension = smallest(level.comm, self._mu_min)
-
-    def _refuse(self) -> None:
-        """What there is no bound for.
-
-        Raises:
-            InputError: Saying why.
-        """
-        problem, scene = self.problem, self.problem.scene
-        if not any(effect.key == "tension" for effect in scene.effects):
-            raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
-        if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
-            raise InputError(f"{scene.source}: the error bound needs a tension alike in all directions")
-        if any(effect.key == "point_load" for effect in scene.effects):
-            raise InputError(f"{scene.source}: the energy of a point load is infinite: there is no bound of its error")
-        if problem.data.radial:
-            raise InputError(f"{scene.source}: the error bound is for plane problems, not for axial symmetry")
-        if problem.data.thin:
-            raise InputError(f"{scene.source}: the error bound is for obstacles in the domain, not on its boundary")
 
     def lend_load(self) -> None:
         """Let the problem have the load by the quadrature used here, which sees where formulas jump (collective)."""
@@ -276,38 +260,6 @@ class Estimator:
                 f"{value.place} = {value.text}: must be positive everywhere, not at midpoints of cells only"
             )
 
-    def _constant(self) -> tuple[float, bool]:
-        """Friedrichs' constant of functions that are 0 where u is given, and whether it is exact (collective).
-
-        Of a box by its first eigenvalue, a side after the other; of any other domain held all around by that of the
-        box around it. Otherwise no constant is known, and twice the longer side stands for it.
-        """
-        problem, triangles = self.problem, self.triangles
-        comm, x = problem.level.comm, triangles.x
-        lower = np.array([smallest(comm, x[..., axis]) for axis in range(2)])
-        upper = np.array([largest(comm, x[..., axis]) for axis in range(2)])
-        sides = upper - lower
-        outer = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
-        facets = problem.level.boundary_facets
-        outer[facets[facets < len(outer)]] = True
-        cells, opposite = np.nonzero(outer[triangles.facets])
-        held = self._held[cells, opposite]
-        ends = np.stack([x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]], axis=1)
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        around = total(comm, length)
-        everywhere = total(comm, length[held]) >= around * (1 - 1e-9)
-        is_box = total(comm, triangles.area) >= np.prod(sides) * (1 - 1e-9)
-        wave = np.zeros(2)
-        for axis in range(2):
-            faces = 0
-            for at in (lower[axis], upper[axis]):
-                on = held & np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1)
-                faces += total(comm, length[on]) >= sides[1 - axis] * (1 - 1e-9)
-            wave[axis] = (2 if everywhere else faces) * pi / (2 * sides[axis])
-        if everywhere or (is_box and np.any(wave > 0)):
-            return 1 / float(np.linalg.norm(wave)), True
-        return 2 * float(sides.max()), False
-
     def _doubts(self, flux: Flux | Flux2, unbalanced: float, bound: float, crossing: float) -> tuple[list[str], bool]:
         """What the bound does not cover (collective); whether it is the obstacle between the nodes alone."""
         level = self.problem.level
@@ -331,9 +283,3 @@ class Estimator:
         if surprise > 0:
             doubts.append(f"its peaks within cells differ by {surprise:.2g} from sample to sample")
         return doubts, others == 0
-
-
-def in_words(doubts: list[str], sampled_only: bool) -> str:
-    if not doubts:
-        return "certified"
-    return ("certified for the sampled obstacle" if sampled_only else "an indicator") + ": " + "; ".join(doubts)

@@ -17,11 +17,13 @@ from math import hypot, pi, sqrt
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle.accuracy.bound import Bound, Estimator, in_words
+from fenicsx_obstacle.accuracy.bound import Bound, Estimator
 from fenicsx_obstacle.accuracy.contact import TOUCHES
 from fenicsx_obstacle.accuracy.flux_p2 import Equilibration2, Flux2
+from fenicsx_obstacle.accuracy.friedrichs import friedrichs
 from fenicsx_obstacle.accuracy.peaks import DENSE, Rim
 from fenicsx_obstacle.accuracy.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
+from fenicsx_obstacle.accuracy.scope import in_words, refuse_no_bound
 from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
@@ -91,7 +93,7 @@ class Estimator2(Estimator):
             InputError: If the scene has other effects than tension and load, or is not plane.
         """
         self.problem, level, scene = problem, problem.level, problem.scene
-        self._refuse()
+        refuse_no_bound(problem)
         others = [effect.key for effect in scene.effects if effect.key not in ("tension", "load")]
         if others:
             raise InputError(f"{scene.source}: with P2 the error bound is for tension and load, not for {others[0]}")
@@ -111,7 +113,7 @@ class Estimator2(Estimator):
         self._metric = metric(triangles.x[:, 1] - triangles.x[:, 0], triangles.x[:, 2] - triangles.x[:, 0],
                               triangles.area, np.ones(len(triangles.area)))  # fmt: skip
         self._held = self.equilibration2.held
-        self._friedrichs, self._exact_constant = self._constant()
+        self._friedrichs, self._exact_constant = friedrichs(self.triangles, self._held)
         self._least_tension = smallest(level.comm, self._mu_min)
 
     def lend_load(self) -> None:

@@ -16,16 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.flux import SHARP
-from fenicsx_obstacle.accuracy.quadrature import rule
-from fenicsx_obstacle.accuracy.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric, quadratics
-from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous
+from fenicsx_obstacle.accuracy.rt1 import FORMS, MASS, MIDDLES, PULLS, metric
+from fenicsx_obstacle.accuracy.samples_p2 import Samples2
+from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.samples import array_of
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes.materials import Value
 
 
 @dataclass(frozen=True)
@@ -49,16 +45,10 @@ class Flux2:
     incompatible: float
 
 
-class Equilibration2:
+class Equilibration2(Samples2):
     """Everything about flux and multipliers that depends on mesh and data alone.
 
     Attributes:
-        triangles: The owned cells, with the dofs of P1.
-        nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
-        mu: Mean tension of each cell, as the solver has it.
-        load: int f psi_j psi_k, shape (cells, 3, 3).
-        oscillation: ||f - Pi_1 f||_T.
-        missing: Force at owned nodes that the load's formula gives more than what the solver makes of it.
         others: Effects that it does not know: none.
     """
 
@@ -69,11 +59,8 @@ class Equilibration2:
             triangles: Of P1 on the same mesh.
             data: Of P2.
         """
-        self.triangles, self.data, self.level = triangles, data, data.level
+        super().__init__(triangles, data)
         self.others: list[str] = []
-        count = len(triangles.area)
-        dofs = releases.cell_dofs(self.level.V)[:count]
-        self.nodes = np.hstack([triangles.turned(dofs[:, :3]), triangles.turned(dofs[:, 3:])])
         is_held = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
         for facets in data.held:
             is_held[facets[facets < len(is_held)]] = True
@@ -83,82 +70,12 @@ class Equilibration2:
         self.free = np.ones(below.owned, dtype=bool)
         fixed = triangles.data.fixed[0]
         self.free[fixed[fixed < below.owned]] = False
-        self._given = np.zeros(len(self._function().x.array), dtype=bool)
+        self._given = np.zeros(len(fem.Function(self.level.V).x.array), dtype=bool)
         self._given[data.fixed[0]] = True
-        self._sample_tension()
-        self._sample_load()
         self.mass = self.fans.at_vertices(self.fans.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0])
         weights = self.summed(np.repeat(triangles.area[:, None] / 3, 3, axis=1), middles=True)
         self._weights = np.where(weights > 0, weights, 1.0)
         self._prepare_fans()
-
-    def _function(self) -> fem.Function:
-        return fem.Function(self.level.V)
-
-    def summed(self, values: np.ndarray, *, middles: bool = False) -> np.ndarray:
-        """Sums over the cells around each local node of P2, from values (cells, 6), or (cells, 3) at middles
-        (collective)."""
-        function = self._function()
-        np.add.at(function.x.array, self.nodes[:, 3:] if middles else self.nodes, values)
-        releases.add_ghosts(function)
-        function.x.scatter_forward()
-        return function.x.array.copy()
-
-    def _in_cells(self, value: Value, points: np.ndarray, *, positive: bool = False) -> np.ndarray:
-        """What the solver has of a formula at barycentric points, shape (cells, points)."""
-        made = self.data.cellwise(value, positive=positive)
-        values = array_of(made)
-        if len(values) == 1 and not isinstance(made, fem.Function):
-            return np.full((len(self.triangles.area), len(points)), values[0])
-        dofs = releases.cell_dofs(self.level.W)[: len(self.triangles.area)]
-        dofs = np.hstack([self.triangles.turned(dofs[:, :3]), self.triangles.turned(dofs[:, 3:])])
-        return values[dofs] @ quadratics(points)
-
-    def _sample_tension(self) -> None:
-        """int mu psi_j psi_k and the mean of mu."""
-        tension = next(effect for effect in self.data.scene.effects if effect.key == "tension")
-        points, weights = rule(2)
-        mu = self._in_cells(tension.value, points, positive=True)
-        self.mu = mu @ weights
-        products = np.einsum("pj,pk->pjk", points, points)
-        self._mu_products = self.triangles.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
-
-    def _sample_load(self) -> None:
-        triangles, area = self.triangles, self.triangles.area
-        self.load, self.oscillation = np.zeros((len(area), 3, 3)), np.zeros(len(area))
-        missing = np.zeros((len(area), 3, 3))
-        points, weights = rule(2)
-        for value in (effect.value for effect in self.data.scene.effects if effect.key == "load"):
-            solver = self._in_cells(value, points)
-            of_solver = self._products(solver, points, weights, slice(None))
-            if triangles.data.uniform(value):
-                self.load += of_solver
-                continue
-            values = triangles.values(value, points)
-            exact, waves = self._products(values, points, weights, slice(None)), self._wave(values, points, weights)
-            sizes = np.abs(values).max(axis=1, initial=0.0)
-            sharp = np.flatnonzero(np.ptp(values, axis=1) > SHARP * largest(self.level.comm, sizes))
-            dense, shares = halved_rule(2)
-            values = triangles.values(value, dense, sharp)
-            exact[sharp] = self._products(values, dense, shares, sharp)
-            waves[sharp] = self._wave(values, dense, shares)
-            self.load += exact
-            self.oscillation += np.sqrt(area * waves)
-            missing += exact - of_solver
-        self.missing = self.summed(against_nodes(missing))[: self.level.owned]
-
-    def _products(
-        self, values: np.ndarray, points: np.ndarray, weights: np.ndarray, cells: np.ndarray | slice
-    ) -> np.ndarray:
-        """int f psi_j psi_k."""
-        products = np.einsum("p,pj,pk->pjk", weights, points, points)
-        return self.triangles.area[cells][:, None, None] * np.einsum("cp,pjk->cjk", values, products)
-
-    @staticmethod
-    def _wave(values: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Mean square of the distance to the nearest linear function."""
-        linear = values @ (weights[:, None] * points) @ np.linalg.inv(MASS)
-        return (values - linear @ points.T) ** 2 @ weights
 
     def _prepare_fans(self) -> None:
         """Metric of each corner, and the matrices of the fans."""

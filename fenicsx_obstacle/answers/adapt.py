@@ -15,7 +15,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.compute import Workbench, changed
+from fenicsx_obstacle.answers.changes import changed
+from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
@@ -23,11 +23,8 @@ from fenicsx_obstacle.answers.origin import command, versions
 from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb
-from fenicsx_obstacle.scenes.formulas import nearest
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
@@ -41,24 +38,6 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.answers.march import March
 
 _log = logging.getLogger(__name__)
-_SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
-          "start": "solve.start", "element": "solve.element"}  # fmt: skip
-
-
-def changed(scene: Scene, options: dict[str, Any]) -> Scene:
-    """The scene with options that are not None; cells, refine, eps, method, start and element by their short names.
-
-    Raises:
-        InputError: If a key is unknown or a value does not fit it.
-    """
-    known = {*_SHORT, *Tables.__struct_fields__}
-    for key in options:
-        if "." not in key and key not in known:
-            raise InputError(f"{scene.source}: unknown key '{key}'" + nearest(key, known))
-    changes = {_SHORT.get(key, key): value for key, value in options.items() if value is not None}
-    if "mesh.cells" in changes and (scene.mesh is not None or scene.tables.mesh.file is not None):
-        raise InputError(f"{scene.source}: cells are for shapes; a mesh of your own is refined with 'refine'")
-    return scene.change(changes) if changes else scene
 
 
 class Workbench:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from fenicsx_obstacle.scenes.scene import Scene
 
 FIRST = "eps of the first mesh"  # stands for the number that h^2 is there
+FIRST_CELLS = {1: 16, 2: 16, 3: 8}
+FACTOR = {1: 4, 2: 2, 3: 2}  # cells per side from one mesh to the next
+MESHES = 20  # more than any budget allows
 
 
 @dataclass(frozen=True)
@@ -84,3 +87,14 @@ def _sides(scene: Scene) -> list[Any]:
     """Its obstacles."""
     places = scene.tables.boundary if scene.thin else [scene.tables.obstacle]
     return [value for place in places for value in (place.lower, place.upper) if value is not None]
+
+
+def uniform_meshes(scene: Scene) -> Iterator[Scene]:
+    """The scene on uniform meshes, each finer than the one before."""
+    table = scene.tables.mesh
+    dim = {"interval": 1, "box": 3}.get(table.shape or "", 2)
+    for k in range(MESHES):
+        if table.shape is None:
+            yield scene.change({"mesh.refine": table.refine + k})
+        else:
+            yield scene.change({"mesh.refine": 0, "mesh.cells": FIRST_CELLS[dim] * FACTOR[dim] ** k})

@@ -12,7 +12,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.compute import Workbench, changed
+from fenicsx_obstacle.answers.changes import changed
+from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.scene import Scene

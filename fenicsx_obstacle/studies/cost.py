@@ -19,14 +19,14 @@ from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.changes import changed
 from fenicsx_obstacle.answers.choose import penalty_parameter
-from fenicsx_obstacle.answers.compute import Workbench, changed
+from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.newton import smallest_eps
-from fenicsx_obstacle.studies.choices import FIRST, Choice, choices
-from fenicsx_obstacle.studies.measured import Bench, ending, floor_of, too_many
+from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
+from fenicsx_obstacle.studies.measured import Bench, ending, floor_of, place, too_many, without_name
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 from fenicsx_obstacle.studies.truth import ExactTruth, Truth, make_reference, read_reference, sizes_of
 
@@ -34,8 +34,6 @@ _log = logging.getLogger(__name__)
 Row = dict[str, Any]
 OnRow = Callable[[Row], None]
 DEFAULT_BUDGET = "10s, 1.2e6 unknowns"
-FIRST_CELLS = {1: 16, 2: 16, 3: 8}
-FACTOR = {1: 4, 2: 2, 3: 2}  # cells per side from one mesh to the next
 GROWTH = 3.0  # of an adaptive mesh over the one before
 MAP_MESHES, MAP_EPS = 4, 20  # of the map over h and eps: meshes, and powers of ten
 REFERENCE = "reference"
@@ -101,21 +99,9 @@ class Ladder:
             on_row(row)
         return rows
 
-    def sizes(self) -> Iterator[Scene]:
-        """The scene on uniform meshes, each finer than the one before."""
-        table = self.scene.tables.mesh
-        dim = {"interval": 1, "box": 3}.get(table.shape or "", 2)
-        if table.shape is None:
-            yield from (self.scene.change({"mesh.refine": table.refine + k}) for k in range(20))
-        else:
-            first = {"mesh.refine": 0}
-            yield from (
-                self.scene.change({**first, "mesh.cells": FIRST_CELLS[dim] * FACTOR[dim] ** k}) for k in range(20)
-            )
-
     def _find_truth(self) -> Row:
         """The first row: what errors are measured against (collective)."""
-        coarse = next(self.sizes())
+        coarse = next(uniform_meshes(self.scene))
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
         row = on_root(self.comm, self._find, key)
         if self.full.tables.exact is not None:
@@ -129,7 +115,7 @@ class Ladder:
             if row is None:
                 _log.info("the reference solution, on a finer mesh than all others")
                 limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
-                found = make_reference(coarse, self.sizes(), *limits, self.comm)
+                found = make_reference(coarse, uniform_meshes(self.scene), *limits, self.comm)
                 found.answer.save(self.folder / REFERENCE)
                 self.truth = found
         return row or self._keep(key, {"choice": "", **self.truth.record})
@@ -137,7 +123,7 @@ class Ladder:
     def _uniform(self, members: Sequence[Choice]) -> Iterator[Row]:
         """Rows of choices that share their meshes (collective)."""
         found: dict[str, list[Row]] = {choice.name: [] for choice in members}
-        for size in self.sizes():
+        for size in uniform_meshes(self.scene):
             going = [choice for choice in members if choice.name not in self.ends]
             if not going:
                 return
@@ -171,7 +157,7 @@ class Ladder:
                         bench.answer(scene.change({"solve.method": method, "solve.eps": "auto"}))
             return Bench(scene, self.comm)
         except InputError as error:
-            return self._why(error)
+            return without_name(error, self.full)
 
     def _row_of(self, choice: Choice, bench: Bench | str, scene: Scene) -> Row:
         """A row, or why there is none (collective)."""
@@ -182,7 +168,7 @@ class Ladder:
             forget_peak_memory(self.comm)
             answer = bench.work.answer(scene)
         except (NotConverged, InputError) as error:
-            return {**row, "dofs": bench.work.problem.level.dofs, "reason": self._why(error)}
+            return {**row, "dofs": bench.work.problem.level.dofs, "reason": without_name(error, self.full)}
         row |= self._figures(bench.work, answer, bench.before, bench.distance)
         row |= {"poisson_seconds": bench.poisson, "seconds": bench.work.mesh_seconds + row["solve"]}
         row["parts"] = bench.parts(answer)
@@ -202,7 +188,7 @@ class Ladder:
 
     def _adaptive(self, choice: Choice) -> Iterator[Row]:
         """Rows of one choice on meshes that are refined where the error is (collective)."""
-        scene, found = choice.on(next(self.sizes())), list[Row]()
+        scene, found = choice.on(next(uniform_meshes(self.scene))), list[Row]()
         self._end(choice, found, scene)
         while choice.name not in self.ends:  # what is on the disk
             key = self._key(scene, f"{choice.name} {len(found)}")
@@ -245,7 +231,7 @@ class Ladder:
                     forget_peak_memory(self.comm)  # of what measured the errors
         except (NotConverged, InputError) as error:
             key = self._key(scene, f"{choice.name} {len(found)}")
-            found.append(self._keep(key, {**base, "reason": self._why(error)}))
+            found.append(self._keep(key, {**base, "reason": without_name(error, self.full)}))
             self._end(choice, found, scene)
             yield found[-1]
 
@@ -254,7 +240,7 @@ class Ladder:
         penalised = [choice for choice in self.choices if choice.solve.get("eps") == "h^2"]
         if not penalised:
             return
-        for size in islice(self.sizes(), MAP_MESHES):
+        for size in islice(uniform_meshes(self.scene), MAP_MESHES):
             scene = penalised[0].on(size)
             keys = [self._key(scene, f"map {k}") for k in range(MAP_EPS)]
             stored = [on_root(self.comm, self._find, key) for key in keys]
@@ -267,26 +253,11 @@ class Ladder:
             for k, (key, row) in enumerate(zip(keys, stored, strict=True)):
                 if row is None:
                     assert bench is not None
-                    row = self._keep(key, self._place(bench, scene, k))
+                    row = self._keep(key, place(bench, scene, self.truth, k))
                 yield row
             if bench is not None:
                 bench.close()
                 self.truth.forget()
-
-    def _place(self, bench: Bench, scene: Scene, k: int) -> Row:
-        """One place of the map (collective)."""
-        problem = bench.work.problem
-        h = problem.level.h
-        unit = penalty_parameter(problem, scene) / h**2  # 1/mu
-        eps = unit * problem.data.extent**2 * 10.0**-k
-        row: Row = {"choice": "map", "h": h, "eps": eps, "paper": unit * h**2, "auto": unit * h**2 / 100,
-                    "floor": smallest_eps(problem)}  # fmt: skip
-        try:
-            answer = bench.work.answer(scene.change({"solve.eps": eps}))
-        except (NotConverged, InputError) as error:
-            return {**row, "reason": self._why(error)}
-        row |= {"errors": self.truth.errors(bench.work, answer), "sizes": sizes_of(bench.distance, answer)}
-        return {**row, "line": answer.record.get("round_off", {}).get("line")}
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""
@@ -295,10 +266,6 @@ class Ladder:
         why = ending(rows, growth, dim, self.budget, self.comm, adaptive=choice.adaptive)
         if why:
             self.ends[choice.name] = why
-
-    def _why(self, error: Exception) -> str:
-        """A message without the name of the scene, which all of them share."""
-        return str(error).removeprefix(f"{self.full.source}: ")
 
     def _scene_of(self, choice: Choice, size: Scene) -> Scene:
         scene = choice.on(size) if choice.solve.get("eps") != FIRST else None
@@ -310,7 +277,7 @@ class Ladder:
     def _first_eps(self, size: Scene) -> float:
         """h^2/mu on the first mesh (collective)."""
         if self._fixed is None:
-            first = next(self.sizes()).change({"solve.eps": "h^2", "solve.method": "penalty"})
+            first = next(uniform_meshes(self.scene)).change({"solve.eps": "h^2", "solve.method": "penalty"})
             with closing(Workbench(first, self.comm)) as bench:
                 self._fixed = penalty_parameter(bench.problem, first)
         return self._fixed

@@ -14,13 +14,16 @@ from mpi4py import MPI
 from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.choose import penalty_parameter
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.memory import fits
-from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import forget_peak_memory, largest, total
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.newton import smallest_eps
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+from fenicsx_obstacle.studies.truth import Truth, sizes_of
 
 EPSILON = float(np.finfo(float).eps)
 
@@ -110,3 +113,24 @@ def ending(
 def too_many(budget: Budget) -> str:
     """That a mesh is too large for a budget."""
     return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"
+
+
+def place(bench: Bench, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
+    """One place of the map over h and eps: k powers of ten below 1/mu L^2 (collective)."""
+    problem = bench.work.problem
+    h = problem.level.h
+    unit = penalty_parameter(problem, scene) / h**2  # 1/mu
+    eps = unit * problem.data.extent**2 * 10.0**-k
+    row: dict[str, Any] = {"choice": "map", "h": h, "eps": eps, "paper": unit * h**2, "auto": unit * h**2 / 100,
+                "floor": smallest_eps(problem)}  # fmt: skip
+    try:
+        answer = bench.work.answer(scene.change({"solve.eps": eps}))
+    except (NotConverged, InputError) as error:
+        return {**row, "reason": without_name(error, scene)}
+    row |= {"errors": truth.errors(bench.work, answer), "sizes": sizes_of(bench.distance, answer)}
+    return {**row, "line": answer.record.get("round_off", {}).get("line")}
+
+
+def without_name(error: Exception, scene: Scene) -> str:
+    """A message without the name of the scene, which all rows share."""
+    return str(error).removeprefix(f"{scene.source}: ")

@@ -1,0 +1,32 @@
+"""What there is a bound for, and the words for what it does not cover."""
+
+from __future__ import annotations
+
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
+
+
+def refuse_no_bound(problem: Problem) -> None:
+    """What there is no bound for.
+
+    Raises:
+        InputError: Saying why.
+    """
+    scene = problem.scene
+    if not any(effect.key == "tension" for effect in scene.effects):
+        raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
+    if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
+        raise InputError(f"{scene.source}: the error bound needs a tension alike in all directions")
+    if any(effect.key == "point_load" for effect in scene.effects):
+        raise InputError(f"{scene.source}: the energy of a point load is infinite: there is no bound of its error")
+    if problem.data.radial:
+        raise InputError(f"{scene.source}: the error bound is for plane problems, not for axial symmetry")
+    if problem.data.thin:
+        raise InputError(f"{scene.source}: the error bound is for obstacles in the domain, not on its boundary")
+
+
+def in_words(doubts: list[str], sampled_only: bool) -> str:
+    """Certified, or an indicator, and why."""
+    if not doubts:
+        return "certified"
+    return ("certified for the sampled obstacle" if sampled_only else "an indicator") + ": " + "; ".join(doubts)

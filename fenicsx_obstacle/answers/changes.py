@@ -1,0 +1,29 @@
+"""What a caller changes of a scene: keys by their names in TOML, the usual ones by short names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.formulas import nearest
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.tables import Tables
+
+_SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
+          "start": "solve.start", "element": "solve.element"}  # fmt: skip
+
+
+def changed(scene: Scene, options: dict[str, Any]) -> Scene:
+    """The scene with options that are not None; cells, refine, eps, method, start and element by their short names.
+
+    Raises:
+        InputError: If a key is unknown or a value does not fit it.
+    """
+    known = {*_SHORT, *Tables.__struct_fields__}
+    for key in options:
+        if "." not in key and key not in known:
+            raise InputError(f"{scene.source}: unknown key '{key}'" + nearest(key, known))
+    changes = {_SHORT.get(key, key): value for key, value in options.items() if value is not None}
+    if "mesh.cells" in changes and (scene.mesh is not None or scene.tables.mesh.file is not None):
+        raise InputError(f"{scene.source}: cells are for shapes; a mesh of your own is refined with 'refine'")
+    return scene.change(changes) if changes else scene
