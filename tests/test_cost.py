@@ -101,6 +101,7 @@ def ladder(scene, folder, budget=SMALL, stop=None):
             store.close()
 
 
+@pytest.mark.serial
 def test_ladder_of_a_string(folder):
     """Every choice has rows or a reason; parts and errors fit; the best eps goes with h^2 for heights, h^(4/3) for
     slopes (THEORY of the map); what was interrupted is not computed again."""

@@ -16,7 +16,8 @@ TAS = (
     "efficacy, -log10(energy error x seconds); the time-accuracy-size spectrum of Chang and others (2018). Seconds are "
     "those of mesh, preparations, solve and, where meshes are adaptive, estimates and all meshes before."
 )
-NEXT = ["next digit of", "by", "error so far", "seconds", "one more digit", "takes", "unknowns", "MB", "round-off at"]
+NEXT = ["next digit of", "error so far", "by", "in", "a tenth of it", "by", "more time", "unknowns", "memory",
+        "round-off at"]  # fmt: skip
 BEST = ["error in", "best eps ~ h^q: q", "theory", "h", "best eps", "paper's eps", "auto"]
 
 
@@ -38,11 +39,11 @@ def next_digit(rows: Rows) -> list[list[str]]:
         p = price.price(rows, norm)
         if p is None:
             continue
-        after = ["not in sight", "", "", ""]
+        after = ["not in sight", "", "", "", ""]
         if p.factor is not None and p.next_seconds is not None:
-            size = [f"{value:.2g}" if value else "" for value in (p.next_dofs, p.next_memory)]
-            after = [f"x {p.factor:.2g} in time", duration(p.next_seconds), *size]
-        found.append([NORMS[norm], p.choice, f"{p.error:.1e}", duration(p.seconds), *after, f"{p.floor:.0e}"])
+            size = [f"{p.next_dofs:.2g}" if p.next_dofs else "", megabytes(p.next_memory or 0.0)]
+            after = [duration(p.next_seconds), p.next_choice, f"x {p.factor:.2g}", *size]
+        found.append([NORMS[norm], f"{p.error:.1e}", p.choice, duration(p.seconds), *after, f"{p.floor:.0e}"])
     return found
 
 
@@ -116,3 +117,8 @@ def duration(value: float) -> str:
     if value < 7200:
         return f"{value / 60:.2g} min"
     return f"{value / 3600:.2g} h" if value < 48 * 3600 else f"{value / 86400:.2g} days"
+
+
+def megabytes(value: float) -> str:
+    """Memory in the unit that fits."""
+    return f"{value:.0f} MB" if value < 1000 else f"{value / 1000:.2g} GB"

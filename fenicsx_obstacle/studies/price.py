@@ -74,10 +74,11 @@ class Price:
 
     Attributes:
         norm: Key of the norm.
-        choice: The one that reached the smallest error, the cheapest of those within a factor of 2 of it.
-        error: That error.
+        choice: The cheapest of those that came within a factor of 2 of the smallest error.
+        error: Its error.
         seconds: What it took.
-        factor: By which the seconds grow for one digit more.
+        next_choice: The cheapest way to error/10, "" where none is in sight.
+        factor: Its seconds over those.
         next_seconds: What error/10 would take.
         next_dofs: Likewise.
         next_memory: Likewise, MB.
@@ -88,6 +89,7 @@ class Price:
     choice: str
     error: float
     seconds: float
+    next_choice: str
     factor: float | None
     next_seconds: float | None
     next_dofs: float | None
@@ -175,10 +177,13 @@ def price(rows: Rows, norm: str) -> Price | None:
     near = [line for line in lines if line.error[-1] <= 2 * best]
     line = min(near, key=lambda line: line.cost(2 * best) or math.inf)
     last, error = line.rows[-1], float(line.error[-1])
-    next_ = line.cost(error / 10)
-    factor = None if next_ is None else next_ / last["seconds"]
-    dofs, memory = line.cost(error / 10, "dofs"), line.cost(error / 10, "memory_mb")
-    return Price(norm, line.name, error, last["seconds"], factor, next_, dofs, memory, last["floor"])
+    then = next(iter(cheapest(rows, norm, error / 10)), None)
+    if then is None:
+        return Price(norm, line.name, error, last["seconds"], "", None, None, None, None, last["floor"])
+    way, next_ = then
+    dofs, memory = way.cost(error / 10, "dofs"), way.cost(error / 10, "memory_mb")
+    factor = next_ / last["seconds"]
+    return Price(norm, line.name, error, last["seconds"], way.name, factor, next_, dofs, memory, last["floor"])
 
 
 def cheapest(rows: Rows, norm: str, error: float) -> list[tuple[Curve, float]]:
