@@ -42,9 +42,9 @@ largest error of a height. Contact force: of the total force on the obstacle. Co
 that touches."""
 PENALTY = """Penalty methods replace the hard obstacle by a very stiff cushion; eps is its softness: the smaller, the
 harder. The variational inequality (VI) is the problem with the hard obstacle itself."""
-NEXT = """For each way of measuring: the smallest error, who had it, or half of its accuracy, soonest, and the time; then
-what an error ten times smaller would take, by whoever is cheapest there, if things go on as over the last three meshes.
-The last column is about where rounding ends it."""
+NEXT = """For each way of measuring: the smallest error, who had it, or half of its accuracy, soonest, and the time;
+then what an error ten times smaller would take, by whoever is cheapest there, if things go on as over the last three
+meshes. The last column is about where rounding ends it."""
 CHEAPEST = """The fastest choice for each relative error, and its time; in brackets where this is continued beyond the
 rows."""
 

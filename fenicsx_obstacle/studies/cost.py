@@ -202,6 +202,9 @@ class Ladder:
             return
         base: Row = {"choice": choice.name, "adaptive": True, "element": scene.pair.name}
         try:
+            with closing(Refinement(scene, self.comm).meshes()) as meshes:  # compiles what is not compiled yet
+                for _ in islice(meshes, 2):
+                    pass
             before, memory = forget_peak_memory(self.comm), 0.0
             refinement = Refinement(scene, self.comm)
             with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
