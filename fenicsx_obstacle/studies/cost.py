@@ -217,12 +217,8 @@ class Ladder:
                         continue
                     bound = answer.bound
                     assert bound is not None
-                    row = {
-                        **base,
-                        **self._figures(work, answer, before, Distance(work.problem)),
-                        "bound": bound.record,
-                        "parts": {},
-                    }
+                    figures = self._figures(work, answer, before, Distance(work.problem))
+                    row = {**base, **figures, "bound": bound.record, "parts": {}}
                     row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
                     key = self._key(scene, f"{choice.name} {number}")
                     found.append(self._keep(key, row))
