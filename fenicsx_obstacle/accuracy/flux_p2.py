@@ -3,7 +3,9 @@
 The multiplier is the Crouzeix-Raviart function lambda with nodal values at these middles, so that int lambda psi_a is
 what the rule makes of it for every hat psi_a: patches of free vertices are compatible but for rho_a, the force that is
 out of balance. The flux is in RT1, again a sum over vertices,
+
     div sigma = -(Pi_1 f + lambda + rho)   in each cell, rho = sum of rho_a psi_a,
+
 of fluxes on the patches that are nearest to the broken RT1 interpolant of psi_a mu grad u_h. Divergence and normal
 parts leave few unknowns: what goes round the vertex, and a first moment on each edge from it; the moments inside
 follow.
