@@ -4,10 +4,10 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
+from conftest import COMM, DEMOS, membrane
 from mpi4py import MPI
 
-from fenicsx_obstacle import InputError, solve
+from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.accuracy import rt1
 from fenicsx_obstacle.accuracy.triangles import lattice
 from fenicsx_obstacle.answers.adapt import Refinement
@@ -126,7 +126,7 @@ def test_the_same_on_any_number_of_ranks():
 
 
 def test_free_sides_and_other_effects():
-    """Nothing leaves through free sides; effects besides tension and load are refused."""
+    """Nothing leaves through free sides; effects besides tension and load are refused, and surfaces in space."""
     exact = "sin(pi*x/2)*sin(pi*y)"
     free = membrane(
         load=f"1.25*pi^2*{exact}", lower=-10, exact=exact,
@@ -137,3 +137,6 @@ def test_free_sides_and_other_effects():
     assert answer.bound.guaranteed and error <= answer.bound.total <= 1.5 * error
     with pytest.raises(InputError, match="not for foundation"):
         solve(membrane(load=1, upper=0.05, foundation=20).change({"solve.element": "P2"}), bound=True)
+    bearing = Scene.read(DEMOS / "bearing.toml").change({"solve.element": "P2"})
+    with pytest.raises(InputError, match="not for P2 on triangle cells in 3D"):
+        solve(bearing, bound=True)

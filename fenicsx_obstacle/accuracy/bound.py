@@ -31,7 +31,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import TOUCHES
 from fenicsx_obstacle.accuracy.flux import KNOWN, SHARP, Equilibration, Flux
 from fenicsx_obstacle.accuracy.friedrichs import friedrichs
@@ -96,13 +95,7 @@ class Estimator:
         Raises:
             InputError: If the elements are not P1 on triangles in the plane, or there is no tension.
         """
-        self.problem, level, scene = problem, problem.level, problem.scene
-        mesh, pair = level.mesh, level.pair
-        if releases.cell_name(mesh) != "triangle" or pair.degree != 1 or pair.voronoi or mesh.geometry.dim != 2:
-            what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
-            raise InputError(
-                f"{scene.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}"
-            )
+        self.problem, level = problem, problem.level
         refuse_no_bound(problem)
         self.triangles = Triangles(problem.data)
         self.equilibration = Equilibration(self.triangles)

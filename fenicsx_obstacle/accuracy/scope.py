@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 
@@ -12,7 +13,12 @@ def refuse_no_bound(problem: Problem) -> None:
     Raises:
         InputError: Saying why.
     """
-    scene = problem.scene
+    scene, level = problem.scene, problem.level
+    mesh, pair = level.mesh, level.pair
+    known = (pair.degree == 1 and not pair.voronoi) or pair.stacks
+    if releases.cell_name(mesh) != "triangle" or mesh.geometry.dim != 2 or not known:
+        what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
+        raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}")
     if not any(effect.key == "tension" for effect in scene.effects):
         raise InputError(f"{scene.source}: the error bound needs the effect 'tension'")
     if any(effect.elastic and isinstance(effect.value, tuple) for effect in scene.effects):
