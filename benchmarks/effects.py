@@ -33,6 +33,10 @@ CHANGES: dict[str, dict[str, Any]] = {
     "axial symmetry": {"effects.axial_symmetry": True},
     "obstacle on the boundary": {
         "obstacle": {}, "effects.load": -1, "boundary": [LEFT, REST, {"on": "right", "lower": "-0.05*y"}]},
+    "rate, one step": {"effects.rate": 1, "time": {"end": 0.01, "steps": 1, "start": 0.1}},
+    "rate, ten steps": {"effects.rate": 1, "time": {"end": 0.1, "steps": 10, "start": 0.1}},
+    "inertia, one step": {"effects.inertia": 1, "time": {"end": 0.01, "steps": 1, "start": 0.1}},
+    "inertia, ten steps": {"effects.inertia": 1, "time": {"end": 0.1, "steps": 10, "start": 0.1}},
     "drift": {"effects.drift": [5, 3]},
     "soft obstacle": {"effects.soft_obstacle": {"upper": 0.05, "stiffness": 100}},
     "large slope": {"effects": {"large_slope": 1}},
