@@ -69,7 +69,8 @@ class Formula:
         """
         for node in ast.walk(self.tree):
             if isinstance(node, ast.Name) and node.id in self.names and node.id not in known:
-                raise InputError(self.pointing(node, f"unknown name '{node.id}'" + nearest(node.id, known)))
+                hint = "; t is for values in scenes with a table [time]" if node.id == "t" else nearest(node.id, known)
+                raise InputError(self.pointing(node, f"unknown name '{node.id}'{hint}"))
 
     def part(self, node: ast.expr) -> Formula:
         """A formula within this one."""
