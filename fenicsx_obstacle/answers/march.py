@@ -78,14 +78,17 @@ class March:
 
         Raises:
             InputError: If data are wrong at some moment.
-            NotConverged: At a step that cannot be shortened; the state before it is in `keep`.
+            NotConverged: At a step that cannot be shortened. The state before it is in `keep` in both cases.
         """
         self._begin(restart)
-        dt, written = self._first_step(), time.perf_counter()
+        dt, written = self._first_step(), self._now()
         while (t := self._next(dt)) is not None:
             before = self.steps.times[0]
             try:
                 outcomes = self._step(t)
+            except InputError:
+                self._keep(keep)
+                raise
             except NotConverged as error:
                 if self.moments.tolerance is None or dt < NO_STEP * self.moments.end:
                     self._keep(keep)
@@ -106,10 +109,9 @@ class March:
             self.steps.accept(t, u)
             self._count(outcomes)
             self._row(t, t - before, outcomes)
-            now = self.problem.level.comm.bcast(time.perf_counter())
-            if keep is not None and now - written > EVERY:
+            if keep is not None and self._now() - written > EVERY:
                 self._keep(keep)
-                written = now
+                written = self._now()
         self._keep(keep)
         return outcomes[-1]
 
@@ -171,6 +173,10 @@ class March:
         velocity = self.problem.data.nodal(self.moments.velocity).x.array.copy()
         velocity[self.problem.data.fixed[0]] = 0.0
         return velocity
+
+    def _now(self) -> float:
+        """Seconds by the clock of rank 0: all ranks must write together (collective)."""
+        return float(self.problem.level.comm.bcast(time.perf_counter()))
 
     def _first_step(self) -> float:
         times = self.steps.times
