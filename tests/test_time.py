@@ -179,6 +179,29 @@ def test_twice_on_one_bench():
     assert np.allclose(first.u.x.array, second.u.x.array, rtol=0, atol=1e-12)
 
 
+def test_a_force_stays_what_it_is():
+    """A point load beside a moving obstacle: each moment is the problem at rest of its data, on any number of ranks."""
+    data = {"mesh": {"shape": "rectangle", "cells": 8}, "tension": 1, "point_load": [{"at": [0.5, 0.5], "force": -1}]}
+    moving = solve(Scene(**data, lower="-0.2 + 0.1*t", time={"end": 1, "steps": 4})).course.rows[-1]
+    still = solve(Scene(**data, lower=-0.1)).record
+    assert moving["energy"] == pytest.approx(still["energy"], rel=1e-9)
+    assert moving["force_lower"] == pytest.approx(still["contact"]["lower"]["force"], rel=1e-8)
+
+
+def test_frames_after_a_restart(folder):
+    """Frames that another number of ranks has left are in the order of nodes of the run that goes on."""
+    scene = Scene(
+        mesh={"shape": "rectangle", "cells": 6}, tension=1, lower="t*x - 1 + y", boundary=[{"value": "t*x + y"}],
+        time={"end": 0.5, "steps": 2, "frames": 2},
+    )  # fmt: skip
+    solve(scene, keep=folder)
+    answer = solve(scene.change({"time.end": 1, "time.steps": 4}), comm=MPI.COMM_SELF, restart=folder)
+    x = answer.level.points
+    for frame in answer.course.frames:
+        assert np.allclose(frame.fields["u"], frame.t * x[0] + x[1], atol=1e-6)
+    assert [frame.t for frame in answer.course.frames] == pytest.approx([0, 0.25, 0.5, 1.0])
+
+
 def test_moving_stiffness():
     """A tension that grows with t: matrices of all levels follow."""
     data = {"mesh": {"shape": "rectangle", "cells": 8, "refine": 2}, "load": -8, "lower": -0.2}
@@ -301,6 +324,10 @@ REFUSED = {
         "inertia": 1, "soft_obstacle": {"upper": 0, "stiffness": 1}, "time": {"end": 1, "steps": 1, "start": 0},
     },
     "is beyond an obstacle": {"rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"}},
+    "has a column of this name": {"report": {"energy": "integral(u)"}, "time": {"end": 1, "steps": 1}},
+    "is needed where boundary values move": {
+        "inertia": 1, "boundary": [{"value": "t"}], "time": {"end": 1, "steps": 1, "start": 0},
+    },
     "must be positive; it is": {"inertia": 0, "time": {"end": 1, "steps": 1, "start": 0}},
     "lies below the lower obstacle": {"lower": "t - 0.5", "time": {"end": 1, "steps": 4}},
     "is not a finite number": {"load": "1/(t - 0.5)", "time": {"end": 1, "steps": 4}},

@@ -24,6 +24,7 @@ from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, peak_memory_mb
+from fenicsx_obstacle.scenes.moments import EQUILIBRIA
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
@@ -155,11 +156,15 @@ class Workbench:
         estimator = self.estimator if bound else None  # refuses before anything is solved
         levels_serve = nested(scene) and problem.level.coarse is not None
         grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
-        if stepwise(scene) and problem.level.coarse is not None:
+        at_rest = scene.time is None or scene.time.order == EQUILIBRIA
+        if at_rest and stepwise(scene) and problem.level.coarse is not None:
             grids = self._chain()
         start = time.perf_counter()
         if problem.forms.multiplier is not None:  # of an earlier solve
             problem.forms.multiplier.x.array[:] = 0.0
+        if scene.time is not None and problem.data.moment is not None:
+            problem.data.moment.go_back(scene.time)  # from where an earlier march ended
+            problem.move(problem.cold_start())
         method, course = method_of(problem, scene), None
         if scene.time is None:
             outcomes = self._at_rest(method, grids)
@@ -197,7 +202,7 @@ class Workbench:
         assert scene.time is not None
         grid = grids[-1] if grids and isinstance(grids[-1], Multigrid) else None
         below = [one.problem if isinstance(one, Multigrid) else one for one in grids[:-1]]
-        if scene.time.order == 0 and grids:
+        if scene.time.order == EQUILIBRIA and grids:
             solve: Callable[[], list[Outcome]] = partial(self._at_rest, method, grids)
         else:  # the last moment is the best start
             solve = lambda: [method.solve(problem, multigrid=grid)]  # noqa: E731

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 Row = Mapping[str, Any]
 
@@ -41,6 +42,14 @@ class Course:
     def column(self, name: str) -> np.ndarray:
         """A column of the rows, not-a-number where there is none."""
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
+
+
+def renumbered(frames: Sequence[Frame], old: np.ndarray, new: np.ndarray | None) -> list[Frame]:
+    """Frames whose nodes stood at points `old`, in the order of points `new`; empty ones where there are none."""
+    if new is None:
+        return [Frame(frame.t, {}) for frame in frames]
+    order = cKDTree(old).query(new)[1]
+    return [Frame(one.t, {name: values[order] for name, values in one.fields.items()}) for one in frames]
 
 
 def to_csv(rows: Sequence[Row]) -> str:

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.course import Course
+from fenicsx_obstacle.answers.course import Course, renumbered
 from fenicsx_obstacle.answers.frames import FRAMES, files_of, load_course
 from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf
@@ -51,7 +51,8 @@ def save(answer: Answer, folder: Path) -> None:
             try:
                 for name, content in contents.items():
                     (scratch / name).write_bytes(content)
-                for name in {NEWTON, *FRAMES} - set(contents):
+                state = {"checkpoint.h5"} if answer.course is None else set[str]()
+                for name in {NEWTON, *FRAMES, *state} - set(contents):
                     (folder / name).unlink(missing_ok=True)
             except OSError as error:
                 raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
@@ -87,6 +88,10 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     V = level.V
     # where each dof stood when it was saved
     saved = np.asarray(mesh.geometry.input_global_indices)[releases.dof_nodes(V)]
+    if course is not None:
+        course = Course(
+            course.rows, tuple(renumbered(course.frames, points, gathered(comm, level.points.T[: level.owned])))
+        )
     fields: dict[str, fem.Function] = {}
     for name in set(arrays) - set(DERIVED):
         fields[name] = fem.Function(V)

@@ -81,14 +81,19 @@ class March:
             NotConverged: At a step that cannot be shortened. The state before it is in `keep` in both cases.
         """
         self._begin(restart)
+        try:
+            return self._advance(keep)
+        except InputError:
+            self._keep(keep)
+            raise
+
+    def _advance(self, keep: Path | None) -> Outcome:
+        """All steps (collective)."""
         dt, written = self._first_step(), self._now()
         while (t := self._next(dt)) is not None:
             before = self.steps.times[0]
             try:
                 outcomes = self._step(t)
-            except InputError:
-                self._keep(keep)
-                raise
             except NotConverged as error:
                 if self.moments.tolerance is None or dt < NO_STEP * self.moments.end:
                     self._keep(keep)
@@ -96,7 +101,7 @@ class March:
                         error.solver, f"{error.reason}, at {self.moments.name} = {t:g},", error.iterations,
                         eps=error.eps, h=error.h,
                     ) from None  # fmt: skip
-                dt, self._rejected = dt / 4, self._rejected + 1
+                dt, self._rejected = (t - before) / 4, self._rejected + 1
                 continue
             u = self._heights()
             if self.moments.tolerance is not None:
@@ -157,7 +162,7 @@ class March:
         u = problem.data.nodal(formula).x.array.copy()
         lower, upper = problem.obstacles()
         beyond = np.maximum(lower - u, u - upper)
-        beyond[np.flatnonzero(problem.fixed)] = -np.inf
+        beyond[problem.data.fixed[0]] = -np.inf
         height = largest(problem.level.comm, u) - smallest(problem.level.comm, u)
         worst = largest(problem.level.comm, beyond)
         if worst > CROSSES * max(height, abs(worst)) and worst > CROSSES * largest(problem.level.comm, np.abs(u)):
@@ -168,10 +173,15 @@ class March:
         """u_t at t = 0, ghosts included, with inertia."""
         if self.moments.order != INERTIA:
             return None
+        data = self.problem.data
+        edges_move = data.fixed[1] in data.moving
         if self.moments.velocity is None:
+            if edges_move:
+                raise InputError(f"{data.scene.source}: [time] velocity: is needed where boundary values move")
             return np.zeros(len(self.problem.w.x.array))
-        velocity = self.problem.data.nodal(self.moments.velocity).x.array.copy()
-        velocity[self.problem.data.fixed[0]] = 0.0
+        velocity = data.nodal(self.moments.velocity).x.array.copy()
+        if not edges_move:
+            velocity[data.fixed[0]] = 0.0
         return velocity
 
     def _now(self) -> float:
@@ -234,18 +244,21 @@ class March:
             "newton": None if last is None else last.iterations, "krylov": None if last is None else last.krylov,
         }  # fmt: skip
         state = self._state()
+        if last is None:  # nothing is in balance yet: there is no pressure
+            state.pressure.x.array[:] = state.touching.x.array[:] = 0.0
         figures: dict[str, Any] = {"energy": state.energy}
         if self.steps.velocity is not None:
             kinetic = self._kinetic()
             figures = {"energy": None if state.energy is None else state.energy + kinetic, "kinetic": kinetic}
-        if last is not None:  # before the first step nothing is in balance: there is no pressure
+        if last is not None:
             figures["contact_area"] = state.contact.area
             figures |= {f"force_{side}": force for side, force in state.sides(self.problem).items()}
             figures["penetration"] = state.contact.penetration
             figures |= self._reported(state)
         self.rows.append({**row, **figures})
         _log.info("%s = %g: %s Newton steps", self.moments.name, t, row["newton"])
-        due = len(self.frames) * self.moments.end / max(self.moments.frames, 1)
+        each = self.moments.end / max(self.moments.frames, 1)
+        due = (np.floor(self.frames[-1].t / each * (1 + NO_STEP)) + 1) * each if self.frames else 0.0
         last_one = t >= self.moments.end * (1 - NO_STEP)
         if self.moments.frames and (t >= due * (1 - NO_STEP) or last_one):
             self.frames.append(Frame(t, fields_of(self._fields(state))))

@@ -1,4 +1,4 @@
-"""Whether anything holds a membrane that is fixed nowhere: the only obstacle, if the load presses against it."""
+"""The forces on a membrane as a whole: whether any hold one that is fixed nowhere, and which are at work in a step."""
 
 from __future__ import annotations
 
@@ -48,3 +48,12 @@ def refuse_afloat(problem: Problem, net_load: float) -> None:
             f"{problem.scene.source}: u is given nowhere, and the load, {net_load:.3g} in all, does not press "
             f"against the {side} obstacle: no u is in balance; add a [[boundary]] with a value"
         )
+
+
+def forces_at_work(problem: Problem) -> float:
+    """Sum of |a(u, .) - f| over free dofs at the present heights: what moves them (collective).
+
+    In a step with inertia the residual at u = 0 is no measure of forces: mass over the square of a step outweighs all.
+    """
+    problem.forms.elastic(problem.elastic)
+    return total(problem.level.comm, np.abs(problem.elastic.array_r[~problem.fixed]))

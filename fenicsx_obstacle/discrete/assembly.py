@@ -192,7 +192,9 @@ class Nodal(Forms):
             self._lump(voronoi_areas(data.level.V))
 
     def _load(self) -> None:
-        if self._loads is not None:
+        if self._loads is None:
+            self._minus_load.set(0.0)
+        else:
             self._assemble(self._minus_load, self._loads)
         for forces in self._given():
             self._minus_load.array[:] -= forces

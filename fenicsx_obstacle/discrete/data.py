@@ -21,6 +21,7 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.materials import Value
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.vocabulary import TIME
 from fenicsx_obstacle.words import counted
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class Data(Limits):
         super().__init__(scene, level, moment)
         self._on_part: dict[str, fem.Function] = {}
         self._heights: dict[str, fem.Function] = {}
-        self._definite: set[str] = set()
+        self._definite: dict[str, tuple[tuple[Formula, ...], ...]] = {}
 
     @cached_property
     def motion(self) -> Motion:
@@ -72,6 +73,9 @@ class Data(Limits):
             InputError: If it is not finite somewhere.
         """
         self.renew()
+        for rows in self._definite.values():
+            if any(TIME in self.scene.needs(entry) for row in rows for entry in row):
+                self._check_definite(rows)
         assert self.scene.time is not None
         return self.scene.time.order > 0 and self.motion.follow()
 
@@ -155,11 +159,14 @@ class Data(Limits):
         """
         entries = [[self.cellwise(entry) for entry in row] for row in rows]
         if rows[0][0].place not in self._definite:
-            from fenicsx_obstacle.discrete.tensors import check_definite  # only where a scene has a matrix
-
-            check_definite(self, rows)
-            self._definite.add(rows[0][0].place)
+            self._check_definite(rows)
+            self._definite[rows[0][0].place] = rows
         return ufl.as_matrix(entries)
+
+    def _check_definite(self, rows: tuple[tuple[Formula, ...], ...]) -> None:
+        from fenicsx_obstacle.discrete.tensors import check_definite  # only where a scene has a matrix
+
+        check_definite(self, rows)
 
     def eigenvalues(self, rows: tuple[tuple[Formula, ...], ...]) -> np.ndarray:
         """Of the symmetric part, ascending, at local dofs of W, shape (dofs or 1, rows) (collective on first use)."""

@@ -33,8 +33,15 @@ class Moment:
     @classmethod
     def at_start(cls, moments: Moments) -> Moment:
         """Before a first step; with its numbers c, so that what is assembled now serves it."""
+        moment = cls(0.0, 0.0, 0.0)
+        moment.go_back(moments)
+        return moment
+
+    def go_back(self, moments: Moments) -> None:
+        """To t = 0, after a march."""
         dt = moments.step
-        return cls(0.0, 2 / dt, 4 / dt**2) if moments.order == INERTIA else cls(0.0, 1 / dt, 0.0)
+        self.t = 0.0
+        self.first, self.second = (2 / dt, 4 / dt**2) if moments.order == INERTIA else (1 / dt, 0.0)
 
 
 ROUND_OFF = 1e-9

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.admissible import check_admissible
-from fenicsx_obstacle.discrete.afloat import refuse_afloat
+from fenicsx_obstacle.discrete.afloat import forces_at_work, refuse_afloat
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
@@ -23,6 +23,7 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.signs import is_m_matrix
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes.moments import INERTIA
 from fenicsx_obstacle.scenes.scene import Scene
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
@@ -101,20 +102,19 @@ class Problem:
         return heights
 
     def move(self, heights: np.ndarray) -> bool:
-        """Take the data of the present moment, and let w be the state of these heights, ghosts included.
-
-        Returns:
-            Whether the stiffness has changed.
+        """Take the data of the present moment; w is the state of these heights then; whether the stiffness has changed.
 
         Raises:
             InputError: If no u can satisfy the data.
         """
         changed = self.forms.renew(self.A, stiffness=self.data.move())
-        if self.data.moving:
-            check_admissible(self.data)
+        check_admissible(self.data)
         self.__dict__.pop("m_matrix", None)
         self.load, self._net_load = self._loads()
+        refuse_afloat(self, self._net_load)
         self.refer(heights)
+        if self.scene.time is not None and self.scene.time.order == INERTIA:
+            self.load = forces_at_work(self)
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene
 
 EQUILIBRIA, RATE, INERTIA = 0, 1, 2  # orders of the derivatives in time
+COLUMNS = ("step", "dt", "newton", "krylov", "energy", "kinetic", "contact_area", "force_lower", "force_upper",
+           "penetration")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ def moments(scene: Scene) -> Moments | None:
         if moving:
             raise InputError(f"{source}: [effects] {moving[max(moving)]} needs a table [time] with end, steps, start")
         return None
+    for name in set(scene.report) & set(COLUMNS):
+        raise InputError(f"{source}: [report] {name}: history.csv has a column of this name; choose another")
     order = max(moving, default=EQUILIBRIA)
     end = scene.number(table.end, "[time] end")
     if end <= 0:

@@ -14,6 +14,7 @@ DEPTH = {"euler": 1, "bdf2": 2}  # of how many earlier moments a scheme makes u_
 SLOWER, FASTER = 0.2, 2.0  # how much a step may be shorter or longer than the one before
 WORTH = 1.3  # times the length: a longer step pays for the matrix that it changes
 SAFETY = 0.85
+SAME = 1e-9  # of a step: round-off of t
 
 
 class Steps:
@@ -34,7 +35,9 @@ class Steps:
     def prepare(self, problem: Problem, t: float) -> None:
         """Give the problem the differences of the step to t; its data follow with `Problem.move`."""
         assert problem.data.moment is not None
-        moment, dt = problem.data.moment, t - self.times[0]
+        assert problem.scene.time is not None
+        moment, dt, usual = problem.data.moment, t - self.times[0], problem.scene.time.step
+        dt = usual if abs(dt - usual) < SAME * usual else dt  # the numbers of the matrix stay, to the last digit
         moment.t = t
         if self.order == RATE:
             used = self._used()
@@ -70,7 +73,9 @@ class Steps:
         weights = extrapolation(t, self.times[:known])
         foreseen = sum(w * heights for w, heights in zip(weights, self.heights[:known], strict=True))
         c = difference([t, *self.times[:used]])[0]
-        return largest(problem.level.comm, np.abs(u - foreseen)) / (1 + c * (t - self.times[known - 1]))
+        off = np.abs(u - foreseen)
+        off[problem.data.fixed[0]] = 0.0  # data
+        return largest(problem.level.comm, off) / (1 + c * (t - self.times[known - 1]))
 
     def next_length(self, dt: float, error: float, tolerance: float) -> float:
         """Length of the next step, or of the same once more where its error was too large."""

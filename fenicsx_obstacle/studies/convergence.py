@@ -148,7 +148,8 @@ class Study:
         by, eps, extras = self.by, answer.record["eps"], {}
         if by == "eps" and eps is not None:
             extras["to_vi"] = self._bench.to_reference(answer)
-        if by == "h" and self._bench.work.exact is not None:
+        at_rest = self.last.time is None
+        if by == "h" and self._bench.work.exact is not None and at_rest:
             dual = self._bench.work.exact.dual.error(answer.pressure, eps)
             extras["errors"] = {**answer.record["errors"], "pressure_dual": dual}
         return extras
