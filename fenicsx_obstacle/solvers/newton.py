@@ -71,7 +71,7 @@ def solve_penalty(
     if successive:
         problem.refer(problem.cold_start())
     how = {"unchanged": successive, "least": least, "tolerance": tolerance}
-    if problem.affine or not problem.constrained:
+    if problem.affine or not problem.constrained or user_has_set("penalty_snes_max_it"):  # a limit is kept
         return require(_settled(problem, how, multigrid), problem, eps)
     start = problem.heights().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)

@@ -12,7 +12,7 @@ from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
-from fenicsx_obstacle.solvers.snes import Outcome, require, run
+from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
 
 # without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function
@@ -39,7 +39,7 @@ def solve_vi(
         NotConverged: With PETSc's reason.
     """
     how = {"least": least, "tolerance": tolerance}
-    if problem.affine or not problem.constrained:
+    if problem.affine or not problem.constrained or user_has_set("vi_snes_max_it"):  # a limit is kept
         return require(_settled(problem, multigrid, how), problem, None)
     start = problem.heights().x.array
     outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})

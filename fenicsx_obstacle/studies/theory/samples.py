@@ -59,6 +59,9 @@ class Small:
     def cold_start(self) -> np.ndarray:
         return np.zeros(len(self.b))
 
+    def obstacles(self) -> tuple[float, np.ndarray]:
+        return -np.inf, np.zeros(len(self.b))
+
     def refer(self, heights: np.ndarray) -> None:
         self.w.x.array[:] = heights
 
