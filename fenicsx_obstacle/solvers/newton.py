@@ -110,6 +110,8 @@ def _hardened(problem: Problem, eps: float, how: dict[str, Any]) -> Outcome:
     while softer > eps:
         problem.eps.value = softer
         outcomes.append(_settled(problem, {**how, "tolerance": max(how["tolerance"], HARDENING)}, None))
+        if not outcomes[-1].converged:  # harder obstacles will not mend what a soft one does not
+            return reduce(joined, outcomes)
         softer *= HARDER
     problem.eps.value = eps
     outcomes.append(_settled(problem, how, None))
