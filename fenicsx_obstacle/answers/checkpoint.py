@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.course import Course, Frame, renumbered
+from fenicsx_obstacle.answers.course import Course, Frame, from_groups, renumbered, to_arrays
 from fenicsx_obstacle.answers.paraview import to_hdf5
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
@@ -44,9 +44,7 @@ def write(folder: Path, level: Level, steps: Steps, course: Course) -> None:
             "times": np.array(steps.times),
             "rows": np.array(json.dumps([dict(row) for row in course.rows]).encode()),
         }
-        for number, frame in enumerate(course.frames):
-            fields = {"t": np.array(frame.t), **frame.fields}
-            arrays |= {f"frames/{number:04d}/{name}": values for name, values in fields.items()}
+        arrays |= {f"frames/{name}": values for name, values in to_arrays(course.frames).items()}
         content = to_hdf5(arrays)
         scratch = folder / f".{NAME}.part"
         try:
@@ -102,10 +100,7 @@ def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], lis
         with h5py.File(content) as file:
             stored = {name: values[()] for name, values in file.items() if name not in ("frames", "rows")}
             rows = json.loads(file["rows"][()])
-            frames = []
-            for one in file.get("frames", {}).values():
-                fields = {name: values[()] for name, values in one.items() if name != "t"}
-                frames.append(Frame(float(one["t"][()]), fields))
+            frames = from_groups(file.get("frames", {}).values())
         if not {"points", "times", "u0"} <= set(stored):
             raise ValueError("it holds no state")
     except (OSError, ValueError, KeyError, AttributeError) as error:

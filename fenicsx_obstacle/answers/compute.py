@@ -162,9 +162,11 @@ class Workbench:
         start = time.perf_counter()
         if problem.forms.multiplier is not None:  # of an earlier solve
             problem.forms.multiplier.x.array[:] = 0.0
-        if scene.time is not None and problem.data.moment is not None:
-            problem.data.moment.go_back(scene.time)  # from where an earlier march ended
-            problem.move(problem.cold_start())
+        moment = problem.data.moment
+        if scene.time is not None and moment is not None and moment.t > 0:  # an earlier march has left data at its end
+            moment.go_back(scene.time)
+            for one in (*(grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]), problem):
+                one.move(one.cold_start())
         method, course = method_of(problem, scene), None
         if scene.time is None:
             outcomes = self._at_rest(method, grids)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +42,18 @@ class Course:
     def column(self, name: str) -> np.ndarray:
         """A column of the rows, not-a-number where there is none."""
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
+
+
+def to_arrays(frames: Sequence[Frame]) -> dict[str, np.ndarray]:
+    """Frames as datasets of an HDF5 file, a group each."""
+    groups = enumerate({"t": np.array(frame.t), **frame.fields} for frame in frames)
+    return {f"{number:04d}/{name}": values for number, fields in groups for name, values in fields.items()}
+
+
+def from_groups(groups: Iterable[Any]) -> list[Frame]:
+    """Those frames again."""
+    return [Frame(float(one["t"][()]), {name: values[()] for name, values in one.items() if name != "t"})
+            for one in groups]  # fmt: skip
 
 
 def renumbered(frames: Sequence[Frame], old: np.ndarray, new: np.ndarray | None) -> list[Frame]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fenicsx_obstacle.answers.course import Course, Frame, from_csv, to_csv
+from fenicsx_obstacle.answers.course import Course, Frame, from_csv, from_groups, to_arrays, to_csv
 from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf
 from fenicsx_obstacle.errors import InputError
 
@@ -25,12 +25,8 @@ def files_of(course: Course, mesh: Mapping[str, np.ndarray]) -> dict[str, bytes]
     """
     files = {"history.csv": to_csv(course.rows).encode()}
     if course.frames:
-        arrays: dict[str, np.ndarray] = {}
-        for number, frame in enumerate(course.frames):
-            fields = {"t": np.array(frame.t), **frame.fields}
-            arrays |= {f"{number:04d}/{name}": values for name, values in fields.items()}
         moments: dict[float | None, Mapping[str, np.ndarray]] = {frame.t: frame.fields for frame in course.frames}
-        files |= dict(zip(FRAMES, (to_hdf5(arrays), xdmf(mesh, moments).encode()), strict=True))
+        files |= dict(zip(FRAMES, (to_hdf5(to_arrays(course.frames)), xdmf(mesh, moments).encode()), strict=True))
     return files
 
 
@@ -45,9 +41,7 @@ def load_course(folder: Path) -> Course:
         rows = from_csv((folder / "history.csv").read_text(encoding="utf-8"))
         if (folder / FRAMES[0]).exists():
             with h5py.File(folder / FRAMES[0]) as file:
-                for one in file.values():
-                    fields = {name: values[()] for name, values in one.items() if name != "t"}
-                    frames.append(Frame(float(one["t"][()]), fields))
+                frames = from_groups(file.values())
     except (OSError, ValueError, KeyError, AttributeError, csv.Error) as error:
         raise InputError(f"{folder}: the saved answer is damaged: its course in time: {error}") from None
     return Course(rows, tuple(frames))

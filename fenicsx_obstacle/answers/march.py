@@ -140,7 +140,6 @@ class March:
             self._move(self.steps.times[0], self.steps.heights[0])
             self._remember()
             return
-        self._move(0.0, problem.cold_start())  # an earlier march has left the data at its end
         if moments.order == EQUILIBRIA:
             self.steps = Steps(moments.order, moments.scheme, 0.0, problem.cold_start())
             problem.refer(self.steps.heights[0])

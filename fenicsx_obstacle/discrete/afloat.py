@@ -8,6 +8,7 @@ import numpy as np
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes.moments import INERTIA
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.problem import Problem
@@ -50,10 +51,13 @@ def refuse_afloat(problem: Problem, net_load: float) -> None:
         )
 
 
-def forces_at_work(problem: Problem) -> float:
-    """Sum of |a(u, .) - f| over free dofs at the present heights: what moves them (collective).
+def forces_at_work(problem: Problem, load: float) -> float:
+    """The load, or in a step with inertia the sum of |a(u, .) - f| over free dofs at the present heights (collective).
 
-    In a step with inertia the residual at u = 0 is no measure of forces: mass over the square of a step outweighs all.
+    There the residual at u = 0, the load, is no measure of forces: mass over the square of a step outweighs all.
     """
+    time = problem.scene.time
+    if time is None or time.order != INERTIA:
+        return load
     problem.forms.elastic(problem.elastic)
     return total(problem.level.comm, np.abs(problem.elastic.array_r[~problem.fixed]))

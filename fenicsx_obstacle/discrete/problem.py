@@ -23,7 +23,6 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.signs import is_m_matrix
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.moments import INERTIA
 from fenicsx_obstacle.scenes.scene import Scene
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
@@ -108,13 +107,14 @@ class Problem:
             InputError: If no u can satisfy the data.
         """
         changed = self.forms.renew(self.A, stiffness=self.data.move())
-        check_admissible(self.data)
-        self.__dict__.pop("m_matrix", None)
+        if self.data.moving:
+            check_admissible(self.data)
+        if changed:
+            self.__dict__.pop("m_matrix", None)
         self.load, self._net_load = self._loads()
         refuse_afloat(self, self._net_load)
         self.refer(heights)
-        if self.scene.time is not None and self.scene.time.order == INERTIA:
-            self.load = forces_at_work(self)
+        self.load = forces_at_work(self, self.load)
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
