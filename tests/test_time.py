@@ -364,13 +364,14 @@ def test_states_are_of_one_mesh(folder):
 
 
 @pytest.mark.serial
-def test_at_rest_nothing_of_time_is_imported():
+def test_at_rest_nothing_of_time_is_imported(tmp_path):
     """A scene without [time] imports no module of steps, marches or courses."""
     code = (
-        "import sys; from fenicsx_obstacle import Scene, solve;"
-        "solve(Scene(mesh={'shape': 'interval', 'cells': 8}, tension=1, load=-1, lower=-0.1));"
+        "import sys; from fenicsx_obstacle import Answer, Scene, solve;"
+        "solve(Scene(mesh={'shape': 'interval', 'cells': 8}, tension=1, load=-1, lower=-0.1)).save('out');"
+        "Answer.read('out');"
         "print([name for name in sys.modules if name.startswith('fenicsx_obstacle') and name.rsplit('.', 1)[-1] in"
-        " ('motion', 'steps', 'march', 'checkpoint')])"
+        " ('motion', 'steps', 'march', 'checkpoint', 'course', 'frames')])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout.strip() == "[]"

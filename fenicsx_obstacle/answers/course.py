@@ -43,6 +43,10 @@ class Course:
         """A column of the rows, not-a-number where there is none."""
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
 
+    def renumbered(self, old: np.ndarray, new: np.ndarray | None) -> Course:
+        """With frames in the order of points `new`, their nodes stood at `old`."""
+        return Course(self.rows, tuple(renumbered(self.frames, old, new)))
+
 
 def to_arrays(frames: Sequence[Frame]) -> dict[str, np.ndarray]:
     """Frames as datasets of an HDF5 file, a group each."""

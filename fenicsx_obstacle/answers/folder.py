@@ -7,7 +7,7 @@ import io
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -16,18 +16,20 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.course import Course, renumbered
-from fenicsx_obstacle.answers.frames import FRAMES, files_of, load_course
 from fenicsx_obstacle.answers.linear import linear
-from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf
+from fenicsx_obstacle.answers.paraview import FRAMES, to_hdf5, xdmf
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import gathered, new_files, on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
+if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.course import Course
+
 _CELL = {2: "interval", 3: "triangle", 4: "tetrahedron"}
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
+_OF_TIME = {NEWTON, *FRAMES}
 FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
 DERIVED = ("gap",)  # written for ParaView, not read back
 
@@ -47,12 +49,14 @@ def save(answer: Answer, folder: Path) -> None:
                 "fields.xdmf": xdmf(arrays, {None: arrays}).encode(),
             }
             if answer.course is not None:
+                from fenicsx_obstacle.answers.frames import files_of  # only where a scene has time
+
                 contents |= {NEWTON: contents["history.csv"], **files_of(answer.course, arrays)}
             try:
                 for name, content in contents.items():
                     (scratch / name).write_bytes(content)
                 state = {"checkpoint.h5"} if answer.course is None else set[str]()
-                for name in {NEWTON, *FRAMES, *state} - set(contents):
+                for name in (_OF_TIME | state) - set(contents):
                     (folder / name).unlink(missing_ok=True)
             except OSError as error:
                 raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
@@ -76,6 +80,8 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(missing)}")
         record = _record(folder)
         if "time" in record:
+            from fenicsx_obstacle.answers.frames import load_course
+
             return record, arrays, _steps(folder / NEWTON), load_course(folder)
         return record, arrays, _steps(folder / "history.csv"), None
 
@@ -89,9 +95,7 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     # where each dof stood when it was saved
     saved = np.asarray(mesh.geometry.input_global_indices)[releases.dof_nodes(V)]
     if course is not None:
-        course = Course(
-            course.rows, tuple(renumbered(course.frames, points, gathered(comm, level.points.T[: level.owned])))
-        )
+        course = course.renumbered(points, gathered(comm, level.points.T[: level.owned]))
     fields: dict[str, fem.Function] = {}
     for name in set(arrays) - set(DERIVED):
         fields[name] = fem.Function(V)

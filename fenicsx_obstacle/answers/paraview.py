@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import h5py
 import numpy as np
 
+FRAMES = ("frames.h5", "frames.xdmf")  # the fields at the moments of a scene with [time]
 _TOPOLOGY = {2: "Polyline", 3: "Triangle", 4: "Tetrahedron"}
 
 
