@@ -34,7 +34,7 @@ def test_own_poisson_equals_the_scene(eps):
     assert np.isclose(answer.contact.area, same.record["contact"]["area"], rtol=1e-9)
     assert np.isclose(answer.contact.upper_force, same.record["contact"]["upper"]["force"], rtol=1e-8)
     assert answer.u is u
-    assert largest(COMM, u.x.array) <= 0.3 + 8e-6
+    assert largest(COMM, u.x.array) <= (0.3 + 8e-6) * (1 + 1e-12)  # eps max|p|, and p = f in contact
     assert largest(COMM, answer.pressure.x.array) <= 0
 
 
