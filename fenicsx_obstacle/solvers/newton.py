@@ -99,7 +99,7 @@ def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None)
         # sets also repeat where contact is with an obstacle that w does not count from
         if outcome.reason == GREW or not problem.refer_to_contact(blunt=outcome.blunt):
             break
-        outcome = joined(outcome, _attempts(problem, {**how, "least": 0}, multigrid))
+        outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
     return outcome
 
 
@@ -165,7 +165,7 @@ def joined(first: Outcome, second: Outcome) -> Outcome:
     return Outcome(
         first.solver, first.iterations + second.iterations, first.krylov + second.krylov,
         first.history + second.history, first.seconds + second.seconds, second.reason,
-        second.blunt,
+        second.blunt, second.active,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
@@ -48,6 +49,7 @@ class Outcome:
         seconds: Time of the iteration.
         reason: PETSc's reason.
         blunt: Balance was only reached up to the round-off of w.
+        active: Which obstacle holds each owned node, as in `Stopping.before`.
     """
 
     solver: str
@@ -57,6 +59,7 @@ class Outcome:
     seconds: float
     reason: int
     blunt: bool = False
+    active: np.ndarray | None = None
 
     @property
     def converged(self) -> bool:
@@ -129,7 +132,7 @@ def run(
     problem.take(x)
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
-        time.perf_counter() - start, snes.getConvergedReason(), stopping.blunt,
+        time.perf_counter() - start, snes.getConvergedReason(), stopping.blunt, stopping.before,
     )  # fmt: skip
     for owner in (snes, x, residual):
         owner.destroy()

@@ -69,6 +69,8 @@ class Stopping:
         shrinking: Checks that active sets shrink, where they must.
         blunt: Balance was only reached up to the round-off of w.
         exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
+        before: Which obstacle held each owned node at the last state, -1 lower, 1 upper, 0 none; before the first one
+            what an earlier attempt has found, if there was one.
         history: One `Step` per evaluation.
     """
 
@@ -83,8 +85,8 @@ class Stopping:
     shrinking: Shrinking | None = None
     blunt: bool = False
     exact: bool = False
+    before: np.ndarray | None = None
     history: list[Step] = field(default_factory=list)
-    _last: np.ndarray | None = None
     _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
     _krylov: int = 0
 
@@ -94,7 +96,7 @@ class Stopping:
         comm = problem.level.comm
         elastic = problem.elastic.array_r
         active, residual = self._active(elastic)
-        changed = active != self._last if self._last is not None else active != 0
+        changed = active != self.before if self.before is not None else active != 0
         forces = problem.load + total(comm, np.abs(elastic[problem.fixed | problem.bearing(active != 0)]))
         unbalanced = total(comm, np.abs(residual))
         krylov = snes.getLinearSolveIterations()
@@ -108,7 +110,7 @@ class Stopping:
         self.history.append(step)
         _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
                   iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
-        self._last, self._krylov = active, krylov
+        self.before, self._krylov = active, krylov
         if not np.isfinite(unbalanced):  # on all ranks, being a sum over them
             return NOT_A_NUMBER
         if self.shrinking is not None and self.shrinking.broken(snes.ksp, active != 0, elastic):
@@ -131,12 +133,6 @@ class Stopping:
     def begin_again(self) -> None:
         """Go on with another SNES, which counts its iterations from 0."""
         self._krylov = 0
-
-    @property
-    def active(self) -> np.ndarray:
-        """Owned nodes in contact at the last state."""
-        assert self._last is not None
-        return self._last != 0
 
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""

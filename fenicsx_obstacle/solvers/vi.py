@@ -55,7 +55,7 @@ def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
     for _ in range(COUNTED_ANEW):
         if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
             break
-        outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0}))
+        outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0, "before": outcome.active}))
     return outcome
 
 
