@@ -1,16 +1,14 @@
 # Obstacle problems in a container; docs/container.md has the commands.
 FROM debian:trixie
 
-COPY debian-packages.txt /tmp/
+COPY debian-packages.txt debian-packages-python.txt /tmp/
 # Everything comes from Debian: nothing of PyPI is fetched. Debian's dolfinx brings what one needs to compile against it in
 # C++; FFCx compiles C at run time, so that gcc, libc and Python keep their headers, and the rest goes in the same layer.
 RUN apt-get update \
- && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $(cat /tmp/debian-packages.txt) \
-    python3-click python3-hypothesis python3-msgspec python3-pytest python3-pytest-timeout python3-setuptools \
-    python3-sybil python3-sympy python3-tomli-w python3-tqdm \
+ && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $(cat /tmp/debian-packages*.txt) \
  && dpkg-query -W -f '${Package}\n' | grep -E '^(g\+\+|gfortran|lib(boost|dolfinx|eigen|stdc\+\+|vtk).*-dev$)' \
   | xargs dpkg --purge --force-depends \
- && rm -rf /var/lib/apt/lists/* /tmp/debian-packages.txt /usr/share/doc/*
+ && rm -rf /var/lib/apt/lists/* /tmp/debian-packages*.txt /usr/share/doc/*
 
 COPY . /opt/fenicsx_obstacle
 # editable: demos/ and tests/ are found beside the package

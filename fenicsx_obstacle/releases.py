@@ -1,6 +1,6 @@
 """What differs between dolfinx 0.5, 0.9 and 0.11; every other module knows one spelling only.
 
-Covered and tried: 0.5.2 (Debian 12), 0.9.0 (Debian 13), 0.11.0 (Debian sid).
+The README says which releases were tested, and when; tests/releases.sh tests them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ import gc
 import logging
 import math
 import os
+import re
 import time
+import warnings
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -26,9 +28,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.corealg.traversal import unique_pre_traversal
 
-VERSION = tuple(int(part) for part in dolfinx.__version__.split(".")[:2])
+VERSION = tuple(map(int, re.findall(r"\d+", dolfinx.__version__)[:2]))
+TRIED = {(0, 5), (0, 9), (0, 11)}
 OLD = VERSION < (0, 7)  # ufl elements, AdjacencyList dofmaps
 NEW = VERSION >= (0, 10)  # create_vector(V), io.gmsh
+
+if VERSION not in TRIED and MPI.COMM_WORLD.rank == 0:
+    tried = ", ".join(f"{major}.{minor}" for major, minor in sorted(TRIED))
+    warnings.warn(f"fenicsx_obstacle was tried with dolfinx {tried}, not with {dolfinx.__version__}", stacklevel=2)
 
 if np.issubdtype(PETSc.ScalarType, np.complexfloating):
     raise ImportError("this PETSc computes with complex numbers: fenicsx_obstacle needs one with real numbers")
@@ -207,11 +214,8 @@ def create_mesh(comm: MPI.Comm, cells: np.ndarray, points: np.ndarray, cell: str
 
 
 def _partitioner(stay: bool) -> Any:
-    if stay:
-        return dmesh.create_cell_partitioner(_stay, FACET_GHOSTS)
-    if VERSION >= (0, 11):
-        return _cpp.mesh.create_cell_partitioner(FACET_GHOSTS, 2)
-    return dmesh.create_cell_partitioner(FACET_GHOSTS)
+    cells_at_a_facet = [2] if VERSION >= (0, 11) else []
+    return dmesh.create_cell_partitioner(*([_stay] if stay else []), FACET_GHOSTS, *cells_at_a_facet)
 
 
 def _stay(comm: MPI.Comm, parts: int, graph: Any, ghosting: bool) -> Any:

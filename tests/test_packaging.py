@@ -11,6 +11,7 @@ import pytest
 from test_cli import CLEAN
 
 import fenicsx_obstacle
+from fenicsx_obstacle import releases
 
 pytestmark = pytest.mark.serial
 
@@ -55,6 +56,17 @@ def test_missing_libraries_are_named():
     assert done.returncode == 1
     assert "does not find dolfinx, ufl, petsc4py, mpi4py" in done.stderr
     assert "apt-get install python3-dolfinx" in done.stderr
+
+
+def test_an_unknown_release_of_dolfinx_is_a_warning(tmp_path):
+    """One that was not tried, with the spellings of one that was: the answer comes, and a line before it."""
+    other = {(0, 5): "0.6.0", (0, 9): "0.8.0"}.get(releases.VERSION, "0.12.0.dev0")
+    code = f"import dolfinx; dolfinx.__version__ = {other!r}; from fenicsx_obstacle.__main__ import main; main()"
+    command = [sys.executable, "-c", code, "solve", "ball", "--cells", "16"]
+    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, cwd=tmp_path, timeout=150, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "contact area" in done.stdout
+    assert done.stderr.count(f"was tried with dolfinx 0.5, 0.9, 0.11, not with {other}") == 1
 
 
 def test_one_version():
