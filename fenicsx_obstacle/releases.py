@@ -44,6 +44,9 @@ if np.issubdtype(PETSc.ScalarType, np.complexfloating):
 UFL_ERRORS = (ArithmeticError, TypeError, ValueError, *([ufl.log.UFLException] if OLD else []))
 atan2 = getattr(ufl, "atan2", None) or ufl.atan_2
 FACET_GHOSTS = dmesh.GhostMode.shared_facet
+# SNES's reason for a residual that is infinite or not a number, under its name before PETSc 3.25 and since
+_reasons = PETSc.SNES.ConvergedReason
+NOT_A_NUMBER = getattr(_reasons, "DIVERGED_FNORM_NAN", None) or _reasons.DIVERGED_FUNCTION_NANORINF
 JIT_WAIT = 25  # seconds to wait for another process that compiles the same form
 
 

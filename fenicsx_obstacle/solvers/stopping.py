@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.shrinking import Shrinking
@@ -30,7 +31,6 @@ CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
 TOO_MANY = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
-NOT_A_NUMBER = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
 
 
@@ -112,7 +112,7 @@ class Stopping:
                   iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
         self.before, self._krylov = active, krylov
         if not np.isfinite(unbalanced):  # on all ranks, being a sum over them
-            return NOT_A_NUMBER
+            return releases.NOT_A_NUMBER
         if self.shrinking is not None and self.shrinking.broken(snes.ksp, active != 0, elastic):
             return GREW
         # balance in this scale holds only with the right active set; nodes that still change then
@@ -203,12 +203,11 @@ def in_words(reason: int) -> str:
     """PETSc's reason for stopping, in words."""
     names = {value: name for name, value in vars(PETSc.SNES.ConvergedReason).items() if isinstance(value, int)}
     words = {
-        "DIVERGED_MAX_IT": "the limit of steps was reached",
-        "DIVERGED_LINEAR_SOLVE": "a linear system could not be solved",
-        "DIVERGED_LINE_SEARCH": "the line search found no descent",
-        "DIVERGED_FNORM_NAN": "the residual became infinite or not a number",
-        "DIVERGED_LOCAL_MIN": "the active sets repeat themselves",
-        "DIVERGED_INNER": "an active set grew on an M-matrix, which shows an error in this program or its libraries",
+        TOO_MANY: "the limit of steps was reached",
+        PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: "a linear system could not be solved",
+        PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: "the line search found no descent",
+        releases.NOT_A_NUMBER: "the residual became infinite or not a number",
+        CYCLING: "the active sets repeat themselves",
+        GREW: "an active set grew on an M-matrix, which shows an error in this program or its libraries",
     }
-    name = names.get(reason, str(reason))
-    return f"{words.get(name, 'the nonlinear solver gave up')} ({name})"
+    return f"{words.get(reason, 'the nonlinear solver gave up')} ({names.get(reason, reason)})"
