@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Tests the last commit on releases of Debian, each with its own dolfinx, PETSc, Open MPI and Python, and prints a table:
 #   tests/releases.sh [RELEASE...] [-- ARGUMENTS OF PYTEST]      bookworm, trixie and sid, if none is named
-# The release of this machine is tested in this clone. Each other one has a root, 3 GB, which is made at the first call from
-# the archive that apt knows here, and kept: in $OBSTACLE_ROOTS, or in ~/.cache/fenicsx_obstacle/releases.
+# The release of this machine is tested in this clone. Each other one has a root, 3 to 4 GB, made at the first call from the
+# archive that apt knows here, and kept: in $OBSTACLE_ROOTS, or in ~/.cache/fenicsx_obstacle/releases.
 set -euo pipefail
 trap 'exit 130' INT TERM
 
@@ -61,11 +61,13 @@ fill_root() {
       .venv/bin/pip install --quiet --no-build-isolation --no-deps --editable .
       touch .venv/image
     fi
+    apt-get clean
     ./obstacle --version' >&2 || fail "what the tests need could not be installed on $1"
 }
 
 releases=()
 while [ $# -gt 0 ] && [ "$1" != -- ]; do
+  [[ "$1" =~ ^[a-z]+$ ]] || fail "names of releases come first, then -- and what pytest is to know; $1 is no name"
   releases+=("$1")
   shift
 done
