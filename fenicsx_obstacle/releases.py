@@ -44,9 +44,10 @@ if np.issubdtype(PETSc.ScalarType, np.complexfloating):
 UFL_ERRORS = (ArithmeticError, TypeError, ValueError, *([ufl.log.UFLException] if OLD else []))
 atan2 = getattr(ufl, "atan2", None) or ufl.atan_2
 FACET_GHOSTS = dmesh.GhostMode.shared_facet
-# SNES's reason for a residual that is infinite or not a number, under its name before PETSc 3.25 and since
+# SNES's reason for a residual that is infinite or not a number, and the option for the longest step
 _reasons = PETSc.SNES.ConvergedReason
 NOT_A_NUMBER = getattr(_reasons, "DIVERGED_FNORM_NAN", None) or _reasons.DIVERGED_FUNCTION_NANORINF
+LONGEST_STEP = f"snes_linesearch_max{'step' if PETSc.Sys.getVersion() < (3, 24) else 'lambda'}"
 JIT_WAIT = 25  # seconds to wait for another process that compiles the same form
 
 

@@ -94,7 +94,7 @@ def rims(patch: Patch, plane: tuple[int, int] = (0, 1)) -> list[np.ndarray]:
     """
     points = patch.points[:, plane]
     x, y, z = points[patch.cells].transpose(1, 0, 2)
-    left = np.cross(y - x, z - x) > 0
+    left = np.linalg.det(np.stack([y - x, z - x], axis=1)) > 0
     oriented = Patch(patch.points, np.where(left[:, None], patch.cells, patch.cells[:, ::-1]), {})
     following: dict[int, list[int]] = {}
     for start, end in boundary(oriented).cells.tolist():

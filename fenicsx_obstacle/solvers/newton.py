@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
@@ -22,7 +23,7 @@ NEWTON = {
     "snes_type": "newtonls",
     "snes_max_it": 500,
     "snes_max_funcs": 100000,
-    "snes_linesearch_maxstep": 1e100,  # PETSc's 1e8 is a length, and cuts steps where heights are large numbers
+    releases.LONGEST_STEP: 1e100,  # PETSc's 1e8 is a length, and cuts steps where heights are large numbers
     # `Stopping` decides alone; PETSc's tests return wrong answers as converged for small eps
     "snes_rtol": 0.0,
     "snes_stol": 0.0,
