@@ -11,7 +11,7 @@ from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.parallel import write_text
-from fenicsx_obstacle.studies.faults.disk import COMMANDS, FULL, _refused, _run
+from fenicsx_obstacle.studies.faults.disk import ALONE, COMMANDS, FULL, _refused, _run
 from fenicsx_obstacle.studies.faults.kill import interrupts
 
 pytestmark = pytest.mark.serial
@@ -25,7 +25,7 @@ def test_files_that_may_not_grow(tmp_path):
         folder = tmp_path / str(size)
         shutil.copytree(tmp_path / "before", folder)
         limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
-        assert _refused("solve", 1, command, folder, CLEAN, FULL, limit).wrong == ""
+        assert _refused("solve", 1, command, folder, {**CLEAN, **ALONE}, FULL, limit).wrong == ""
 
 
 def test_devices_are_written_as_they_are(tmp_path):

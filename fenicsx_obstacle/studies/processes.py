@@ -18,7 +18,9 @@ import click
 
 def launch(ranks: int, *arguments: str) -> list[str]:
     """The command that runs Python with these arguments on so many ranks."""
-    mpirun = ["mpirun", "-q", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
+    # without the banner of Open MPI 4; 5 and 6 take no -q
+    quiet = ["--mca", "orte_execute_quiet", "1"]
+    mpirun = ["mpirun", *quiet, "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
     return [*mpirun, sys.executable, *arguments]
 
 

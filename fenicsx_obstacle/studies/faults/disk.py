@@ -28,6 +28,7 @@ COMMANDS = {
     "study": ("study", "disk_flat", "--cells", "8", "--vary", "eps=1e-1..1e-3"),
 }
 PATIENCE = 60.0
+ALONE = {"OMPI_MCA_btl": "self"}  # one rank needs no shared memory, which Open MPI 5 and 6 make of files
 
 
 def disks(root: Path, environment: Mapping[str, str]) -> Iterator[Fault]:
@@ -43,7 +44,8 @@ def disks(root: Path, environment: Mapping[str, str]) -> Iterator[Fault]:
             folder = root / f"limited-{size}" / name
             shutil.copytree(earlier / name, folder)
             limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
-            yield _refused(f"{name}: files of {size} bytes at most", 1, command, folder, environment, FULL, limit)
+            alone = {**environment, **ALONE}
+            yield _refused(f"{name}: files of {size} bytes at most", 1, command, folder, alone, FULL, limit)
     yield from _mounted(root, earlier, environment)
 
 
