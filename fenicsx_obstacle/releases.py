@@ -33,10 +33,6 @@ TRIED = {(0, 5), (0, 9), (0, 11)}
 OLD = VERSION < (0, 7)  # ufl elements, AdjacencyList dofmaps
 NEW = VERSION >= (0, 10)  # create_vector(V), io.gmsh
 
-if VERSION not in TRIED and MPI.COMM_WORLD.rank == 0:
-    tried = ", ".join(f"{major}.{minor}" for major, minor in sorted(TRIED))
-    warnings.warn(f"fenicsx_obstacle was tried with dolfinx {tried}, not with {dolfinx.__version__}", stacklevel=2)
-
 if np.issubdtype(PETSc.ScalarType, np.complexfloating):
     raise ImportError("this PETSc computes with complex numbers: fenicsx_obstacle needs one with real numbers")
 
@@ -58,9 +54,13 @@ def quiet() -> None:
     for handler in logging.getLogger().handlers + logging.getLogger("UFL").handlers:
         if type(handler) is logging.StreamHandler:
             handler.setLevel(logging.ERROR)
+    logging.captureWarnings(False)  # FFCx 0.9 gives them to a logger that shows none
 
 
 quiet()
+if VERSION not in TRIED and MPI.COMM_WORLD.rank == 0:
+    tried = ", ".join(f"{major}.{minor}" for major, minor in sorted(TRIED))
+    warnings.warn(f"fenicsx_obstacle was tried with dolfinx {tried}, not with {dolfinx.__version__}", stacklevel=2)
 
 
 def called(value: Any) -> Any:
