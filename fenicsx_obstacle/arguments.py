@@ -44,16 +44,24 @@ def _load_plugins(_context: click.Context, _parameter: click.Parameter, files: t
 def options(*names: str) -> Callable[[Any], Any]:
     """The shared options of these names, as one decorator."""
     shared = {
-        "cells": click.option("--cells", type=int, metavar="N", help="Cells per side (shapes)."),
-        "refine": click.option("--refine", type=int, metavar="N", help="Uniform refinements."),
-        "element": click.option("--element", metavar="NAME", help="Pair of spaces and rule.  [P1]"),
+        "cells": click.option("--cells", type=int, metavar="N", help="Cells along x, of shapes.  [32]"),
+        "refine": click.option("--refine", type=int, metavar="N", help="How often to halve all edges.  [0]"),
+        "element": click.option(
+            "--element",
+            metavar="NAME",
+            help="Pair of spaces and rule: P1, Q1, P2, Q2, P1-voronoi or Q1-gauss.  [P1 or Q1, by the cells]",
+        ),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
         "start": click.option("--start", metavar="NAME", help="nested (from coarse grids on) or cold.  [nested]"),
         "eps": click.option("--eps", metavar="E", help="Penalty parameter: auto, a number, or a formula in h.  [auto]"),
-        "set": click.option("--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key: define.ecc=0.9."),
-        "output": click.option("--output", type=Place(), metavar="DIR", help="Folder for results."),
-        "json": click.option("--json", "json_file", metavar="FILE", help="Figures as JSON; - is standard output."),
-        "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve as well."),
+        "set": click.option(
+            "--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key of the scene: effects.load=-2."
+        ),
+        "output": click.option("--output", type=Place(), metavar="DIR", help="Folder for results.  [in out/SCENE]"),
+        "json": click.option(
+            "--json", "json_file", metavar="FILE", help="The figures, as lines of JSON; - is standard output."
+        ),
+        "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve, to compare."),
         "plugin": click.option(
             "--plugin",
             multiple=True,

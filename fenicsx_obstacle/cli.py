@@ -24,7 +24,8 @@ class _Ordered(click.Group):
 def commands() -> None:
     """Obstacle problems by the penalty finite element method, on FEniCSx and PETSc.
 
-    All commands run under mpirun; './obstacle --ranks N COMMAND' calls it. PETSc options follow --.
+    Options win over the scene; brackets show what holds where neither says it. All commands run under mpirun;
+    './obstacle --ranks N COMMAND' calls it. PETSc options follow --.
     """
 
 
@@ -34,7 +35,7 @@ def commands() -> None:
 @click.option("--bound", is_flag=True, help="Bound the energy error: guaranteed, or the output says why not.")
 @click.option("--tol", type=float, metavar="R", help="Relative energy error to reach; chooses meshes and eps.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
-@click.option("--budget", metavar="LIMIT", help="Stop earlier with the best answer: 60s, 8GB, '1e6 unknowns'.")
+@click.option("--budget", metavar="LIMIT", help="With a tolerance: stop earlier: 60s, 8GB, '1e6 unknowns'.")
 @click.option("--restart", type=Place(), metavar="DIR", help="With [time]: go on from the state in this folder.")
 @options(
     *("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "plugin", "output", "json", "quiet"),
@@ -56,9 +57,8 @@ def solve(
 ) -> None:
     """Solve a scene: u, contact pressure p, contact set.
 
-    Writes answer.json, scene.toml, history.csv, fields.xdmf (for ParaView), free_boundary.csv and
-    report.html into out/SCENE; with [time] also frames.xdmf, history.png and, now and then, the state
-    from which --restart goes on.
+    SCENE is a file, or a name that 'scenes' lists. Writes answer.json, scene.toml, history.csv, fields.xdmf (ParaView),
+    free_boundary.csv and report.html into out/SCENE; with [time] frames.xdmf, history.png, a state for --restart too.
     """
     scene = _read(scene_file)  # a mistake in it is told before finite elements are loaded
     from fenicsx_obstacle.answers.adapt import solve
@@ -85,10 +85,10 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@click.option("--tol", type=float, metavar="R", help="Also what 'solve --tol R' will take, from a few seconds of it.")
+@click.option("--tol", type=float, metavar="R", help="Also forecast 'solve --tol R', from a few seconds of it.")
 @options("set", "cells", "refine", "element", "method", "start", "eps", "plugin")
 def explain(scene_file: str, tol: float | None, **given: Any) -> None:
-    """Print the equation that is assembled, the solver, and what is left out."""
+    """Print the equation, the solver, and what a scene leaves out."""
     scene = _read(scene_file)
     from fenicsx_obstacle.answers.changes import changed
     from fenicsx_obstacle.show.explain import explain
@@ -104,7 +104,7 @@ def explain(scene_file: str, tol: float | None, **given: Any) -> None:
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
-              help="A,B,C or A..B (doubles; by tens for eps) or A..B:N (N values); several make a grid.")  # fmt: skip
+              help="A,B,C or A..B (by factors of 2; eps: 10) or A..B:N (N values); several make a grid.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
 @click.option("--latex", type=Place(), metavar="FILE", help="The table as LaTeX.")
 @options("set", "cells", "refine", "element", "method", "start", "eps", "plugin", "output", "json", "quiet", "log")
@@ -118,11 +118,13 @@ def study(
     latex: Path | None,
     **given: Any,
 ) -> None:
-    """Solve a scene for each value of a key: errors, observed orders, time.
+    """Solve a scene for each value of a key: errors, orders, time.
+
+    Writes rows, pictures and a page into out/SCENE/KEY. An interrupted run goes on where it was.
 
     \b
-    study disk.toml --vary eps=1e-1..1e-8              against the SNES VI solution, h fixed
-    study ball.toml --vary cells=16..128 --eps "h^2"   against the exact solution
+    study disk.toml --vary eps=1e-1..1e-8             against the SNES VI solution
+    study ball.toml --vary cells=16..128 --eps "h^2"  against the exact solution
     """
     scene, values = _read(scene_file), dict(varied(item) for item in vary)
     if len(values) < len(vary):
@@ -153,10 +155,10 @@ def cost(
     fresh: bool,
     **given: Any,
 ) -> None:
-    """What accuracy costs: error against time for many ways to solve a scene, and the price of the next digit.
+    """What accuracy costs: error against time for many ways to solve.
 
-    Writes rows.jsonl, pictures and a page into out/SCENE/cost. Meshes become finer until a row would exceed
-    the budget; an interrupted run goes on where it was.
+    Also the price of the next digit. Writes rows, pictures and a page into out/SCENE/cost. Meshes become
+    finer until a row would exceed the budget; an interrupted run goes on where it was.
     """
     scene = _read(scene_file)
     from fenicsx_obstacle.show.cost import report_cost
@@ -178,7 +180,7 @@ def cost(
 def compare(first: Path, second: Path, json_file: str | None) -> None:
     """Compare two saved results: norms, contact sets, forces.
 
-    Also on different meshes: the difference is taken at the nodes of the finer one.
+    A and B are folders of 'solve'. Meshes may differ: the difference is taken at the nodes of the finer one.
     """
     from fenicsx_obstacle.answers.answer import Answer
     from fenicsx_obstacle.answers.difference import compare
@@ -196,9 +198,9 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 @click.option("--output", type=Place(), metavar="FILE", help="Another file.  [RESULT/answer.png]")
 @options("plugin")
 def plot(result: Path, output: Path | None) -> None:
-    """Draw a saved result: u, contact set and pressure; its page shows the picture too.
+    """Draw a saved result: u, contact set and pressure.
 
-    A file of --output may be .png, .pdf or .svg; the page is then left as it is.
+    RESULT is a folder of 'solve'; its page then shows the picture, unless --output (.png, .pdf, .svg) is given.
     """
     from fenicsx_obstacle.answers.answer import Answer
     from fenicsx_obstacle.show.report import report_answer
@@ -228,7 +230,7 @@ def scenes(name: str | None) -> None:
               help="Folder for pictures and JSON lines.  [out/theory]")  # fmt: skip
 @options("json", "quiet", "log")
 def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
-    """Kikuchi's statements, checked: what is claimed, what is observed, and a verdict.
+    """Check Kikuchi's statements: claimed, observed, and a verdict.
 
     NO is the number of a theorem, example or equation, such as 3.3 or 5.5; all of them without it.
     """
@@ -245,7 +247,7 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 
 @commands.command()
 @click.argument("name", metavar="[NAME]", required=False)
-@click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: so many random scenes.")
+@click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: N random scenes.")
 @click.option("--broken", is_flag=True, help="Instead: input that is wrong in every way, and what is said about it.")
 @click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
 @click.option("--output", type=Place(), default=Path("out/hard"), metavar="DIR",
@@ -254,9 +256,9 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 def hard(
     name: str | None, count: int | None, broken: bool, faults: bool, output: Path, json_file: str | None, quiet: bool
 ) -> int:
-    """Hard scenes: every answer checked against the theory, and a verdict: right, refused or FAILED.
+    """Solve hard scenes, and check every answer against the theory.
 
-    NAME is one scene of the suite, or a family; all of them without it. Exit status 3 if anything has failed.
+    NAME is a scene or a family; all without it. Verdicts: right, refused or FAILED, the last with exit status 3.
     """
     from fenicsx_obstacle.show.broken import show_broken
     from fenicsx_obstacle.show.chance import show_random
@@ -284,7 +286,7 @@ def hard(
 @click.option("--output", type=Place(), default=Path("out/demo"), metavar="DIR",
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
-    """The main job on the scenes of demos/: eps- and h-study, tables, pictures."""
+    """In a clone: solve scenes of demos/, vary eps and h, draw."""
     from fenicsx_obstacle.show.demo import run_demo
     from fenicsx_obstacle.show.progress import progress
 
