@@ -64,6 +64,11 @@ MISTAKES = {
     "unknown key": (BASE.replace("cells", "cels"), r"\[mesh\] unknown key 'cels'; did you mean 'cells'"),
     "unknown effect": (BASE + "lod = 1\n", r"\[effects\] unknown effect 'lod'; did you mean 'load'"),
     "wrong type": (BASE.replace("4", '"many"'), r"\[mesh\] cells = 'many': expected a whole number"),
+    "idle key": (
+        BASE.replace("cells", "radius"),
+        r"\[mesh\] radius = 4: says nothing about shape = 'rectangle'; these keys do: cells",
+    ),
+    "one bracket": (BASE + "[boundary]\nvalue = 0\n", r"\[boundary\]: write \[\[boundary\]\], in double brackets"),
     "unknown choice": (BASE.replace("rectangle", "rectangel"), "'rectangel' is not known; did you mean 'rectangle'"),
     "no cells": (BASE.replace("4", "0"), r"\[mesh\] cells = 0: expected a whole number >= 1"),
     "too many cells": (BASE.replace("4", "2000000") + EDGE, "of memory"),

@@ -36,6 +36,13 @@ class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     perturb: Annotated[float, Meta(ge=0, lt=0.5)] = 0.0
 
 
+OF_SHAPE = {  # keys that say something about it, beside `cells` and `refine`
+    "interval": ("x",), "rectangle": ("x", "y", "cell", "diagonal", "perturb"),
+    "box": ("x", "y", "z", "cell", "perturb"), "l-shape": ("x", "y"), "disk": ("radius",),
+}  # fmt: skip
+_OF_ANY = ("shape", "file", "cells", "refine")
+
+
 class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[obstacle]: what u may touch but not cross."""
 
@@ -179,10 +186,28 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
     """
     if isinstance(parts := raw.get("boundary"), list) and len(parts) > MAX_PARTS:
         raise InputError(f"{source}: [[boundary]]: {len(parts)} tables; the limit is {MAX_PARTS}")
+    if isinstance(raw.get("boundary"), dict):
+        raise InputError(
+            f"{source}: [boundary]: write [[boundary]], in double brackets: each part has a table of its own"
+        )
     try:
-        return msgspec.convert(raw, Tables)
+        typed = msgspec.convert(raw, Tables)
     except msgspec.ValidationError as error:
         raise InputError(f"{source}: {_in_words(str(error), raw)}") from None
+    _no_idle_key(typed.mesh, raw.get("mesh", {}), source)
+    return typed
+
+
+def _no_idle_key(mesh: MeshTable, given: dict[str, Any], source: str) -> None:
+    """Refuse keys of [mesh] that say nothing about the shape or the file: a disk that is to be moved would stay."""
+    known, default = (*_OF_ANY, *OF_SHAPE.get(mesh.shape or "", ())), MeshTable()
+    for key in given:
+        if key not in known and getattr(mesh, key) != getattr(default, key):
+            of = f"shape = '{mesh.shape}'" if mesh.shape else "a mesh from a file"
+            says = ", ".join(known[2:])
+            raise InputError(
+                f"{source}: [mesh] {key} = {_short(given[key])}: says nothing about {of}; these keys do: {says}"
+            )
 
 
 def _in_words(message: str, raw: dict[str, Any]) -> str:
