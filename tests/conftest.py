@@ -22,6 +22,10 @@ HOOKS = COMM.Dup()  # the tests' own collective calls must not meet those of the
 PATIENCE = 30  # seconds
 DEMOS = Path(__file__).parent.parent / "demos"
 BENCHMARKS = DEMOS.parent / "benchmarks"
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # workers are started by a process in which MPI runs; what it has set would keep their own mpirun from starting
+    for name in ("OMPI_APP_CTX_NUM_PROCS", "OMPI_MCA_ess", "OMPI_MCA_orte_ess_num_procs", "OMPI_MCA_pmix"):
+        os.environ.pop(name, None)
 
 
 def pytest_configure(config: pytest.Config) -> None:
