@@ -32,6 +32,7 @@ def commands() -> None:
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
+@click.option("--newton", is_flag=True, help="Draw newton.gif: the active sets, step by step, beside those of (3.4)*.")
 @click.option("--bound", is_flag=True, help="Bound the energy error: guaranteed, or the output says why not.")
 @click.option("--tol", type=float, metavar="R", help="Relative energy error to reach; chooses meshes and eps.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
@@ -44,6 +45,7 @@ def commands() -> None:
 def solve(
     scene_file: str,
     picture: bool,
+    newton: bool,
     bound: bool,
     tol: float | None,
     tol_absolute: float | None,
@@ -76,7 +78,7 @@ def solve(
             restart=restart, keep=folder if scene.time is not None else None,
         )  # fmt: skip
         answer.save(folder)
-        drawn = report_answer(answer, folder, picture=picture)
+        drawn = report_answer(answer, folder, picture=picture, newton=newton)
     if json_file is not None:
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
@@ -206,7 +208,7 @@ def plot(result: Path, output: Path | None) -> None:
     from fenicsx_obstacle.show.report import report_answer
 
     answer = Answer.read(result)
-    tell(report_answer(answer, result, picture=True) if output is None else answer.plot(output))
+    tell(report_answer(answer, result, picture=True) if output is None else answer.plot(output).said)
 
 
 @commands.command()

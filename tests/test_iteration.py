@@ -8,6 +8,7 @@ from fenicsx_obstacle import NotConverged, solve
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes.hard import case
 from fenicsx_obstacle.solvers.newton import solve_penalty
 from fenicsx_obstacle.solvers.snes import defaults
 from fenicsx_obstacle.studies.theory.iteration import (
@@ -140,3 +141,11 @@ def test_inexact_systems_are_no_error(disk, eps):
         rough = solve(scene)
     assert entered(rough.history) > 0
     assert np.isclose(rough.record["energy"], solve(scene).record["energy"], rtol=1e-10)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_the_check_of_shrinking_sets_knows_nodes_without_obstacle():
+    """Most nodes of this scene have no obstacle: their distance to it is infinite, before and after a step."""
+    answer = solve(case("valves").on(0), method="successive", eps=1e-6)
+    assert answer.record["m_matrix"]
+    assert len(answer.history) > 2

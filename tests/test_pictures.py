@@ -178,7 +178,7 @@ def test_every_shape_has_a_picture(shape, folder, monkeypatch):
     """By matplotlib alone; pyvista's turn comes below."""
     monkeypatch.setattr(warped, "find_spec", lambda name: None)
     answer = solve(membrane(mesh={"shape": shape, "cells": 8}, load=8, upper=0.1))
-    said = answer.plot(folder / f"{shape}.png")
+    said = answer.plot(folder / f"{shape}.png").said
     assert "drawn by " in said
     assert len(np.unique((pixels(folder / f"{shape}.png") * 255).astype(int).reshape(-1, 3), axis=0)) > 200
 
@@ -228,7 +228,7 @@ def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
     monkeypatch.setattr(warped, "find_spec", lambda name: code if code is None else True)
     monkeypatch.setattr(warped, "_WORKER", [sys.executable, "-c", code or ""])
     monkeypatch.setattr(warped, "PATIENCE", 1.0 if "took" in why else 60.0)
-    assert solve(disk, cells=4).plot(folder / "disk.png").endswith(f"drawn by matplotlib, because {why}")
+    assert solve(disk, cells=4).plot(folder / "disk.png").said.endswith(f"drawn by matplotlib, because {why}")
 
 
 def test_pyvista_sees_nothing_of_our_mpi(disk, folder, monkeypatch):
@@ -236,12 +236,12 @@ def test_pyvista_sees_nothing_of_our_mpi(disk, folder, monkeypatch):
     code = "import os, sys; sys.exit(' '.join(k for k in os.environ if k.startswith(('OMPI_', 'PMIX_'))) or 'clean')"
     monkeypatch.setattr(warped, "find_spec", lambda name: True)
     monkeypatch.setattr(warped, "_WORKER", [sys.executable, "-c", code])
-    assert "pyvista failed (clean)" in solve(disk, cells=8).plot(folder / "disk.png")
+    assert "pyvista failed (clean)" in solve(disk, cells=8).plot(folder / "disk.png").said
 
 
 def test_pyvista_draws_where_it_is(ball, folder):
     pytest.importorskip("pyvista")
-    said = solve(ball, cells=16).plot(folder / "ball.png")
+    said = solve(ball, cells=16).plot(folder / "ball.png").said
     assert said.endswith("drawn by pyvista")
 
 

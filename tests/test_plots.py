@@ -12,6 +12,8 @@ from fenicsx_obstacle.show import warped
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.tables import StudyTable
+from fenicsx_obstacle.show.theory import drawing
+from fenicsx_obstacle.studies.theory.statement import Curve, Found, Panel
 
 BUMP = {"load": -4, "lower": "-c", "define": {"c": 0.1}}
 
@@ -164,3 +166,18 @@ def test_a_refused_study_leaves_nothing(disk, folder):
 def test_mistakes_in_calls(vary, options, message, disk):
     with pytest.raises(InputError, match=message):
         study(disk, vary, **options)
+
+
+def test_a_legend_of_many_curves_covers_none():
+    """Beside the panels, once, where it would not fit into them."""
+    if COMM.rank != 0:
+        return
+    curves = [Curve(f"family {k}", [1e-8, 1e-2], [k, 2 * k]) for k in range(14)]
+    page = drawing(Found([], [Panel("one", "eps", "steps", curves), Panel("two", "eps", "steps", curves)]), "many")
+    page.canvas.draw()
+    (legend,) = [axes.get_legend() for axes in page.axes if axes.get_legend() is not None]
+    box = legend.get_window_extent()
+    assert not any(box.overlaps(axes.get_window_extent()) for axes in page.axes)
+    assert box.x0 >= page.bbox.x0
+    assert box.x1 <= page.bbox.x1
+    assert box.y0 >= page.bbox.y0

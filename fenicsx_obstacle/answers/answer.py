@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.bound import Bound
     from fenicsx_obstacle.answers.course import Course
     from fenicsx_obstacle.discrete.levels import Level
+    from fenicsx_obstacle.show.pictures import Picture
 
 
 LOST = 1e-3  # relative round-off of a pressure that is worth telling
@@ -225,15 +226,18 @@ class Answer:
 
         return read(Path(folder))
 
-    def plot(self, path: str | Path) -> str:
-        """Draw u with its obstacles, free boundary and pressure into a file: .png, .pdf or .svg (collective).
+    def plot(self, path: str | Path | None = None) -> Picture:
+        """Draw u with its obstacles, free boundary and pressure (collective).
+
+        Args:
+            path: A file to write, too: .png, .pdf or .svg.
 
         Returns:
-            One line: the file, who drew it, and why.
+            The picture, which notebooks show, and in its words who drew it, and why.
 
         Raises:
             InputError: If the name has another ending, or the file cannot be written.
         """
         from fenicsx_obstacle.show.pictures import draw_answer
 
-        return draw_answer(self, Path(path))
+        return draw_answer(self, None if path is None else Path(path))

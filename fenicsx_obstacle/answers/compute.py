@@ -30,6 +30,7 @@ from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.snes import Outcome
+from fenicsx_obstacle.solvers.stopping import Watch
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 if TYPE_CHECKING:
@@ -138,6 +139,7 @@ class Workbench:
         bound: bool = False,
         restart: Path | None = None,
         keep: Path | None = None,
+        watch: Watch | None = None,
     ) -> Answer:
         """Solve with the [solve] table of `scene` (collective).
 
@@ -147,6 +149,7 @@ class Workbench:
             bound: Bound the energy error as well.
             restart: With [time]: folder with the state to begin from.
             keep: With [time]: folder for states on the way.
+            watch: Is told of each Newton step, on all levels.
 
         Raises:
             InputError: For a bad eps, or elements that the bound is not for.
@@ -168,6 +171,8 @@ class Workbench:
             for one in (*(grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]), problem):
                 one.move(one.cold_start())
         method, course = method_of(problem, scene), None
+        if watch is not None:
+            method = replace(method, solve=partial(method.solve, watch=watch))
         if scene.time is None:
             outcomes = self._at_rest(method, grids)
             last = outcomes[-1]

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _CELL = {2: "interval", 3: "triangle", 4: "tetrahedron"}
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
+STEPS = "newton.gif"  # drawn on demand; of an older answer it goes like what belongs to time
 _OF_TIME = {NEWTON, *FRAMES}
 FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
 DERIVED = ("gap",)  # written for ParaView, not read back
@@ -56,7 +57,7 @@ def save(answer: Answer, folder: Path) -> None:
                 for name, content in contents.items():
                     (scratch / name).write_bytes(content)
                 state = {"checkpoint.h5"} if answer.course is None else set[str]()
-                for name in (_OF_TIME | state) - set(contents):
+                for name in ({STEPS, *_OF_TIME} | state) - set(contents):
                     (folder / name).unlink(missing_ok=True)
             except OSError as error:
                 raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None

@@ -10,7 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.course import Course, Frame
-from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, figure, plain, save
+from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, figure, plain, save, write_gif
 from fenicsx_obstacle.show.plan import triangles
 from fenicsx_obstacle.show.simplices import patch_of
 
@@ -58,23 +58,21 @@ def animate(answer: Answer, arrays: Arrays, path: Path) -> str:
     Returns:
         One line: what is drawn.
     """
-    from matplotlib.animation import PillowWriter
-
-    course, dim = _course(answer), arrays["cells"].shape[1] - 1
-    show = _moving_line if dim == 1 else _moving_map
-    page, draw = show(answer, course, arrays)
-    writer = PillowWriter(fps=PER_SECOND)
-    scratch = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        with writer.saving(page, str(scratch), dpi=90):
-            for frame in course.frames:
-                draw(frame)
-                page.suptitle(f"{_moments(answer).name} = {frame.t:.4g}", fontsize=11)
-                writer.grab_frame()
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    course, (page, draw) = _course(answer), moving(answer, arrays)
+    write_gif(page, path, PER_SECOND, course.frames, draw)
     return f"{path}: {len(course.frames)} moments"
+
+
+def moving(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
+    """A figure of the fields, and what draws one moment into it (one rank)."""
+    course, dim = _course(answer), arrays["cells"].shape[1] - 1
+    page, draw = (_moving_line if dim == 1 else _moving_map)(answer, course, arrays)
+
+    def draw_moment(frame: Frame) -> None:
+        draw(frame)
+        page.suptitle(f"{_moments(answer).name} = {frame.t:.4g}", fontsize=11)
+
+    return page, draw_moment
 
 
 def is_animated(answer: Answer, arrays: Arrays) -> bool:

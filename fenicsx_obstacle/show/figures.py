@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +80,30 @@ def save(page: Any, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         page.savefig(scratch)
+        scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
+
+
+def write_gif(page: Any, path: Path, per_second: float, frames: Iterable[Any], draw: Callable[[Any], None]) -> None:
+    """Write an animation in one step (one rank).
+
+    Args:
+        page: Figure.
+        path: GIF.
+        per_second: Frames in a second; such as are alike become one that stays longer.
+        frames: What `draw` is called with.
+        draw: Changes the figure.
+    """
+    from matplotlib.animation import PillowWriter
+
+    writer = PillowWriter(fps=per_second)
+    scratch = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        with writer.saving(page, str(scratch), dpi=90):
+            for frame in frames:
+                draw(frame)
+                writer.grab_frame()
         scratch.replace(path)
     finally:
         scratch.unlink(missing_ok=True)

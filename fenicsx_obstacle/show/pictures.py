@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +23,43 @@ from fenicsx_obstacle.show.space import draw_view
 PRESSURE = "contact pressure p"
 
 
-def draw_answer(answer: Answer, path: Path) -> str:
-    """Draw an answer into a file, PNG, PDF or SVG by its name (collective).
+@dataclass(frozen=True, repr=False)
+class Picture:
+    """A picture of an answer; a notebook shows it where it is the last line of a cell.
 
-    Returns:
-        One line: the file, who drew it, and why.
+    Attributes:
+        said: One line: the file, if there is one, who drew it, and why.
+        page: Figure of matplotlib on rank 0, None elsewhere.
+    """
+
+    said: str
+    page: Any
+
+    def __repr__(self) -> str:
+        return self.said
+
+    def _repr_png_(self) -> bytes | None:
+        if self.page is None:
+            return None
+        data = io.BytesIO()
+        self.page.savefig(data, format="png")
+        return data.getvalue()
+
+
+def draw_answer(answer: Answer, path: Path | None) -> Picture:
+    """Draw an answer, into a file, PNG, PDF or SVG by its name, if there is one (collective).
 
     Raises:
         InputError: If the name has another ending, the file cannot be written, or the mesh is a network of intervals.
     """
-    check_name(path)
-    arrays = gather(answer)
-    return on_root(answer.level.comm, _draw, answer, arrays, path)
+    if path is not None:
+        check_name(path)
+    arrays, pages = gather(answer), list[Any]()  # the page stays on rank 0
+    said = on_root(answer.level.comm, _draw, answer, arrays, path, pages)
+    return Picture(said, pages[0] if pages else None)
 
 
-def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path) -> str:
+def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path | None, pages: list[Any]) -> str:
     patch, u = with_levels(patch_of(arrays)), plain(answer.scene.tables.u)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if kind == 2 and gdim > 1:
@@ -47,6 +71,9 @@ def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path) -> str:
     else:
         page, who = _flat(patch, u) if gdim == 2 else _curved(patch, u)
     page.suptitle(plain(answer.scene.tables.title or answer.scene.name), fontsize=12)
+    pages.append(page)
+    if path is None:
+        return f"drawn by {who}"
     save(page, path)
     return f"{path}: drawn by {who}"
 

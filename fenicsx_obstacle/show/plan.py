@@ -34,7 +34,7 @@ def draw_plan(page: Any, axis: Any, patch: Patch, scale: Any, u: str, pressure: 
     contact, lines = relief.touching(patch), free_boundary(patch)
     axis.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     edges = rims(patch)
-    _outline(axis, edges)
+    outline(axis, edges)
     if len(contact.cells):
         axis.tripcolor(triangles(contact), contact.fields["pressure"], shading="gouraud",
                        cmap=scale.cmap, norm=scale.norm, zorder=1)  # fmt: skip
@@ -76,7 +76,7 @@ def triangles(patch: Patch, plane: tuple[int, int] = (0, 1)) -> Any:
     return Triangulation(*patch.points[:, plane].T, patch.cells)
 
 
-def _outline(axis: Any, edges: list[np.ndarray]) -> None:
+def outline(axis: Any, edges: list[np.ndarray]) -> None:
     """The domain: filled, and all its boundaries as thin lines; lines around holes run the other way round."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path

@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.answers.folder import STEPS, gather
 from fenicsx_obstacle.answers.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
@@ -26,10 +26,10 @@ PICTURE = "answer.png"
 Say = Callable[[str], None]
 
 
-def report_answer(answer: Answer, folder: Path, *, picture: bool) -> str:
+def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool = False) -> str:
     """Write free_boundary.csv, the page and, if asked for, the picture of an answer into its folder (collective).
 
-    Without `picture`, one that an earlier answer left there is removed.
+    Without `picture`, one that an earlier answer left there is removed. `newton` draws the way to the answer as well.
 
     Returns:
         One line: who drew it, and why; or how to draw it.
@@ -41,7 +41,7 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool) -> str:
     on_root(comm, _write_free_boundary, arrays, folder / "free_boundary.csv")
     file = folder / PICTURE if picture and _has_picture(answer) else None
     if file is not None:
-        said = answer.plot(file)
+        said = answer.plot(file).said
         if answer.bound is not None:
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
@@ -49,6 +49,10 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool) -> str:
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
+    if newton:
+        from fenicsx_obstacle.show.newton import animate_newton  # only where it is asked for
+
+        said += "\n  " + animate_newton(answer, folder / STEPS)
     moving = None
     if answer.course is not None:
         moving, words = on_root(comm, _draw_course, answer, arrays, folder, picture)
@@ -125,7 +129,7 @@ def _report(
     if last is not None:
         last.save(folder / "last")
         if _has_picture(last):
-            say(last.plot(folder / "last" / PICTURE))
+            say(last.plot(folder / "last" / PICTURE).said)
         on_root(comm, write_text, folder / "last" / "row", rows[-1]["key"])
     drawn = on_root(comm, _draw_study, folder, study, rows, table)
     say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', 'last/', *drawn, page.NAME])}")

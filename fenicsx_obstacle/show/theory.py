@@ -18,6 +18,7 @@ from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Pan
 
 HEADS = ("statement", "quantity", "claimed", "expected", "observed", "verdict")
 LINES = "theory.jsonl"
+CROWDED = 6  # curves that leave no room for a legend
 
 
 def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
@@ -70,12 +71,18 @@ def drawing(found: Found, title: str) -> Any:
     """The picture of a statement: one panel beside the other, at most three in a row."""
     columns = min(len(found.panels), 3)
     rows = math.ceil(len(found.panels) / columns)
-    page, axes = figure(4.6 * columns, 3.9 * rows, rows, columns)
+    labels = {tuple(curve.label for curve in panel.curves) for panel in found.panels}
+    crowded = len(labels) == 1 and len(found.panels[0].curves) > CROWDED
+    page, axes = figure(4.6 * columns + 1.5 * crowded, 3.9 * rows, rows, columns)
     flat = [axes] if len(found.panels) == 1 else list(axes.flat)
     for part in flat[len(found.panels) :]:
         part.set_axis_off()
     for part, panel in zip(flat, found.panels, strict=False):
         _panel(part, panel)
+        if not crowded:
+            part.legend(fontsize=7)
+    if crowded:  # one legend beside all panels: within them it would cover curves
+        flat[columns - 1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
     page.suptitle(textwrap.fill(title, 55 * columns), fontsize=11)
     return page
 
@@ -104,7 +111,6 @@ def _panel(axes: Any, panel: Panel) -> None:
     axes.set_ylabel(panel.y)
     axes.tick_params(which="minor", labelsize=6)
     axes.grid(True, which="major", color="0.9")
-    axes.legend(fontsize=7)
 
 
 def _slope(axes: Any, curve: Curve, colour: str) -> None:

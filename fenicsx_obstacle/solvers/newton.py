@@ -17,7 +17,7 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.shrinking import Shrinking
 from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
-from fenicsx_obstacle.solvers.stopping import GREW, TOLERANCE, TOO_MANY, Stopping
+from fenicsx_obstacle.solvers.stopping import GREW, TOLERANCE, TOO_MANY, Stopping, Watch
 
 NEWTON = {
     "snes_type": "newtonls",
@@ -45,6 +45,7 @@ def solve_penalty(
     multigrid: Multigrid | None = None,
     least: int = 0,
     tolerance: float = TOLERANCE,
+    watch: Watch | None = None,
 ) -> Outcome:
     """Solve (3.4) from the problem's present state (collective).
 
@@ -61,6 +62,7 @@ def solve_penalty(
         multigrid: Preconditioner; by default algebraic multigrid.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
+        watch: Is told of each step.
 
     Returns:
         The converged outcome, iterations of all attempts together.
@@ -71,7 +73,7 @@ def solve_penalty(
     problem.eps.value = eps
     if successive:
         problem.refer(problem.cold_start())
-    how = {"unchanged": successive, "least": least, "tolerance": tolerance}
+    how = {"unchanged": successive, "least": least, "tolerance": tolerance, "watch": watch}
     if problem.affine or not problem.constrained or user_has_set("penalty_snes_max_it"):  # a limit is kept
         return require(_settled(problem, how, multigrid), problem, eps)
     start = problem.heights().x.array

@@ -49,14 +49,15 @@ class Shrinking:
         springs = np.where(before, problem.weights / float(problem.eps.value), 0.0)
         left = np.abs(elastic + self._side * springs * np.where(before, excess, 0.0))
         left[problem.fixed] = 0.0
-        rise, self._excess = excess - self._excess, excess
+        entered = active & ~before
+        # of nodes that enter alone: below no obstacle the excess is -inf, now as before
+        rise, self._excess = excess[entered] - self._excess[entered], excess
         known, self._left = self._left, left
         self._steps += 1
-        entered = active & ~before
-        if self._steps == 1 or total(problem.level.comm, np.count_nonzero(entered)) == 0:
+        if self._steps == 1 or total(problem.level.comm, len(rise)) == 0:
             return False
-        allowed = self._lift(ksp, known + left)
-        return total(problem.level.comm, np.count_nonzero(rise[entered] > ROOM * allowed[entered])) > 0
+        allowed = self._lift(ksp, known + left)[entered]
+        return total(problem.level.comm, np.count_nonzero(rise > ROOM * allowed)) > 0
 
     def _lift(self, ksp: PETSc.KSP, forces: np.ndarray) -> np.ndarray:
         """How far forces move the membrane that is held where it was in the last step."""

@@ -7,6 +7,7 @@ Here the unbalanced force, summed over the free nodes, is compared with the forc
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import blake2b
@@ -53,6 +54,10 @@ class Step:
     krylov: int
 
 
+# told of each step, with the obstacle that holds each owned point of I: -1 lower, 1 upper, 0 none (collective)
+Watch = Callable[[Problem, Step, np.ndarray], None]
+
+
 @dataclass
 class Stopping:
     """PETSc convergence test: active set unchanged, and forces in balance.
@@ -67,6 +72,7 @@ class Stopping:
         patience: Steps after which to give up.
         touching: How near to a bound a node touches it (bounds only).
         shrinking: Checks that active sets shrink, where they must.
+        watch: Is told of each step.
         blunt: Balance was only reached up to the round-off of w.
         exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
         before: Which obstacle held each owned node at the last state, -1 lower, 1 upper, 0 none; before the first one
@@ -83,6 +89,7 @@ class Stopping:
     patience: int = 10**9
     touching: float = 0.0
     shrinking: Shrinking | None = None
+    watch: Watch | None = None
     blunt: bool = False
     exact: bool = False
     before: np.ndarray | None = None
@@ -108,6 +115,8 @@ class Stopping:
             krylov=krylov - self._krylov,
         )
         self.history.append(step)
+        if self.watch is not None:
+            self.watch(problem, step, active)
         _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
                   iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
         self.before, self._krylov = active, krylov

@@ -13,7 +13,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
-from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping
+from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping, Watch
 
 # without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function
 LOST = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
@@ -22,7 +22,12 @@ VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
 
 def solve_vi(
-    problem: Problem, *, multigrid: Multigrid | None = None, least: int = 0, tolerance: float = TOLERANCE
+    problem: Problem,
+    *,
+    multigrid: Multigrid | None = None,
+    least: int = 0,
+    tolerance: float = TOLERANCE,
+    watch: Watch | None = None,
 ) -> Outcome:
     """Solve a(u, v - u) >= f(v - u) for all v between the obstacles, from the present state (collective).
 
@@ -31,6 +36,7 @@ def solve_vi(
         multigrid: Preconditioner; by default algebraic multigrid.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
+        watch: Is told of each step.
 
     Returns:
         The converged outcome.
@@ -38,7 +44,7 @@ def solve_vi(
     Raises:
         NotConverged: With PETSc's reason.
     """
-    how = {"least": least, "tolerance": tolerance}
+    how = {"least": least, "tolerance": tolerance, "watch": watch}
     if problem.affine or not problem.constrained or user_has_set("vi_snes_max_it"):  # a limit is kept
         return require(_settled(problem, multigrid, how), problem, None)
     start = problem.heights().x.array
@@ -62,7 +68,7 @@ def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
 def _from_penalty(problem: Problem, how: dict[str, Any]) -> Outcome:
     """From the solution with a small eps. PETSc's line search goes by the norm of the residual, which for what is not
     linear has minima of its own; the penalty has the energy, which has none."""
-    first = solve_penalty(problem, NEAR * soft_eps(problem))
+    first = solve_penalty(problem, NEAR * soft_eps(problem), watch=how["watch"])
     return joined(first, _settled(problem, None, how))
 
 

@@ -1,0 +1,241 @@
+"""The pictures of docs/gallery.md, from what other commands have measured and from solves of some seconds.
+
+    ./obstacle cost ball
+    .venv/bin/python benchmarks/ladder.py demos/ball.toml --cells 8..512 --eps h^2,1e-12 --beside --times 1 \\
+        --json out/ladder.jsonl
+    ./obstacle hard
+    .venv/bin/python benchmarks/pictures.py            # all of them, or those that are named: ball newton digit ...
+
+Verdicts, times and counts are those of the files; nothing is drawn that was not measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mosaic import mosaic
+from PIL import Image
+
+from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.show import relief
+from fenicsx_obstacle.show.boundary import free_boundary, with_levels
+from fenicsx_obstacle.show.cost_tables import duration
+from fenicsx_obstacle.show.figures import BLUE, COLOURS, MARKERS, VERMILION, figure
+from fenicsx_obstacle.show.newton import animate_newton
+from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, outline, strokes, triangles
+from fenicsx_obstacle.show.simplices import patch_of, rims
+from fenicsx_obstacle.show.space import draw_view
+from fenicsx_obstacle.studies.price import cheapest, relative, solved
+
+ROOT = Path(__file__).parent.parent
+GALLERY, DEMOS = ROOT / "docs" / "gallery", ROOT / "demos"
+PLASTIC = "#E69F00"
+DIGITS = (1, 1.5, 2, 2.5, 3)
+CELLS, EPS = (8, 11, 16, 23, 32, 45, 64, 91, 128), np.logspace(0, -7, 15)  # of the map
+WIDTH, TINTS = 1500, 128  # pixels; colours of a picture, which keep it small
+
+
+def main() -> None:
+    """Draw those that are named."""
+    drawn = {"ball": ball, "newton": newton, "digit": digit, "steps": steps, "map": over, "known": known, "hard": hard}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", choices=[*drawn, []], metavar="NAME", default=[])
+    parser.add_argument("--cost", type=Path, default=Path("out/ball/cost/rows.jsonl"))
+    parser.add_argument("--ladder", type=Path, default=Path("out/ladder.jsonl"))
+    parser.add_argument("--hard", type=Path, default=Path("out/hard/hard.jsonl"))
+    options = parser.parse_args()
+    GALLERY.mkdir(exist_ok=True)
+    for name in options.names or drawn:
+        print(drawn[name](options))
+
+
+def ball(_: Any) -> str:
+    """The usual picture of an answer."""
+    picture = solve(Scene.read(DEMOS / "ball.toml"), cells=128).plot()
+    return kept("ball", picture.page)
+
+
+def newton(_: Any) -> str:
+    """Active sets of (3.4)* and of Newton from coarse levels, moving."""
+    answer = solve(Scene.read(DEMOS / "ball.toml"), cells=64, eps=1e-6)
+    return animate_newton(answer, GALLERY / "newton.gif")
+
+
+def steps(options: Any) -> str:
+    """Newton and CG steps over the number of cells: what a cold start takes, and what starts from coarser levels do."""
+    rows = lines_of(options.ladder)
+    ways = {
+        "vi-amg-cold": ("SNES VI and BoomerAMG, cold start", VERMILION),
+        "vi": ("SNES VI, level by level", "#E69F00"),
+        "eps=1e-12": ("penalty, eps = 1e-12", "#56B4E9"),
+        "eps=h^2": ("penalty, eps = h$^2$", BLUE),
+    }
+    titles = {"newton_iterations": "Newton steps", "krylov_iterations": "linear (CG) steps in all of them"}
+    page, panels = figure(10.0, 4.4, columns=2)
+    for axes, (key, title) in zip(panels, titles.items(), strict=True):
+        for number, (way, (label, colour)) in enumerate(ways.items()):
+            part = {row["cells"]: row[key] for row in rows if row["way"] == way}
+            cells = sorted(part)
+            look = {"color": colour, "marker": MARKERS[number], "markersize": 9 - 1.5 * number, "label": label}
+            axes.plot(cells, [part[n] for n in cells], linewidth=2, **look)
+            if number in (0, len(ways) - 1):
+                axes.annotate(f"{part[cells[-1]]}", (cells[-1], part[cells[-1]]), textcoords="offset points",
+                              xytext=(-4, 7), ha="right", color=colour, fontsize=11, weight="bold")  # fmt: skip
+        axes.set_xscale("log", base=2)
+        axes.set(xlabel="N, cells a side", title=f"{title}, on the finest mesh")
+        axes.set_xticks(cells, [str(n) for n in cells])
+        axes.minorticks_off()
+        axes.grid(True, color="0.9")
+    panels[0].legend(fontsize=9, loc="upper left")
+    page.suptitle("Membrane over a ball: steps from a cold start, and from the next coarser level", fontsize=12)
+    return kept("steps", page)
+
+
+def digit(options: Any) -> str:
+    """Error against time, and what each digit takes from whoever is cheapest."""
+    rows = lines_of(options.cost)
+    page, (left, right) = figure(11.0, 4.6, columns=2, widths=(1.25, 1))
+    names = ("P1 VI cold", "P1 eps = h", "P1 auto", "P2 auto", "P1 adaptive", "P2 adaptive")
+    tints = ("0.55", COLOURS[1], COLOURS[0], "#56B4E9", COLOURS[2], "#E69F00")
+    for name, tint, marker in zip(names, tints, "os^Dv*", strict=True):
+        part = [row for row in solved(rows) if row["choice"] == name]
+        left.loglog([row["seconds"] for row in part], [relative(row, "energy") for row in part], label=name,
+                    color=tint, marker=marker, linewidth=1.8, markersize=6)  # fmt: skip
+    left.set(xlabel="seconds, mesh and estimates included", ylabel="relative error, energy norm")
+    left.grid(True, color="0.9")
+    left.legend(fontsize=9, loc="lower left")
+    for k in DIGITS:
+        way = next(iter(cheapest(rows, "energy", 10.0**-k)), None)
+        if way is not None and way[0].measured(10.0**-k):
+            right.bar(k, way[1], width=0.36, color=BLUE)
+            right.annotate(f"{duration(way[1])}\n{way[0].name}", (k, way[1]), textcoords="offset points",
+                           xytext=(0, 3), ha="center", fontsize=8.5)  # fmt: skip
+    right.set(xlabel="digits of accuracy, energy norm", ylabel="seconds of the cheapest way")
+    right.set_xticks(DIGITS, [f"{k:g}" for k in DIGITS])
+    right.margins(y=0.15)
+    page.suptitle("Membrane over a ball: what accuracy costs", fontsize=12)
+    return kept("digit", page)
+
+
+def over(_: Any) -> str:
+    """The error over h and eps, with the paper's rule and the default."""
+    from matplotlib.colors import LogNorm
+
+    found = {norm: np.empty((len(EPS), len(CELLS))) for norm in ("energy", "l2")}
+    sides = []
+    for column, cells in enumerate(CELLS):
+        scene = Scene.read(DEMOS / "ball.toml").change({"mesh.cells": cells})
+        with closing(Workbench(scene)) as bench:
+            sides.append(bench.problem.level.h)
+            for line, eps in enumerate(EPS):
+                errors = bench.answer(scene.change({"solve.eps": float(eps)})).record["errors"]
+                for norm, values in found.items():
+                    values[line, column] = errors[norm]
+    h = np.array(sides)
+    page, panels = figure(11.0, 4.8, columns=2)
+    for axes, (norm, title) in zip(panels, {"energy": "energy norm", "l2": "L2 norm"}.items(), strict=True):
+        values = found[norm]
+        levels = np.geomspace(values.min() * 0.999, values.max() * 1.001, 22)
+        drawn = axes.contourf(h, EPS, values, levels=levels, norm=LogNorm(), cmap="viridis_r")
+        axes.contour(h, EPS, values, levels=levels, colors="white", linewidths=0.4)
+        for rule, label, dash, shift in ((h**2, "the paper's eps = h$^2$", "-", 6), (h**2 / 100, "auto", "--", -13)):
+            axes.plot(h, rule, dash, color="black", linewidth=2)
+            axes.annotate(label, (h[-3], rule[-3]), textcoords="offset points", xytext=(6, shift), fontsize=10)
+        axes.set(xscale="log", yscale="log", xlabel="h", ylabel="eps", title=f"error, {title}", ylim=(EPS[-1], EPS[0]))
+        axes.set_xticks(h[::2], [f"{one:.2g}" for one in h[::2]])
+        axes.minorticks_off()
+        ticks = 10.0 ** np.arange(np.ceil(np.log10(values.min())), np.floor(np.log10(values.max())) + 1)
+        page.colorbar(drawn, ax=axes, ticks=ticks).ax.set_yticklabels([f"{tick:g}" for tick in ticks])
+    page.suptitle("Membrane over a ball: where mesh and penalty each decide the error", fontsize=12)
+    return kept("map", page)
+
+
+def known(_: Any) -> str:
+    """Three applications whose figures others have found."""
+    page, panels = figure(13.5, 4.9, columns=3, widths=(1.1, 1, 1.15))
+    bearing(panels[0], page)
+    torsion(panels[1], page)
+    put(panels[2])
+    return kept("known", page)
+
+
+def bearing(axes: Any, page: Any) -> None:
+    answer = solve(Scene.read(DEMOS / "bearing.toml"), refine=1)
+    patch = with_levels(patch_of(gather(answer)))
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = ScalarMappable(Normalize(0, patch.fields["u"].max()), "viridis")
+    draw_view(axes, relief.in_space(patch, scale.to_rgba(patch.fields["u"])))
+    page.colorbar(scale, ax=axes, label="film pressure, dimensionless", shrink=0.7)
+    axes.set_title(f"Journal bearing\nSommerfeld number {answer.report['sommerfeld']:.4f}\n"
+                   "Raimondi and Boyd 1958: 0.121", fontsize=10)  # fmt: skip
+
+
+def torsion(axes: Any, page: Any) -> None:
+    answer = solve(Scene.read(DEMOS / "torsion.toml"))
+    patch = with_levels(patch_of(gather(answer)))
+    patch.points[:] *= 1000  # mm
+    from matplotlib.patches import Patch as Swatch
+
+    outline(axes, rims(patch))
+    contact = relief.touching(patch)
+    axes.tricontourf(triangles(contact), np.zeros(len(contact.points)), levels=[-1, 1], colors=[PLASTIC], zorder=1)
+    axes.tricontour(triangles(patch), patch.fields["u"], levels=12, colors="0.35", linewidths=0.7, zorder=2)
+    strokes(axes, free_boundary(patch), (0, 1))
+    size = patch.points.max()
+    axes.set(aspect="equal", xlim=(0, size), ylim=(0, size), xlabel="x, mm", ylabel="y, mm")
+    swatches = {"plastic": PLASTIC, "elastic": OUT_OF_CONTACT}
+    handles = [Swatch(facecolor=colour, edgecolor="0.4", label=label) for label, colour in swatches.items()]
+    axes.legend(handles=handles, loc="center", fontsize=9, framealpha=1)
+    axes.set_title(f"Twisted steel bar, 20 mm\ntorque {answer.report['torque']:.1f} N m\nfinite volumes: 467.1 N m",
+                   fontsize=10)  # fmt: skip
+
+
+def put(axes: Any) -> None:
+    answer = solve(Scene.read(DEMOS / "put.toml"))
+    arrays = gather(answer)
+    order = np.argsort(arrays["points"][:, 0])
+    price, value, payoff = (
+        values[order] for values in (100 * np.exp(arrays["points"][:, 0]), arrays["u"], arrays["lower"])
+    )
+    edge, found = answer.report["exercise"], answer.report["price"]
+    assert edge is not None
+    axes.fill_between(price, payoff, 0, color="0.88", hatch="////", edgecolor="0.7", linewidth=0, label="payoff")
+    axes.plot(price, value, color=BLUE, linewidth=2, label="value, a year before expiry")
+    axes.axvline(edge, color=relief.INK, linestyle="--", linewidth=1, label=f"exercised below {edge:.1f}")
+    axes.plot([100], [found], "o", color=VERMILION, label=f"at the strike: {found:.4f}")
+    axes.set(xlim=(60, 140), ylim=(0, 40), xlabel="price of the share", ylabel="value of the option")
+    axes.legend(fontsize=8.5)
+    axes.set_title(f"American put\nprice {found:.4f}\nbinomial tree, 4000 steps: 6.0902", fontsize=10)
+
+
+def hard(options: Any) -> str:
+    """All hard scenes in the plane with their verdicts."""
+    return kept("hard", mosaic(lines_of(options.hard)))
+
+
+def lines_of(file: Path) -> Sequence[dict[str, Any]]:
+    """Records of a file of JSON lines."""
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
+def kept(name: str, page: Any) -> str:
+    """Write a figure into the gallery, with few colours."""
+    data, path = io.BytesIO(), GALLERY / f"{name}.png"
+    page.savefig(data, format="png", dpi=WIDTH / page.get_figwidth())
+    Image.open(data).convert("RGB").quantize(TINTS, dither=Image.Dither.NONE).save(path, optimize=True)
+    return f"{path}: {path.stat().st_size / 1000:.0f} kB"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""Newton at work: the active set of each step, on all levels, found by solving once more for who wants to see it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.discrete.duality import in_q
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.stopping import Step
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Where a solver was after a step.
+
+    Attributes:
+        step: Its figures.
+        number: Steps on this mesh so far; 0 is the start.
+        dofs: Unknowns of the mesh.
+        mesh: Its `points` and `cells` as `gather` has them, one object for all steps on it; on rank 0, empty elsewhere.
+        contact: Whether the points of the mesh are in contact, shape (n,); on rank 0, empty elsewhere.
+    """
+
+    step: Step
+    number: int
+    dofs: int
+    mesh: Mapping[str, np.ndarray]
+    contact: np.ndarray
+
+
+def iterates(scene: Scene, level: Level) -> list[Iterate]:
+    """All steps of a solve on a mesh and the levels below it, also of one that does not converge (collective).
+
+    Args:
+        scene: At rest.
+        level: Its mesh.
+    """
+    found: list[Iterate] = []
+
+    def watch(problem: Problem, step: Step, active: np.ndarray) -> None:
+        contact = in_q(problem.level, (active != 0).astype(float))
+        shown = Answer(problem.scene, problem.level, problem.heights(), contact, contact, None, None, None, (), {})
+        arrays = gather(shown)
+        dofs = problem.level.dofs
+        before = found[-1] if found and found[-1].dofs == dofs else None
+        touching = arrays.pop("contact", np.empty(0)) > 0.5
+        if before is None:
+            mesh = {name: values for name, values in arrays.items() if name in ("points", "cells")}
+            found.append(Iterate(step, 0, dofs, mesh, touching))
+        else:
+            found.append(replace(before, step=step, number=before.number + 1, contact=touching))
+
+    with closing(Workbench(scene, level=level)) as bench, suppress(NotConverged):
+        bench.answer(watch=watch)
+    return found

@@ -1,0 +1,120 @@
+"""Newton at work: an animation of active sets, step by step, beside those of the paper's (3.4)*. Rank 0 draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.answers.iterates import Iterate, iterates
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
+from fenicsx_obstacle.show.figures import BLUE, figure, plain, write_gif
+from fenicsx_obstacle.show.plan import outline, strokes, triangles
+from fenicsx_obstacle.show.relief import INK
+from fenicsx_obstacle.show.simplices import Patch, patch_of, rims
+from fenicsx_obstacle.words import counted
+
+PER_SECOND = 2  # steps
+REST = 4  # frames that the end stays
+KEPT, LEFT, ENTERED = BLUE, "#F0B27A", "#009E73"  # told apart by colour-blind readers, and by lightness
+CLOSE = 1e-12  # of the range of the exact u: a gap that is none
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def animate_newton(answer: Answer, path: Path) -> str:
+    """Solve once more for the steps, by (3.4)* and by the answer's own method, and draw them as a GIF (collective).
+
+    Returns:
+        One line: what is drawn, or why nothing is.
+    """
+    comm, scene = answer.level.comm, answer.scene
+    arrays = gather(answer)
+    flat = answer.level.mesh.topology.dim == 2 == answer.level.mesh.geometry.dim
+    if not flat or scene.time is not None or (answer.lower is None and answer.upper is None):
+        return f"{path.name} shows contact within a plane domain, at rest: not drawn"
+    if answer.record["eps"] is not None:  # the one that was chosen
+        scene = scene.change({"solve.eps": answer.record["eps"]})
+    methods = dict.fromkeys(("successive", scene.tables.solve.method))
+    courses = {name: iterates(scene.change({"solve.method": name}), answer.level) for name in methods}
+    return on_root(comm, _animate, answer, arrays, courses, path)
+
+
+def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iterate]], path: Path) -> str:
+    patch = patch_of(arrays)
+    line, whose = _free_boundary(patch)
+    page, axes = figure(4.9 * len(courses), 5.6, columns=len(courses))
+    panels = np.atleast_1d(axes)
+    names = [_name(method, course) for method, course in courses.items()]
+    _legend(page, whose if line else "")
+    eps = answer.record["eps"]
+    title = plain(answer.scene.tables.title or answer.scene.name)
+    page.suptitle(title if eps is None else f"{title}, eps = {eps:.2g}", fontsize=12)
+
+    def draw(frame: int) -> None:
+        for axis, name, course in zip(panels, names, courses.values(), strict=True):
+            _draw(axis, patch, name, course, min(frame, len(course) - 1))
+            strokes(axis, line, (0, 1))
+
+    count = max(len(course) for course in courses.values())
+    write_gif(page, path, PER_SECOND, [*range(count), *[count - 1] * REST], draw)
+    return f"{path}: " + "; ".join(
+        f"{name}: {counted(course[-1].number, 'step')}" for name, course in zip(names, courses.values(), strict=True)
+    )
+
+
+def _draw(axis: Any, patch: Patch, name: str, course: Sequence[Iterate], number: int) -> None:
+    """The active set of one step, and what has changed since the last."""
+    now = course[number]
+    before = course[number - 1].contact if now.number else now.contact
+    axis.clear()
+    outline(axis, rims(patch))
+    shown = triangles(Patch(now.mesh["points"], now.mesh["cells"], {}))
+    for nodes, colour in ((now.contact | before, LEFT), (now.contact, ENTERED), (now.contact & before, KEPT)):
+        if nodes.any():
+            axis.tricontourf(shown, nodes.astype(float), levels=[0.5, 1.5], colors=[colour], zorder=1)
+    low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
+    room = 0.01 * max(high - low)  # for the line around the domain
+    axis.set(aspect="equal", xticks=[], yticks=[])
+    axis.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+    axis.set_frame_on(False)
+    what = f"step {now.number}: {now.step.changed} nodes changed" if now.number else "start"
+    axis.set_title(f"{name}\n{counted(now.dofs, 'node')}, {what}, {now.step.active} in contact", fontsize=9.5, linespacing=1.4)
+
+
+def _free_boundary(patch: Patch) -> tuple[list[Patch], str]:
+    """That of the exact solution where it is known, otherwise that of the answer; and whose it is."""
+    fields = patch.fields
+    if "error" not in fields:
+        return free_boundary(with_levels(patch)), "free boundary in the end"
+    u = fields["u"] - fields["error"]
+    sides = {side: sign for side, sign in SIDES.items() if side in fields}
+    touching = {side: np.abs(u - fields[side]) <= CLOSE * np.ptp(u) for side in sides}
+    pressure = sum(sign * touching[side] for side, sign in sides.items())
+    exact = {"u": u, "pressure": pressure, "contact": np.any(list(touching.values()), axis=0).astype(float)}
+    return free_boundary(with_levels(Patch(patch.points, patch.cells, {**fields, **exact}))), "exact free boundary"
+
+
+def _name(method: str, course: Sequence[Iterate]) -> str:
+    if method == "successive":
+        return "(3.4)*, from no contact"
+    solver = {"penalty": "Newton", "vi": "SNES VI"}[method]
+    levels = len({one.dofs for one in course})
+    return f"{solver}, from {counted(levels - 1, 'coarser level')}" if levels > 1 else f"{solver}, cold"
+
+
+def _legend(page: Any, line: str) -> None:
+    """Below the panels; `line` names the free boundary, or is empty."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch as Swatch
+
+    words = {"in contact": KEPT, "left in this step": LEFT, "entered": ENTERED}
+    handles: list[Any] = [Swatch(facecolor=colour, label=label) for label, colour in words.items()]
+    handles += [Line2D([], [], color=INK, label=line)] if line else []
+    page.legend(handles=handles, loc="lower center", ncol=len(handles), fontsize=8, frameon=False)
+    page.get_layout_engine().set(rect=(0, 0.06, 1, 0.94))

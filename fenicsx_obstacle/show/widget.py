@@ -1,0 +1,64 @@
+"""A slider in a notebook, over eps or over the moments of a scene with [time]. Imported by hand, needs ipywidgets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.show.course import is_animated, moving
+from fenicsx_obstacle.show.pictures import Picture
+from fenicsx_obstacle.solvers.newton import smallest_eps
+
+TENS = 4  # of eps to both sides of the answer's
+
+
+def slider(answer: Answer) -> Any:
+    """A slider with a picture below: over the moments that were kept, or over eps, solved anew on the same mesh.
+
+    Args:
+        answer: On one rank.
+
+    Returns:
+        A widget of ipywidgets: the last line of a cell shows it.
+
+    Raises:
+        InputError: Without ipywidgets, or where there is neither eps nor a moment to choose.
+    """
+    try:
+        import ipywidgets
+    except ImportError:
+        raise InputError("a slider needs ipywidgets, which is not there: pip install ipywidgets") from None
+    if answer.course is not None:
+        return _over_moments(ipywidgets, answer)
+    eps = answer.record["eps"]
+    if eps is None:
+        raise InputError(f"{answer.record['method']}: there is no eps to choose")
+    bench = Workbench(answer.scene, level=answer.level)
+    values = [eps * 10.0**k for k in range(TENS, -TENS - 1, -1)]
+    options = {f"{value:.2g}": value for value in values if value > smallest_eps(bench.problem)}
+
+    def draw(eps: float) -> Picture:
+        return bench.answer(answer.scene.change({"solve.eps": eps})).plot()
+
+    return ipywidgets.interactive(draw, eps=ipywidgets.SelectionSlider(options=options, value=eps, description="eps"))
+
+
+def _over_moments(ipywidgets: Any, answer: Answer) -> Any:
+    arrays = gather(answer)
+    if not is_animated(answer, arrays):
+        raise InputError("moments of intervals and plane meshes are shown; open frames.xdmf in ParaView")
+    assert answer.course is not None
+    assert answer.scene.time is not None
+    page, show = moving(answer, arrays)
+    frames, name = answer.course.frames, answer.scene.time.name
+
+    def draw(moment: int) -> Picture:
+        show(frames[moment])
+        return Picture(f"{name} = {frames[moment].t:.4g}", page)
+
+    options = {f"{frame.t:.4g}": number for number, frame in enumerate(frames)}
+    chosen = ipywidgets.SelectionSlider(options=options, value=len(frames) - 1, description=name)
+    return ipywidgets.interactive(draw, moment=chosen)
