@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from typing import Any
@@ -14,12 +15,12 @@ from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.scenes.hard import Case, cases
 from fenicsx_obstacle.show.figures import figure
 from fenicsx_obstacle.show.plan import triangles
-from fenicsx_obstacle.show.simplices import Patch, patch_of
+from fenicsx_obstacle.show.simplices import Patch, patch_of, rims
 
 COLUMNS = 12
 BANDS = 10  # of heights
 INKS = {"right": "#0072B2", "refused": "#7A7A7A", "FAILED": "#D55E00"}
-MARKS = {"right": "\N{CHECK MARK}", "refused": "\N{MULTIPLICATION X}", "FAILED": "FAILED"}
+MARKS = {"right": "\N{CHECK MARK}", "refused": "\N{MULTIPLICATION X}", "FAILED": ""}
 
 
 def mosaic(rows: Sequence[Mapping[str, Any]]) -> Any:
@@ -32,16 +33,22 @@ def mosaic(rows: Sequence[Mapping[str, Any]]) -> Any:
     for row in rows:
         judged[row["case"]].add(row["verdict"])
     shown = [(one, patch) for one in cases() if one.name in judged and (patch := drawn(one)) is not False]
-    count = -(-len(shown) // COLUMNS)
-    page, grid = figure(15.0, 1.48 * count, rows=count, columns=COLUMNS)
+    lines = -(-len(shown) // COLUMNS)
+    page, grid = figure(15.0, 1.48 * lines + 0.4, rows=lines, columns=COLUMNS)
     panels = np.atleast_1d(grid).ravel()
     for axes, (one, patch) in zip(panels, shown, strict=False):
         verdict = verdict_of(judged[one.name])
         if (patch is None) != (verdict == "refused"):
             raise RuntimeError(f"{one.name}: {verdict} in the file, but not so here: a file of another version?")
-        if patch is not None:
+        if patch is None:
+            axes.text(0.5, 0.5, "no solution:\nrefused", ha="center", va="center", fontsize=8, color=INKS[verdict])
+            axes.set_box_aspect(1)
+        else:
             draw(axes, patch)
-        axes.set_xlabel(f"{one.name} {MARKS[verdict]}", fontsize=7, color=INKS[verdict], labelpad=2)
+        axes.set_xlabel(f"{one.name} {MARKS[verdict] or verdict}", fontsize=7, color=INKS[verdict], labelpad=2)
+    count = Counter(verdict_of(judged[one.name]) for one, _ in shown)
+    words = ", ".join(f"{count[verdict]} {verdict} {mark}".strip() for verdict, mark in MARKS.items() if count[verdict])
+    page.suptitle(f"{len(shown)} hard scenes of the plane: {words}", fontsize=12)
     for axes in panels:
         axes.set(xticks=[], yticks=[])
         axes.set_frame_on(False)
@@ -76,6 +83,8 @@ def draw(axes: Any, patch: Patch) -> None:
             axes.tricontourf(shape, here.astype(float), levels=[0.5, 1.5], colors=[colour])
             if not here.all():
                 axes.tricontour(shape, here.astype(float), levels=[0.5], colors="black", linewidths=0.6)
+    for rim in rims(patch):
+        axes.plot(*rim.T, color="0.5", linewidth=0.7)
     low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_box_aspect(1)

@@ -21,14 +21,13 @@ def without_pyvista(monkeypatch):
 
 
 @pytest.fixture
-def widgets(monkeypatch):
+def notebook(monkeypatch):
     """What a slider takes of ipywidgets: `interactive` keeps the function, which the browser calls."""
     made = SimpleNamespace(
         SelectionSlider=lambda **given: SimpleNamespace(**given),
         interactive=lambda draw, **given: SimpleNamespace(draw=draw, **given),
     )
     monkeypatch.setitem(sys.modules, "ipywidgets", made)
-    return made
 
 
 def test_a_picture_shows_itself(disk, folder):
@@ -40,7 +39,8 @@ def test_a_picture_shows_itself(disk, folder):
         assert data.startswith(b"\x89PNG") if COMM.rank == 0 else data is None
 
 
-def test_a_slider_over_eps(disk, widgets):
+@pytest.mark.usefixtures("notebook")
+def test_a_slider_over_eps(disk):
     """Each eps is solved anew on the same mesh: a softer obstacle gives way more."""
     answer = solve(disk, cells=8, eps=1e-3)
     made = slider(answer)
@@ -50,7 +50,8 @@ def test_a_slider_over_eps(disk, widgets):
     assert "drawn by" in repr(made.draw(values[0]))
 
 
-def test_a_slider_over_moments(widgets):
+@pytest.mark.usefixtures("notebook")
+def test_a_slider_over_moments():
     """One place for each moment that was kept."""
     scene = Scene(mesh=INTERVAL, tension=1, load="-t", lower=-0.05, time={"end": 1, "steps": 4})
     answer = solve(scene)

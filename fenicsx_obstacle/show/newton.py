@@ -84,7 +84,8 @@ def _draw(axis: Any, patch: Patch, name: str, course: Sequence[Iterate], number:
     axis.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
     axis.set_frame_on(False)
     what = f"step {now.number}: {now.step.changed} nodes changed" if now.number else "start"
-    axis.set_title(f"{name}\n{counted(now.dofs, 'node')}, {what}, {now.step.active} in contact", fontsize=9.5, linespacing=1.4)
+    title = f"{name}\n{counted(now.dofs, 'node')}, {what}, {now.step.active} in contact"
+    axis.set_title(title, fontsize=9.5, linespacing=1.4)
 
 
 def _free_boundary(patch: Patch) -> tuple[list[Patch], str]:

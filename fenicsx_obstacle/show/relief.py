@@ -156,17 +156,29 @@ def joined(parts: list[Patch]) -> Patch:
 
 
 def _spread(patch: Patch) -> Patch:
-    """The pressure continued to two rings of nodes about the contact set, so that its edge is no ramp to zero."""
-    cells, p = patch.cells, patch.fields["pressure"]
-    known, corners = patch.fields["contact"] > 0, patch.cells.shape[1]
-    for _ in range(2):
-        inside = known[cells]
-        count = inside.sum(axis=1)
-        mean = (p[cells] * inside).sum(axis=1) / np.maximum(count, 1)
-        weight = np.bincount(cells.ravel(), np.repeat(count > 0, corners), len(p))
-        near = np.bincount(cells.ravel(), np.repeat(mean, corners), len(p)) / np.maximum(weight, 1)
-        p, known = np.where(known, p, near), known | (weight > 0)
+    """The pressure continued from within contact to its edge, and to two rings of nodes about it.
+
+    A node at the edge has the force of a part of its area only, which part changes from node to node; and outside
+    pressures are zero. Neither is a pressure there: the edge would be a ramp, with teeth.
+    """
+    cells, p, contact = patch.cells, patch.fields["pressure"], patch.fields["contact"] > 0
+    inside = contact.copy()
+    inside[cells[~contact[cells].all(axis=1)]] = False
+    known = inside
+    for ring in range(3):
+        p, reached = _continued(p, known, cells)
+        known = reached | contact if ring == 0 else reached
     return Patch(patch.points, cells, {**patch.fields, "pressure": p})
+
+
+def _continued(p: np.ndarray, known: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """At the neighbours of known nodes the mean over cells of what is known there; and which are known then."""
+    weights = known[cells]
+    count = weights.sum(axis=1)
+    mean = (p[cells] * weights).sum(axis=1) / np.maximum(count, 1)
+    weight = np.bincount(cells.ravel(), np.repeat(count > 0, cells.shape[1]), len(p))
+    near = np.bincount(cells.ravel(), np.repeat(mean, cells.shape[1]), len(p)) / np.maximum(weight, 1)
+    return np.where(known | (weight == 0), p, near), known | (weight > 0)
 
 
 def _visible(patch: Patch, side: str, low: float, high: float) -> Patch:
