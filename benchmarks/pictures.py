@@ -180,7 +180,8 @@ def bearing(axes: Any) -> None:
     axes.annotate("torn: no pressure", (282, 0), ha="center", va="center", fontsize=10)
     axes.set(xlim=(0, 360), ylim=(-1, 1), xlabel="angle from the groove, degrees", ylabel="z / R")
     axes.set_xticks(range(0, 361, 90))
-    axes.figure.colorbar(drawn, ax=axes, label="film pressure, dimensionless", shrink=0.75, ticks=np.arange(0, 3.1, 0.5))
+    bar = axes.figure.colorbar(drawn, ax=axes, label="film pressure, dimensionless", shrink=0.75)
+    bar.set_ticks(np.arange(0, 3.1, 0.5))
     axes.set_title(f"Journal bearing\nSommerfeld number {answer.report['sommerfeld']:.4f}\n"
                    "Raimondi and Boyd 1958: 0.121", fontsize=11)  # fmt: skip
 

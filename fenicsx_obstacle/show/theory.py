@@ -82,7 +82,8 @@ def drawing(found: Found, title: str) -> Any:
         if not crowded:
             part.legend(fontsize=7)
     if crowded:  # one legend beside all panels: within them it would cover curves
-        flat[columns - 1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
+        flat[columns - 1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False,
+                                 handlelength=4)  # fmt: skip
     page.suptitle(textwrap.fill(title, 55 * columns), fontsize=11)
     return page
 
@@ -92,7 +93,7 @@ def _draw(found: Found, title: str, path: Path) -> None:
 
 
 def _panel(axes: Any, panel: Panel) -> None:
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     axes.set_xscale(panel.scales[0])
     axes.set_yscale(panel.scales[1])
@@ -104,8 +105,11 @@ def _panel(axes: Any, panel: Panel) -> None:
         if curve.slope is not None:
             _slope(axes, curve, look["color"])
     axes.margins(y=0.12)  # room for the orders below the last values
-    if panel.scales[1] == "linear" and all(float(y).is_integer() for curve in panel.curves for y in curve.y):
-        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    if all(float(y).is_integer() for curve in panel.curves for y in curve.y):
+        linear = panel.scales[1] == "linear"
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True) if linear else LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
     axes.set_title(panel.title, fontsize=9)
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)

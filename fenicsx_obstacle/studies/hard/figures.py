@@ -122,8 +122,7 @@ def panels(all_figures: Sequence[tuple[Figures, Sequence[Row]]]) -> list[Panel]:
                     if row["method"] == method and row["asked"] in most and not row["trial"] and "dofs" in row:
                         most[row["asked"]] = max(most[row["asked"]], row["newton_iterations"])
             curves.append(Curve(family, numbers, list(most.values())))
-        made.append(Panel(f"most Newton steps of a family: {titles[method]}", "eps", "steps", curves,
-                          ("log", "linear")))  # fmt: skip
+        made.append(Panel(f"most Newton steps of a family: {titles[method]}", "eps", "steps", curves))
     return made
 
 
