@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
@@ -39,11 +38,14 @@ class Iterate:
 
 
 def iterates(scene: Scene, level: Level) -> list[Iterate]:
-    """All steps of a solve on a mesh and the levels below it, also of one that does not converge (collective).
+    """All steps of a solve on a mesh and the levels below it (collective).
 
     Args:
         scene: At rest.
         level: Its mesh.
+
+    Raises:
+        NotConverged: With PETSc's reason.
     """
     found: list[Iterate] = []
 
@@ -60,6 +62,6 @@ def iterates(scene: Scene, level: Level) -> list[Iterate]:
         else:
             found.append(replace(before, step=step, number=before.number + 1, contact=touching))
 
-    with closing(Workbench(scene, level=level)) as bench, suppress(NotConverged):
+    with closing(Workbench(scene, level=level)) as bench:
         bench.answer(watch=watch)
     return found

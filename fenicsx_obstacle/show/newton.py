@@ -11,6 +11,7 @@ import numpy as np
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.answers.iterates import Iterate, iterates
+from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
 from fenicsx_obstacle.show.figures import BLUE, figure, plain, write_gif
@@ -40,9 +41,13 @@ def animate_newton(answer: Answer, path: Path) -> str:
         return f"{path.name} shows contact within a plane domain, at rest: not drawn"
     if answer.record["eps"] is not None:  # the one that was chosen
         scene = scene.change({"solve.eps": answer.record["eps"]})
-    methods = dict.fromkeys(("successive", scene.tables.solve.method))
-    courses = {name: iterates(scene.change({"solve.method": name}), answer.level) for name in methods}
-    return on_root(comm, _animate, answer, arrays, courses, path)
+    courses, failed = dict[str, list[Iterate]](), ""
+    for method in dict.fromkeys(("successive", scene.tables.solve.method)):
+        try:
+            courses[method] = iterates(scene.change({"solve.method": method}), answer.level)
+        except NotConverged as error:  # (3.4)* where the theory does not hold
+            failed = f"; {method}: {error}"
+    return on_root(comm, _animate, answer, arrays, courses, path) + failed
 
 
 def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iterate]], path: Path) -> str:

@@ -37,8 +37,8 @@ def slider(answer: Answer) -> Any:
     if eps is None:
         raise InputError(f"{answer.record['method']}: there is no eps to choose")
     bench = Workbench(answer.scene, level=answer.level)
-    values = [eps * 10.0**k for k in range(TENS, -TENS - 1, -1)]
-    options = {f"{value:.2g}": value for value in values if value > smallest_eps(bench.problem)}
+    values, floor = [eps * 10.0**k for k in range(TENS, -TENS - 1, -1)], smallest_eps(bench.problem)
+    options = {f"{value:.2g}": value for value in values if value >= floor}
 
     def draw(eps: float) -> Picture:
         return bench.answer(answer.scene.change({"solve.eps": eps})).plot()
