@@ -16,13 +16,18 @@ from fenicsx_obstacle.show.newton import animate_newton
 STIFF = {"cells": 16, "eps": 1e-6}
 
 
+def sets(steps):
+    """Sizes and changes of active sets: the last digits of forces differ between two solves on several ranks."""
+    return [(step.active, step.changed) for step in steps]
+
+
 @pytest.mark.parametrize("element", ["P1", "P2", "Q1-gauss"])
 def test_active_sets_are_those_of_the_solve(element, disk):
     """One for the start and one for each step, with as many points in contact as the history says."""
     cell = {"mesh.cell": "quadrilateral"} if element.startswith("Q") else {}
     answer = solve(disk.change(cell), method="successive", element=element, **STIFF)
     found = iterates(answer.scene, answer.level)
-    assert [one.step for one in found] == list(answer.history)
+    assert sets(one.step for one in found) == sets(answer.history)
     assert [one.number for one in found] == list(range(answer.record["newton_iterations"] + 1))
     if COMM.rank != 0 or element != "P1":
         return
@@ -48,7 +53,7 @@ def test_all_levels_are_seen(ball):
     assert sizes == sorted(sizes)
     assert len(last) > 2
     assert sum(last) == answer.record["newton_total"]
-    assert [one.step for one in found if one.dofs == answer.record["dofs"]] == list(answer.history)
+    assert sets(one.step for one in found if one.dofs == answer.record["dofs"]) == sets(answer.history)
 
 
 def test_an_animation_has_a_frame_for_each_step(ball, folder):
