@@ -92,7 +92,7 @@ def steps(options: Any) -> str:
         axes.set_xscale("log", base=2)
         axes.set(xlabel="N, cells a side", title=f"{title}, on the finest mesh")
         axes.set_xticks(cells, [str(n) for n in cells])
-        axes.margins(y=0.11)
+        axes.set_ylim(bottom=0, top=1.12 * max(row[key] for row in rows))
         axes.minorticks_off()
         axes.grid(True, color="0.9")
     panels[0].legend(fontsize=9, loc="upper left")
