@@ -25,7 +25,7 @@ def notebook(monkeypatch):
     """What a slider takes of ipywidgets: `interactive` keeps the function, which the browser calls."""
     made = SimpleNamespace(
         SelectionSlider=lambda **given: SimpleNamespace(**given),
-        interactive=lambda draw, **given: SimpleNamespace(draw=draw, **given),
+        interactive=lambda draw, options, **given: SimpleNamespace(draw=draw, **options, **given),
     )
     monkeypatch.setitem(sys.modules, "ipywidgets", made)
 
@@ -45,6 +45,7 @@ def test_a_slider_over_eps(disk):
     answer = solve(disk, cells=8, eps=1e-3)
     made = slider(answer)
     values = list(made.eps.options.values())
+    assert made.auto_display
     assert made.eps.value == answer.record["eps"]
     assert np.allclose(np.diff(np.log10(values)), -1)
     assert "drawn by" in repr(made.draw(values[0]))

@@ -13,6 +13,7 @@ from fenicsx_obstacle.show.pictures import Picture
 from fenicsx_obstacle.solvers.newton import smallest_eps
 
 TENS = 4  # of eps to both sides of the answer's
+SHOWN = {"auto_display": True}  # what the function returns
 
 
 def slider(answer: Answer) -> Any:
@@ -43,7 +44,8 @@ def slider(answer: Answer) -> Any:
     def draw(eps: float) -> Picture:
         return bench.answer(answer.scene.change({"solve.eps": eps})).plot()
 
-    return ipywidgets.interactive(draw, eps=ipywidgets.SelectionSlider(options=options, value=eps, description="eps"))
+    chosen = ipywidgets.SelectionSlider(options=options, value=eps, description="eps")
+    return ipywidgets.interactive(draw, SHOWN, eps=chosen)
 
 
 def _over_moments(ipywidgets: Any, answer: Answer) -> Any:
@@ -61,4 +63,4 @@ def _over_moments(ipywidgets: Any, answer: Answer) -> Any:
 
     options = {f"{frame.t:.4g}": number for number, frame in enumerate(frames)}
     chosen = ipywidgets.SelectionSlider(options=options, value=len(frames) - 1, description=name)
-    return ipywidgets.interactive(draw, moment=chosen)
+    return ipywidgets.interactive(draw, SHOWN, moment=chosen)
