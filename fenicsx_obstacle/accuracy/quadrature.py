@@ -12,11 +12,11 @@ AT_ONCE = 50_000  # cells in memory
 _CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
 
-def rule(dim: int) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric points, shape (n, dim + 1), and weights of sum 1 on a simplex."""
+def rule(dim: int, degree: int = DEGREE) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points, shape (n, dim + 1), and weights of sum 1 on a simplex; exact for this degree."""
     if dim == 0:
         return np.ones((1, 1)), np.ones(1)
-    points, weights = basix.make_quadrature(_CELLS[dim], DEGREE)
+    points, weights = basix.make_quadrature(_CELLS[dim], degree)
     return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
 
 

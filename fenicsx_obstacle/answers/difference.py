@@ -13,8 +13,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at
+from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.formulas import Formula
@@ -55,29 +54,6 @@ def compare(a: Answer, b: Answer) -> dict[str, Any]:
         "energy": [x.record["energy"] for x in (a, b)],
         "outside": int(total(comm, np.count_nonzero(outside[:own]))),
     }
-
-
-class Nearby:
-    """Distances of answers on one mesh to a reference on another; where its nodes lie is found once."""
-
-    def __init__(self, level: Level, reference: Answer):
-        """Find the nodes (collective).
-
-        Args:
-            level: Of the answers, P1.
-            reference: P1.
-        """
-        self.reference = reference
-        points, self._mine = _everywhere(reference)
-        self._count = len(points)
-        self._rows, cells, self._weights = locate(level, points)
-        self._dofs = releases.cell_dofs(level.V)[cells]
-
-    def norms(self, answer: Answer) -> dict[str, float]:
-        """Norms of the difference of u at the nodes of the reference, as in `compare` (collective)."""
-        values = (answer.u.x.array[self._dofs] * self._weights).sum(axis=1)
-        there = mean_over_cells(answer.level.comm, self._count, self._rows, values)[self._mine]
-        return _norms(self.reference, np.where(np.isnan(there), 0.0, self.reference.u.x.array - there))
 
 
 def _by_size(a: Answer, b: Answer) -> tuple[Answer, Answer]:

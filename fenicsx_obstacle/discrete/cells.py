@@ -22,11 +22,15 @@ def volumes(corners: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(gram, 0.0)) / factorial(corners.shape[1] - 1)
 
 
+def duals(corners: np.ndarray) -> np.ndarray:
+    """Gradients of the barycentric coordinates after the first, shape (cells, dim, 3)."""
+    edges = corners[:, 1:] - corners[:, :1]
+    return np.linalg.solve(edges @ edges.transpose(0, 2, 1), edges)
+
+
 def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric coordinates, shape (cells, points, vertices), of points (cells, points, 3) in cells."""
-    edges = corners[:, 1:] - corners[:, :1]
-    gram = edges @ edges.transpose(0, 2, 1)
-    inner = np.linalg.solve(gram, edges @ (points - corners[:, :1]).transpose(0, 2, 1)).transpose(0, 2, 1)
+    inner = (points - corners[:, :1]) @ duals(corners).transpose(0, 2, 1)
     return np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
 
 

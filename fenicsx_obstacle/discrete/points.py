@@ -9,7 +9,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import barycentric, corners
+from fenicsx_obstacle.discrete.cells import corners, duals
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.words import counted
@@ -31,11 +31,15 @@ def locate(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     mesh = level.mesh
     allowed = ROUND_OFF if mesh.topology.dim == mesh.geometry.dim else OFF_SURFACE
     rows, cells = releases.cells_near(mesh, points, allowed * level.h_max)
-    vertices = corners(mesh)[cells]
-    size = np.linalg.norm(vertices[:, 1:] - vertices[:, :1], axis=2).max(axis=1)
-    weights = np.maximum(barycentric(points[rows][:, None], vertices)[:, 0], 0.0)
+    distinct, back = np.unique(cells, return_inverse=True)  # of many points many lie in one cell
+    vertices = corners(mesh, distinct)
+    size = np.linalg.norm(vertices[:, 1:] - vertices[:, :1], axis=2).max(axis=1)[back]
+    there = points[rows] - vertices[back, 0]
+    inner = np.einsum("pdi,pi->pd", duals(vertices)[back], there)
+    weights = np.maximum(np.column_stack([1 - inner.sum(axis=1), inner]), 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
-    gap = np.linalg.norm((weights[:, None] @ vertices)[:, 0] - points[rows], axis=1)
+    edges = vertices[:, 1:] - vertices[:, :1]
+    gap = np.linalg.norm(np.einsum("pd,pdi->pi", weights[:, 1:], edges[back]) - there, axis=1)
     nearest = np.full(len(points), np.inf)
     np.minimum.at(nearest, rows, gap)
     level.comm.Allreduce(MPI.IN_PLACE, nearest, MPI.MIN)

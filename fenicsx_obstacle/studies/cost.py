@@ -36,7 +36,7 @@ OnRow = Callable[[Row], None]
 DEFAULT_BUDGET = "10s, 1.2e6 unknowns"
 GROWTH = 3.0  # of an adaptive mesh over the one before
 MAP_MESHES, MAP_EPS = 4, 20  # of the map over h and eps: meshes, and powers of ten
-REFERENCE = "reference"
+REFERENCE = "reference.h5"
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -74,6 +74,7 @@ class Ladder:
         self._store: RowStore | None = None
         self._warm: set[tuple[Any, ...]] = set()
         self._fixed: float | None = None
+        self._measuring = 0.0  # MB occupied by what measures errors on the present mesh
 
     def run(self, on_row: OnRow, store: RowStore | None) -> list[Row]:
         """All rows (collective).
@@ -109,14 +110,14 @@ class Ladder:
         else:
             if row is not None:
                 try:
-                    self.truth = read_reference(self.folder / REFERENCE, row)
-                except InputError:  # the folder was removed
+                    self.truth = read_reference(self.folder / REFERENCE, row, self.comm)
+                except InputError:  # the file was removed
                     row = None
             if row is None:
                 _log.info("the reference solution, on a finer mesh than all others")
                 limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
                 found = make_reference(coarse, uniform_meshes(self.scene), *limits, self.comm)
-                found.answer.save(self.folder / REFERENCE)
+                found.cloud.save(self.folder / REFERENCE, self.comm)
                 self.truth = found
         return row or self._keep(key, {"choice": "", **self.truth.record})
 
@@ -144,7 +145,7 @@ class Ladder:
             finally:
                 if isinstance(bench, Bench):
                     bench.close()
-                    self.truth.forget()
+                    self._forget_mesh()
 
     def _bench(self, scene: Scene) -> Bench | str:
         """A workbench whose forms are compiled already, or why there is none (collective)."""
@@ -176,13 +177,15 @@ class Ladder:
 
     def _figures(self, work: Workbench, answer: Answer, before: float, distance: Distance) -> Row:
         """What every row has (collective)."""
-        memory, record = peak_memory_mb(self.comm) - before, answer.record
-        seconds = record["seconds"]
+        memory, record = peak_memory_mb(self.comm) - before - self._measuring, answer.record
+        seconds, occupied = record["seconds"], forget_peak_memory(self.comm)
+        errors = self.truth.errors(work, answer)
+        self._measuring += max(forget_peak_memory(self.comm) - occupied, 0.0)
         return {
             "dofs": record["dofs"], "cells": record["cells"], "cells_total": record["cells_total"], "h": record["h"],
             "eps": record["eps"], "newton": record["newton_iterations"], "krylov": record["krylov_iterations"],
             "solve": seconds["solve"], "mesh": seconds["mesh"], "memory_mb": memory,
-            "errors": self.truth.errors(work, answer), "sizes": sizes_of(distance, answer),
+            "errors": errors, "sizes": sizes_of(distance, answer),
             "floor": floor_of(work, answer),
         }  # fmt: skip
 
@@ -222,7 +225,7 @@ class Ladder:
                     row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
                     key = self._key(scene, f"{choice.name} {number}")
                     found.append(self._keep(key, row))
-                    self.truth.forget()
+                    self._forget_mesh()
                     yield found[-1]
                     self._end(choice, found, scene)
                     if choice.name in self.ends:
@@ -256,7 +259,12 @@ class Ladder:
                 yield row
             if bench is not None:
                 bench.close()
-                self.truth.forget()
+                self._forget_mesh()
+
+    def _forget_mesh(self) -> None:
+        """Let go of what measures errors on a mesh."""
+        self.truth.forget()
+        self._measuring = 0.0
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""
@@ -282,8 +290,9 @@ class Ladder:
         return self._fixed
 
     def _key(self, scene: Scene, kind: str) -> str:
-        exact = "" if self.full.tables.exact is None else repr(self.full.tables.exact)
-        return on_root(self.comm, row_key, scene, f"cost {kind} {exact}", self.comm.size)
+        exact = self.full.tables.exact
+        truth = "reference" if exact is None else repr(exact)
+        return on_root(self.comm, row_key, scene, f"cost {kind} {truth}", self.comm.size)
 
     def _find(self, key: str) -> Row | None:
         return None if self._store is None else self._store.find(key)

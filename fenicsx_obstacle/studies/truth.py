@@ -15,10 +15,10 @@ from fenicsx_obstacle.accuracy.norms import Distance, Exact
 from fenicsx_obstacle.accuracy.truth import contact_truth
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.difference import Nearby
-from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
@@ -59,30 +59,26 @@ class ExactTruth:
 
 
 class Reference:
-    """Errors against a solution on a finer mesh.
+    """Errors against a solution on a finer mesh, at the quadrature points of its cells.
 
     Attributes:
+        cloud: The solution.
         record: Unknowns, bound, and how much the last refinement changed of each norm.
     """
 
-    def __init__(self, answer: Answer, record: Mapping[str, Any]):
-        self.answer, self.record = linear(answer), dict(record)
-        self._contact = contact_of(answer)
-        self._nearby: tuple[Workbench, Nearby] | None = None
+    def __init__(self, cloud: Cloud, record: Mapping[str, Any]):
+        self.cloud, self.record = cloud, dict(record)
+        self._nearby: tuple[Level, Nearby] | None = None
 
-    def errors(self, bench: Workbench, answer: Answer) -> Errors:
-        """By norm (collective)."""
-        if answer.level.pair.degree > 1:
-            norms = Nearby(linear(answer).level, self.answer).norms(linear(answer))
-        else:
-            if self._nearby is None or self._nearby[0] is not bench:
-                self._nearby = bench, Nearby(answer.level, self.answer)
-            norms = self._nearby[1].norms(answer)
-        errors = {"energy": norms.get("energy", norms["h1"]), "l2": norms["l2"], "max": norms["max"]}
-        return errors | _contact_errors(answer, self._contact)
+    def errors(self, _: Workbench, answer: Answer) -> Errors:
+        """By norm; the maximum is over the points (collective)."""
+        answer = on_simplices(answer)
+        if self._nearby is None or self._nearby[0] is not answer.level:
+            self._nearby = answer.level, Nearby(self.cloud, answer.level)
+        return {**self._nearby[1].norms(answer.u), **_contact_errors(answer, self.record)}
 
     def forget(self) -> None:
-        """Let go of a workbench."""
+        """Let go of a mesh."""
         self._nearby = None
 
 
@@ -141,14 +137,9 @@ def make_reference(scene: Scene, sizes: Iterator[Scene], seconds: float, unknown
     if bound is not None:
         record["bound"] = {"total": bound.total, "relative": bound.relative, "words": bound.words,
                            "guaranteed": bound.guaranteed}  # fmt: skip
-    reference = Reference(answer, record)
-    before = linear(before)
-    norms = Nearby(before.level, reference.answer).norms(before)
-    reference.record["changed"] = {
-        "energy": norms.get("energy", norms["h1"]), "l2": norms["l2"], "max": norms["max"],
-        **_contact_errors(before, contact_of(answer)),
-    }  # fmt: skip
-    return reference
+    cloud, before = Cloud.of(answer), on_simplices(before)
+    record["changed"] = {**Nearby(cloud, before.level).norms(before.u), **_contact_errors(before, record)}
+    return Reference(cloud, record)
 
 
 def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> list[Answer]:
@@ -165,6 +156,10 @@ def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> l
     return found
 
 
-def read_reference(folder: Path, record: Mapping[str, Any]) -> Reference:
-    """The reference of an earlier run (collective)."""
-    return Reference(Answer.read(folder), record)
+def read_reference(file: Path, record: Mapping[str, Any], comm: MPI.Comm) -> Reference:
+    """The reference of an earlier run (collective).
+
+    Raises:
+        InputError: If the file does not hold one.
+    """
+    return Reference(Cloud.read(file, comm), record)

@@ -1,0 +1,162 @@
+"""A solution as points with weights: how far any answer is from it, on whatever mesh, and without one of its own."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import h5py
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle.accuracy.quadrature import blocks, rule
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.linear import linear
+from fenicsx_obstacle.answers.paraview import to_hdf5
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.inside import values, values_and_slopes
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.points import locate
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import largest, new_files, on_root, total
+from fenicsx_obstacle.releases import cell_name
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Values and slopes of a solution at the quadrature points of its own cells, the same on every rank.
+
+    Attributes:
+        points: Coordinates, shape (n, 3).
+        weights: The volumes they stand for, times the distance from the axis where the scene has one, shape (n,).
+        tension: Times them, shape (n,); or a matrix at each, shape (n, rows, rows).
+        u: Solution, shape (n,).
+        slopes: grad u, shape (n, 3).
+    """
+
+    points: np.ndarray
+    weights: np.ndarray
+    tension: np.ndarray
+    u: np.ndarray
+    slopes: np.ndarray
+
+    @classmethod
+    def of(cls, answer: Answer) -> Cloud:
+        """The points of an answer (collective).
+
+        The rule is exact for u^2 on its cells and, where cells of another mesh are unions of these, for the square of a
+        difference; in solids, where there would be many points, for that of slopes.
+        """
+        answer = on_simplices(answer)
+        level, data = answer.level, _data(answer)
+        dim, count = level.mesh.topology.dim, own_cells(level.mesh)
+        inside, shares = rule(dim, 2 * level.pair.degree if dim < 3 else 2 * level.pair.degree - 2)
+        elastic = next(effect for effect in answer.scene.effects if effect.elastic)
+        if isinstance(elastic.value, tuple):
+            tension = [[data.cellwise(entry) for entry in row] for row in elastic.value]
+        else:
+            tension = [[data.cellwise(elastic.value, positive=True)]]
+        found = []
+        for block in [*blocks(count)] or [slice(0, 0)]:
+            x = corners(level.mesh, block)
+            points = (inside @ x).reshape(-1, 3)
+            weights = np.outer(volumes(x), shares).ravel() * (points[:, 0] if data.radial else 1.0)
+            cells, places = np.repeat(np.arange(count)[block], len(inside)), np.tile(inside, (len(x), 1))
+            entries = [[values(entry, cells, places) * weights for entry in row] for row in tension]
+            pulling = np.moveaxis(np.array(entries), 2, 0) if len(entries) > 1 else entries[0][0]
+            found.append((points, weights, pulling, *values_and_slopes(answer.u, cells, places)))
+        mine = [np.concatenate(parts) for parts in zip(*found, strict=True)]
+        return cls(*(np.concatenate(parts) for parts in zip(*level.comm.allgather(mine), strict=True)))
+
+    def save(self, file: Path, comm: MPI.Comm) -> None:
+        """Write an HDF5 file, in one step (collective).
+
+        Raises:
+            InputError: If it cannot be written.
+        """
+
+        def write() -> None:
+            (scratch / file.name).write_bytes(to_hdf5({one.name: getattr(self, one.name) for one in fields(self)}))
+
+        with new_files(comm, file.parent) as scratch:
+            on_root(comm, write)
+
+    @classmethod
+    def read(cls, file: Path, comm: MPI.Comm) -> Cloud:
+        """A saved one, on any number of ranks (collective).
+
+        Raises:
+            InputError: If the file does not hold one.
+        """
+
+        def load() -> list[np.ndarray]:
+            content = io.BytesIO(file.read_bytes())
+            try:
+                with h5py.File(content) as stored:
+                    return [stored[one.name][()] for one in fields(cls)]
+            except (OSError, ValueError, KeyError) as error:
+                raise InputError(f"{file}: is damaged: {error}") from None
+
+        return cls(*on_root(comm, load))
+
+
+class Nearby:
+    """Distances of functions on one mesh to a cloud; which cells hold its points is found once.
+
+    Points outside the mesh, where shapes are curved, count 0; on a side all cells beside it count alike.
+    """
+
+    def __init__(self, cloud: Cloud, level: Level):
+        """Find the cells (collective).
+
+        Args:
+            cloud: What distances are to.
+            level: Where the functions live, of simplices.
+        """
+        self.cloud, self.comm = cloud, level.comm
+        self._rows, self._cells, self._places = locate(level, cloud.points)
+        found = np.bincount(self._rows, minlength=len(cloud.points))
+        self.comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)
+        self._share = 1.0 / found[self._rows]
+
+    def norms(self, u: fem.Function) -> dict[str, float]:
+        """`l2`, `energy`, which is ||mu^(1/2) grad(.)||, and `max`, over the points, of the difference (collective)."""
+        sums, highest = np.zeros(2), 0.0
+        for block in blocks(len(self._rows)):
+            rows, share = self._rows[block], self._share[block]
+            here, slopes = values_and_slopes(u, self._cells[block], self._places[block])
+            e, slopes = here - self.cloud.u[rows], slopes - self.cloud.slopes[rows]
+            sums += share @ (self.cloud.weights[rows] * e**2), share @ _along(self.cloud.tension[rows], slopes)
+            highest = max(highest, np.abs(e).max())
+        l2, energy = (math.sqrt(max(total(self.comm, part), 0.0)) for part in sums)
+        return {"energy": energy, "l2": l2, "max": largest(self.comm, highest)}
+
+
+def on_simplices(answer: Answer) -> Answer:
+    """The answer itself on simplices, of whatever degree; otherwise its interpolant on the cut cells (collective)."""
+    return answer if cell_name(answer.level.mesh) in SIMPLICES else linear(answer)
+
+
+def _along(tension: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """(tension slope) . slope at each point."""
+    if tension.ndim == 1:
+        return tension * np.einsum("qi,qi->q", slopes, slopes)
+    slopes = slopes[:, : tension.shape[1]]
+    return np.einsum("qij,qi,qj->q", tension, slopes, slopes)
+
+
+def _data(answer: Answer) -> Data:
+    """What the effects are on its mesh; of a scene with time at the end."""
+    moments = answer.scene.time
+    if moments is None:
+        return Data(answer.scene, answer.level)
+    from fenicsx_obstacle.discrete.motion import Moment  # only where a scene has time
+
+    moment = Moment.at_start(moments)
+    moment.t = answer.record["time"]["t"]
+    return Data(answer.scene, answer.level, moment)
