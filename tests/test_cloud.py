@@ -84,7 +84,7 @@ def test_errors_without_an_exact_solution_are_those_with_one(fine, element):
 
 
 def test_points_outside_count_nothing():
-    """A disk has points beyond the polygon of a coarse mesh: of the function 1 the polygon's area is found, not more."""
+    """A disk has points beyond the polygon of a coarse mesh: of 1 the area of the polygon is found, not more."""
     scene = Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=1)
     with closing(Workbench(scene, COMM)) as bench:
         cloud = Cloud.of(bench.answer())

@@ -49,8 +49,8 @@ def _tabulated(local: np.ndarray, places: np.ndarray, order: int) -> np.ndarray:
     """The basis functions and, for order 1, their derivatives, shape (1 or 1 + dim, n, dofs)."""
     vertices = places.shape[1]
     degree = _DEGREE[vertices][local.shape[1]]
-    if degree == 0:
-        return np.ones((1, len(places), 1))
+    if degree == 0 or not len(places):  # basix takes no empty list of points
+        return np.ones((1 + order * (vertices - 1), len(places), local.shape[1]))
     lagrange = basix.LagrangeVariant.gll_warped  # up to degree 2 all are the same
     element = basix.create_element(basix.ElementFamily.P, _CELLS[vertices - 1], degree, lagrange)
     return np.asarray(element.tabulate(order, np.ascontiguousarray(places[:, 1:])))[..., 0]

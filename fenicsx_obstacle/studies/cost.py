@@ -116,7 +116,7 @@ class Ladder:
             if row is None:
                 _log.info("the reference solution, on a finer mesh than all others")
                 limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
-                found = make_reference(coarse, uniform_meshes(self.scene), *limits, self.comm)
+                found = make_reference(coarse, uniform_meshes, *limits, self.comm)
                 found.cloud.save(self.folder / REFERENCE, self.comm)
                 self.truth = found
         return row or self._keep(key, {"choice": "", **self.truth.record})

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -104,33 +106,35 @@ def _contact_errors(answer: Answer, truth: Mapping[str, float]) -> Errors:
     return {name: abs(value - truth[name]) for name, value in contact_of(answer).items() if name in truth}
 
 
-def make_reference(scene: Scene, sizes: Iterator[Scene], seconds: float, unknowns: float, comm: MPI.Comm) -> Reference:
+def make_reference(
+    scene: Scene, sizes: Callable[[Scene], Iterator[Scene]], seconds: float, unknowns: float, comm: MPI.Comm
+) -> Reference:
     """The finest solution within the limits, times `FINER` (collective).
 
     Refined where the error is, with its bound, where there are bounds for the scene; else on the finest uniform mesh.
+    By quadratic elements, where they serve it.
 
     Args:
         scene: On its coarsest mesh.
-        sizes: The scene on finer and finer uniform meshes.
+        sizes: A scene on finer and finer uniform meshes.
         seconds: Limit of a row.
         unknowns: Likewise.
         comm: Communicator.
+
+    Raises:
+        ObstacleError: If the scene cannot be solved.
     """
     found: list[Answer] = []
-    for element in dict.fromkeys(("P2", scene.pair.name)):
+    ways = product((_refined, partial(_uniform, sizes)), dict.fromkeys(("P2", scene.pair.name)))
+    for way, element in ways:
         try:
-            found = _refined(scene.change({"solve.element": element}), seconds, unknowns, comm)
+            found = way(scene.change({"solve.element": element}), seconds, unknowns, comm)
             break
-        except InputError as error:
-            _log.info("no bound: %s", error)
-    for finer in sizes if not found else ():
-        with closing(Workbench(finer, comm)) as bench:
-            found = [*found[-1:], bench.answer()]
-        record = found[-1].record
-        growth = 2.0 ** found[-1].level.mesh.topology.dim
-        last = growth * record["seconds"]["total"] > FINER * seconds or growth * record["dofs"] > FINER * unknowns
-        if comm.bcast(last):
-            break
+        except (InputError, NotConverged) as error:
+            _log.info("no reference: %s", error)
+            refused = error
+    else:
+        raise refused
     answer, before = found[-1], found[0]
     bound = answer.bound
     record = {"exact": False, "dofs": answer.record["dofs"], "eps": answer.record["eps"], **contact_of(answer)}
@@ -153,6 +157,22 @@ def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> l
             last = spent * (1 + GROWTH / 2) > FINER * seconds or GROWTH * dofs > FINER * unknowns
             if comm.bcast(last):
                 break
+    return found
+
+
+def _uniform(
+    sizes: Callable[[Scene], Iterator[Scene]], scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm
+) -> list[Answer]:
+    """Likewise on uniform meshes (collective)."""
+    found: list[Answer] = []
+    for finer in sizes(scene):
+        with closing(Workbench(finer, comm)) as bench:
+            found = [*found[-1:], bench.answer()]
+        record = found[-1].record
+        growth = 2.0 ** found[-1].level.mesh.topology.dim
+        last = growth * record["seconds"]["total"] > FINER * seconds or growth * record["dofs"] > FINER * unknowns
+        if comm.bcast(last):
+            break
     return found
 
 
