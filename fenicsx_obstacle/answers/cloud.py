@@ -26,6 +26,8 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, new_files, on_root, total
 from fenicsx_obstacle.releases import cell_name
 
+AT_ONCE = 300_000  # points that are looked up together
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
@@ -119,7 +121,11 @@ class Nearby:
             level: Where the functions live, of simplices.
         """
         self.cloud, self.comm = cloud, level.comm
-        self._rows, self._cells, self._places = locate(level, cloud.points)
+        parts = []
+        for start in range(0, max(len(cloud.points), 1), AT_ONCE):
+            rows, *within = locate(level, cloud.points[start : start + AT_ONCE])
+            parts.append((rows + start, *within))
+        self._rows, self._cells, self._places = (np.concatenate(part) for part in zip(*parts, strict=True))
         found = np.bincount(self._rows, minlength=len(cloud.points))
         self.comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)
         self._share = 1.0 / found[self._rows]
