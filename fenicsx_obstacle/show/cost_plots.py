@@ -116,16 +116,17 @@ def over_h_and_eps(rows: Rows) -> Any:
     page, grid = figure(11.5, 4.3 * count, rows=count, columns=min(len(shown), 3))
     panels = np.atleast_1d(grid).ravel()
     sides = np.array(sorted({row["h"] for row in places}))
-    values = np.array(sorted({row["eps"] for row in places}))
-    edges = _edges(sides), _edges(values)
+    # each mesh has values of eps of its own: they go with the largest tension that its cells see
+    columns = [sorted((row for row in places if row["h"] == h), key=lambda row: row["eps"]) for h in sides]
+    heights = [_edges(np.array([row["eps"] for row in column])) for column in columns]
+    edges = _edges(sides), np.sort(np.concatenate(heights))
     for axes, norm in zip(panels, shown, strict=False):
-        found = np.full((len(values), len(sides)), np.nan)
-        for row in places:
-            size = row.get("sizes", {}).get(norm)
-            if size and row["errors"].get(norm):
-                place = np.searchsorted(values, row["eps"]), np.searchsorted(sides, row["h"])
-                found[place] = row["errors"][norm] / size
-        drawn = axes.pcolormesh(*edges, np.ma.masked_invalid(found), norm=LogNorm(), cmap="viridis_r")
+        found = [np.array([_of_size(row, norm) for row in column]) for column in columns]
+        every = np.concatenate(found)
+        scale = LogNorm(np.nanmin(every), np.nanmax(every))
+        for k, (height, part) in enumerate(zip(heights, found, strict=True)):
+            boxes = np.ma.masked_invalid(part[:, None])
+            drawn = axes.pcolormesh(edges[0][k : k + 2], height, boxes, norm=scale, cmap="viridis_r")
         page.colorbar(drawn, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)
         of_h = {row["h"]: row for row in places}
         line = [of_h[h] for h in sides]
@@ -148,6 +149,12 @@ def over_h_and_eps(rows: Rows) -> Any:
     return page
 
 
+def _of_size(row: Any, norm: str) -> float:
+    """The relative error, not-a-number where there is none."""
+    size = row.get("sizes", {}).get(norm)
+    return row["errors"][norm] / size if size and row["errors"].get(norm) else np.nan
+
+
 def _round_off(axes: Any, line: Sequence[Any], places: Sequence[Any], edges: tuple[np.ndarray, np.ndarray]) -> None:
     """Where eps is refused, and where a program that divides u - obstacle by eps would have lost the pressure."""
     sides = np.array([row["h"] for row in line])
@@ -167,6 +174,8 @@ def _round_off(axes: Any, line: Sequence[Any], places: Sequence[Any], edges: tup
 def _edges(values: np.ndarray) -> np.ndarray:
     """Sides of the boxes around values, in the middle between logarithms."""
     logs = np.log(values)
+    if len(logs) == 1:
+        return np.array([values[0] / 2, values[0] * 2])
     middles = (logs[1:] + logs[:-1]) / 2
     return np.exp(np.concatenate([[2 * logs[0] - middles[0]], middles, [2 * logs[-1] - middles[-1]]]))
 
