@@ -74,7 +74,6 @@ class Ladder:
         self._store: RowStore | None = None
         self._warm: set[tuple[Any, ...]] = set()
         self._fixed: float | None = None
-        self._measuring = 0.0  # MB occupied by what measures errors on the present mesh
 
     def run(self, on_row: OnRow, store: RowStore | None) -> list[Row]:
         """All rows (collective).
@@ -145,7 +144,7 @@ class Ladder:
             finally:
                 if isinstance(bench, Bench):
                     bench.close()
-                    self._forget_mesh()
+                    self.truth.forget()
 
     def _bench(self, scene: Scene) -> Bench | str:
         """A workbench whose forms are compiled already, or why there is none (collective)."""
@@ -177,10 +176,10 @@ class Ladder:
 
     def _figures(self, work: Workbench, answer: Answer, before: float, distance: Distance) -> Row:
         """What every row has (collective)."""
-        memory, record = peak_memory_mb(self.comm) - before - self._measuring, answer.record
+        memory, record = peak_memory_mb(self.comm) - before - self.truth.occupied, answer.record
         seconds, occupied = record["seconds"], forget_peak_memory(self.comm)
         errors = self.truth.errors(work, answer)
-        self._measuring += max(forget_peak_memory(self.comm) - occupied, 0.0)
+        self.truth.occupied += max(forget_peak_memory(self.comm) - occupied, 0.0)
         return {
             "dofs": record["dofs"], "cells": record["cells"], "cells_total": record["cells_total"], "h": record["h"],
             "eps": record["eps"], "newton": record["newton_iterations"], "krylov": record["krylov_iterations"],
@@ -225,7 +224,7 @@ class Ladder:
                     row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
                     key = self._key(scene, f"{choice.name} {number}")
                     found.append(self._keep(key, row))
-                    self._forget_mesh()
+                    self.truth.forget()
                     yield found[-1]
                     self._end(choice, found, scene)
                     if choice.name in self.ends:
@@ -259,12 +258,7 @@ class Ladder:
                 yield row
             if bench is not None:
                 bench.close()
-                self._forget_mesh()
-
-    def _forget_mesh(self) -> None:
-        """Let go of what measures errors on a mesh."""
-        self.truth.forget()
-        self._measuring = 0.0
+                self.truth.forget()
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""

@@ -37,6 +37,7 @@ class ExactTruth:
 
     Attributes:
         record: What was taken for the truth.
+        occupied: MB that measuring errors on the present mesh takes, as far as somebody noted it.
     """
 
     def __init__(self, scene: Scene, comm: MPI.Comm):
@@ -45,6 +46,7 @@ class ExactTruth:
         self._contact = contact_truth(scene, levels.coarsest(scene, comm))
         self.record: dict[str, Any] = {"exact": True, **self._contact}
         self._exact: tuple[Workbench, Exact] | None = None
+        self.occupied = 0.0
 
     def errors(self, bench: Workbench, answer: Answer) -> Errors:
         """By norm; `pressure` too where the scene knows it (collective)."""
@@ -57,7 +59,7 @@ class ExactTruth:
 
     def forget(self) -> None:
         """Let go of a workbench."""
-        self._exact = None
+        self._exact, self.occupied = None, 0.0
 
 
 class Reference:
@@ -66,11 +68,13 @@ class Reference:
     Attributes:
         cloud: The solution.
         record: Unknowns, bound, and how much the last refinement changed of each norm.
+        occupied: MB that measuring errors on the present mesh takes, as far as somebody noted it.
     """
 
     def __init__(self, cloud: Cloud, record: Mapping[str, Any]):
         self.cloud, self.record = cloud, dict(record)
         self._nearby: tuple[Level, Nearby] | None = None
+        self.occupied = 0.0
 
     def errors(self, _: Workbench, answer: Answer) -> Errors:
         """By norm; the maximum is over the points (collective)."""
@@ -81,7 +85,7 @@ class Reference:
 
     def forget(self) -> None:
         """Let go of a mesh."""
-        self._nearby = None
+        self._nearby, self.occupied = None, 0.0
 
 
 Truth = ExactTruth | Reference
