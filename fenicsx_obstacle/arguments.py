@@ -14,6 +14,7 @@ import click
 from fenicsx_obstacle.errors import InputError
 
 MOST = 1000  # values of one key
+CHANGES = ("set", "cells", "refine", "element", "method", "start", "eps")  # of the scene
 
 
 class Place(click.Path):

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from fenicsx_obstacle.arguments import Place, options, typed, varied
+from fenicsx_obstacle.arguments import CHANGES, Place, options, typed, varied
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.outlets import check_places, tell, write_json
 
@@ -38,10 +38,7 @@ def commands() -> None:
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--budget", metavar="LIMIT", help="With a tolerance: stop earlier: 60s, 8GB, '1e6 unknowns'.")
 @click.option("--restart", type=Place(), metavar="DIR", help="With [time]: go on from the state in this folder.")
-@options(
-    *("set", "cells", "refine", "element", "method", "start", "eps", "yardstick", "plugin", "output", "json", "quiet"),
-    "log",
-)
+@options(*CHANGES, "yardstick", "plugin", "output", "json", "quiet", "log")
 def solve(
     scene_file: str,
     picture: bool,
@@ -88,7 +85,7 @@ def solve(
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--tol", type=float, metavar="R", help="Also forecast 'solve --tol R', from a few seconds of it.")
-@options("set", "cells", "refine", "element", "method", "start", "eps", "plugin")
+@options(*CHANGES, "plugin")
 def explain(scene_file: str, tol: float | None, **given: Any) -> None:
     """Print the equation, the solver, and what a scene leaves out."""
     scene = _read(scene_file)
@@ -109,7 +106,7 @@ def explain(scene_file: str, tol: float | None, **given: Any) -> None:
               help="A,B,C or A..B (by factors of 2; eps: 10) or A..B:N (N values); several make a grid.")  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
 @click.option("--latex", type=Place(), metavar="FILE", help="The table as LaTeX.")
-@options("set", "cells", "refine", "element", "method", "start", "eps", "plugin", "output", "json", "quiet", "log")
+@options(*CHANGES, "plugin", "output", "json", "quiet", "log")
 def study(
     scene_file: str,
     vary: tuple[str, ...],
