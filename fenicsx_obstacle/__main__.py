@@ -37,11 +37,8 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         # a compiled module that is interrupted while it loads says that it failed
         if isinstance(error, ImportError) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise
-        kept = (
-            "; finished rows are kept, the same command goes on from them"
-            if arguments[:1] in (["study"], ["cost"])
-            else ""
-        )
+        has_rows = arguments[:1] in (["study"], ["cost"])
+        kept = "; finished rows are kept, the same command goes on from them" if has_rows else ""
         return _fail(f"interrupted{kept}", 130)
     except RuntimeError as error:
         if type(error).__module__ != "petsc4py.PETSc":

@@ -7,16 +7,17 @@ from collections.abc import Iterator
 import basix
 import numpy as np
 
+from fenicsx_obstacle.discrete.inside import CELLS
+
 DEGREE = 6  # exact solutions have kinks in their second derivatives
 AT_ONCE = 50_000  # cells in memory
-_CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
 
 def rule(dim: int, degree: int = DEGREE) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric points, shape (n, dim + 1), and weights of sum 1 on a simplex; exact for this degree."""
     if dim == 0:
         return np.ones((1, 1)), np.ones(1)
-    points, weights = basix.make_quadrature(_CELLS[dim], degree)
+    points, weights = basix.make_quadrature(CELLS[dim], degree)
     return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
 
 

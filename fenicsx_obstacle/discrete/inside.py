@@ -10,7 +10,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, duals
 from fenicsx_obstacle.discrete.samples import Cellwise
 
-_CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
+CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 _DEGREE = {2: {1: 0, 2: 1, 3: 2}, 3: {1: 0, 3: 1, 6: 2}, 4: {1: 0, 4: 1, 10: 2}}  # by vertices and dofs of a cell
 
 
@@ -52,5 +52,5 @@ def _tabulated(local: np.ndarray, places: np.ndarray, order: int) -> np.ndarray:
     if degree == 0 or not len(places):  # basix takes no empty list of points
         return np.ones((1 + order * (vertices - 1), len(places), local.shape[1]))
     lagrange = basix.LagrangeVariant.gll_warped  # up to degree 2 all are the same
-    element = basix.create_element(basix.ElementFamily.P, _CELLS[vertices - 1], degree, lagrange)
+    element = basix.create_element(basix.ElementFamily.P, CELLS[vertices - 1], degree, lagrange)
     return np.asarray(element.tabulate(order, np.ascontiguousarray(places[:, 1:])))[..., 0]
