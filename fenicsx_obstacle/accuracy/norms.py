@@ -242,7 +242,7 @@ class DualNorm:
         self._ksp.setOperators(self._H)
         self._ksp.setType("cg")
         self._ksp.getPC().setType("hypre")
-        self._ksp.setTolerances(rtol=1e-9)
+        self._ksp.setTolerances(rtol=1e-9, atol=0.0)
 
     def error(self, pressure: fem.Function, eps: float | None) -> float:
         """||p - p_h||_1* of a pressure in Q_h (collective)."""

@@ -23,6 +23,7 @@ LINEAR = {
     "ksp_type": "cg",
     "ksp_norm_type": "natural",  # the energy norm: independent of eps and of units
     "ksp_rtol": 1e-10,
+    "ksp_atol": 0.0,  # PETSc's 1e-50 is a force or an energy in somebody's units
     "ksp_max_it": 500,
     "pc_type": "hypre",
     "pc_hypre_type": "boomeramg",

@@ -46,7 +46,7 @@ def _once(level: Level, a: object, f: object, bc: object) -> float:
     ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
     ksp.getPC().setType("hypre")
     ksp.getPC().setHYPREType("boomeramg")
-    ksp.setTolerances(rtol=TOLERANCE)
+    ksp.setTolerances(rtol=TOLERANCE, atol=0.0)
     ksp.solve(b, x)
     level.comm.barrier()
     seconds = time.perf_counter() - start
