@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import changed
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.compute import Workbench, close
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
@@ -120,6 +120,8 @@ class Refinement:
     ) -> Generator[tuple[Workbench, Answer], None, None]:
         """Each workbench and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
 
+        Errors are left to those who want them: `Workbench.measured`.
+
         Every step is collective. They are freed when the iterator is closed; time that others take between two meshes
         is not counted.
 
@@ -127,9 +129,9 @@ class Refinement:
             share: Of the bound, in the cells to refine; by default `BULK`.
             unknowns: No mesh has more.
         """
-        with ExitStack() as benches:
-            coarsest = levels.coarsest(self.scene, self.comm)
-            bench = benches.enter_context(closing(Workbench(self.scene, self.comm, coarsest)))
+        bench = Workbench(self.scene, self.comm, levels.coarsest(self.scene, self.comm))
+        benches = [bench]
+        try:
             while True:
                 answer = self._balanced(bench)
                 paused = time.perf_counter()
@@ -137,22 +139,25 @@ class Refinement:
                 self._started += time.perf_counter() - paused
                 bulk = self.bulk if share is None else share(answer)
                 finer = bench.refined(_marked(_bound(answer).indicator, bulk, self.comm))
-                benches.enter_context(closing(finer))
+                benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
                     yield bench, answer
                     return
                 bench.forget_estimator()
                 bench = finer
+        finally:
+            close(benches)
 
     def _balanced(self, bench: Workbench) -> Answer:
         """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
-        answer = bench.answer(self.scene, bound=True)
+        first = not self.path  # there an exact solution that is none is told of
+        answer = bench.answer(self.scene, bound=True, errors=first)
         bound = _bound(answer)
         while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
             eps = answer.record["eps"] * max(0.02, AHEAD * BALANCED * bound.discretisation / bound.penalty)
             self.scene = self.scene.change({"solve.eps": eps})
-            answer, before = bench.answer(self.scene, bound=True), bound
+            answer, before = bench.answer(self.scene, bound=True, errors=False), bound
             bound = _bound(answer)
             if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
                 break
@@ -191,7 +196,8 @@ class _Adaptation(Refinement):
                 if why is not None:
                     break
             if yardstick:
-                answer = bench.answer(self.scene, yardstick=True, bound=True)
+                answer = bench.answer(self.scene, yardstick=True, bound=True, errors=False)
+            answer = bench.measured(answer)
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
         seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}

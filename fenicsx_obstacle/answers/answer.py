@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,6 +71,17 @@ class Answer:
         """The figures of the scene's [report], in its units; None where one is not finite."""
         return dict(self.record.get("report", {}))
 
+    @property
+    def plain(self) -> Answer:
+        """The same on P1 simplices, as it is drawn, saved, compared and looked up (first use is collective)."""
+        return self if self.level.pair.nests else self._cut
+
+    @cached_property
+    def _cut(self) -> Answer:
+        from fenicsx_obstacle.answers.linear import linear
+
+        return linear(self)
+
     def at(self, points: ArrayLike) -> np.ndarray:
         """Values of u at points, not-a-number outside the mesh; of other elements than P1, of their linear interpolant
         at the nodes (collective).
@@ -85,7 +97,6 @@ class Answer:
         Raises:
             InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh.
         """
-        from fenicsx_obstacle.answers.linear import linear
         from fenicsx_obstacle.discrete.points import values_at
 
         given, gdim = np.asarray(points, dtype=np.float64), self.level.mesh.geometry.dim
@@ -95,8 +106,7 @@ class Answer:
         flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
         if np.any(flat[:, gdim:] != 0):
             raise InputError(f"at() takes points of the mesh, shape (n, {gdim}); coordinates beyond these must be 0")
-        plain = linear(self)
-        return values_at(plain.level, plain.u, flat).reshape(given.shape[:-1])
+        return values_at(self.plain.level, self.plain.u, flat).reshape(given.shape[:-1])
 
     def functions(self) -> dict[str, fem.Function]:
         """The fields by name, those that exist."""

@@ -11,12 +11,10 @@ import h5py
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.course import Course, Frame, from_groups, renumbered, to_arrays
 from fenicsx_obstacle.answers.paraview import to_hdf5
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import agree, gathered, on_root
 from fenicsx_obstacle.scenes.moments import INERTIA, Moments
 from fenicsx_obstacle.solvers.steps import Steps
@@ -72,8 +70,7 @@ def read(folder: Path, level: Level, moments: Moments) -> tuple[Steps, Course]:
     place, comm = folder / NAME, level.comm
     stored, rows, frames = on_root(comm, _load, place)
     points = gathered(comm, level.points.T[: level.owned])
-    plain = level.pair.degree == 1 and releases.cell_name(level.mesh) in SIMPLICES
-    frames = renumbered(frames, stored["points"], points) if plain else []  # those of others are on cut cells
+    frames = renumbered(frames, stored["points"], points) if level.pair.nests else []  # others' are on cut cells
     distance, found = cKDTree(stored["points"]).query(level.points.T)
     elsewhere = bool(np.any(distance > NEAR * level.h)) or len(stored["points"]) != level.dofs
     with agree(comm):

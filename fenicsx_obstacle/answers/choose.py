@@ -61,7 +61,7 @@ def stepwise(scene: Scene) -> bool:
 def chain(problem: Problem) -> list[Problem]:
     """The problems from the coarsest level to this one (collective); only this one where the others do not serve."""
     problems = [problem]
-    while (level := problems[0].level.coarse) is not None:
+    for level in problem.level.downward[1:]:
         try:
             data = Data(problem.scene, level, problem.data.moment)  # one clock for all levels
             problems.insert(0, Problem(problem.scene, level, data))

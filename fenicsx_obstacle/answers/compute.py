@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.choose import Method, chain, method_of, nested, stepwise
-from fenicsx_obstacle.answers.figures import figures_of
+from fenicsx_obstacle.answers.figures import figures_of, with_errors
 from fenicsx_obstacle.answers.origin import command, versions
 from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
@@ -88,12 +87,7 @@ class Workbench:
 
     def close(self) -> None:
         """Free matrices and solvers; answers stay (collective)."""
-        meshes = [self.problem.level]  # with their communicators alive until the end
-        while meshes[-1].coarse is not None:
-            meshes.append(meshes[-1].coarse)
-        del self.problem
-        self._grids = self._problems = self._report = self._exact = self._estimator = None
-        releases.free(level.comm for level in meshes)
+        close([self])
 
     def refined(self, marked: np.ndarray) -> Workbench:
         """A workbench on the mesh with marked owned cells refined, which starts from the solution here (collective).
@@ -140,6 +134,7 @@ class Workbench:
         restart: Path | None = None,
         keep: Path | None = None,
         watch: Watch | None = None,
+        errors: bool = True,
     ) -> Answer:
         """Solve with the [solve] table of `scene` (collective).
 
@@ -150,6 +145,7 @@ class Workbench:
             restart: With [time]: folder with the state to begin from.
             keep: With [time]: folder for states on the way.
             watch: Is told of each Newton step, on all levels.
+            errors: Measure them, if the scene has an exact solution.
 
         Raises:
             InputError: For a bad eps, or elements that the bound is not for.
@@ -188,7 +184,12 @@ class Workbench:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         certified = None if estimator is None else estimator.bound()
-        return self._answer(scene, last, counts, method, state, seconds, certified, course)
+        answer = self._answer(scene, last, counts, method, state, seconds, certified, course)
+        return self.measured(answer) if errors else answer
+
+    def measured(self, answer: Answer) -> Answer:
+        """The answer with its errors, if the scene has an exact solution (collective)."""
+        return answer if self.exact is None else with_errors(answer, self.exact)
 
     def _at_rest(self, method: Method, grids: Sequence[Multigrid | Problem]) -> list[Outcome]:
         """Solve from a cold start, or from the coarsest level on (collective)."""
@@ -270,28 +271,29 @@ class Workbench:
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
             "memory_mb": peak_memory_mb(level.comm), "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
-        if self.exact is not None:
-            record["errors"] = self.exact.errors(state.u, state.pressure, eps)
         if bound is not None:
-            true = record.get("errors", {}).get("energy")
-            record["bound"] = {**bound.record, "effectivity": bound.total / true if true else None}
+            record["bound"] = {**bound.record, "effectivity": None}
             if eps is not None and (problem.below is None) != (problem.above is None):
                 # u_eps - eps max|p_eps| <= u_h <= u_eps at every node, mirrored for a lower obstacle
                 width = eps * largest(level.comm, np.abs(state.p))
                 record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
         if self._report is not None:
             record["report"] = self._reported(state)
-        error = None
-        if self.exact is not None:
-            error = fem.Function(level.V)
-            error.x.array[:] = state.u.x.array - self.exact.nodal(eps)
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
-        return replace(self._fields(state), error=error, history=history, record=record, bound=bound, course=course,
-                       scene=scene)  # fmt: skip
+        return replace(self._fields(state), history=history, record=record, bound=bound, course=course, scene=scene)
 
     def _fields(self, state: State) -> Answer:
         """The fields of an answer, without figures."""
         problem, data = self.problem, self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
         return Answer(problem.scene, problem.level, state.u, state.pressure, state.touching, *shown, None, (), {})
+
+
+def close(benches: Sequence[Workbench]) -> None:
+    """Free the matrices and solvers of workbenches; answers stay (collective)."""
+    meshes = [level for bench in benches for level in bench.problem.level.downward]  # communicators live until the end
+    for bench in benches:
+        del bench.problem
+        bench._grids = bench._problems = bench._report = bench._exact = bench._estimator = None
+    releases.free(level.comm for level in meshes)

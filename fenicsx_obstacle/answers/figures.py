@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 
+from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.accuracy.round_off import round_off
+from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -38,6 +42,21 @@ def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) 
     if problem.constrained and problem.affine and level.pair.nodal and scene.time is None:
         figures["round_off"] = round_off(problem, state.p, eps)
     return figures
+
+
+def with_errors(answer: Answer, exact: Exact) -> Answer:
+    """The answer with its errors, and with the effectivity of its bound (collective).
+
+    Raises:
+        InputError: If the exact solution is not a number somewhere.
+    """
+    eps = answer.record["eps"]
+    record: dict[str, Any] = {**answer.record, "errors": exact.errors(answer.u, answer.pressure, eps)}
+    if answer.bound is not None and record["errors"]["energy"] > 0:
+        record["bound"] = {**record["bound"], "effectivity": answer.bound.total / record["errors"]["energy"]}
+    error = fem.Function(answer.level.V)
+    error.x.array[:] = answer.u.x.array - exact.nodal(eps)
+    return replace(answer, record=record, error=error)
 
 
 def _flow(problem: Problem) -> dict[str, float]:

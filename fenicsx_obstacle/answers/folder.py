@@ -16,7 +16,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.answers.paraview import FRAMES, to_hdf5, xdmf
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
@@ -147,7 +146,7 @@ def fields_of(answer: Answer) -> dict[str, np.ndarray]:
 
 def gather(answer: Answer) -> dict[str, np.ndarray]:
     """Points, cells and fields of all ranks on rank 0, numbered by global dof; empty elsewhere (collective)."""
-    answer = linear(answer)
+    answer = answer.plain
     level = answer.level
     comm, owned = level.comm, level.owned
     own_cells = level.mesh.topology.index_map(level.mesh.topology.dim).size_local

@@ -19,19 +19,16 @@ from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.duality import at_nodes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.parents import numbers
-from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before
 
 _SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}
 
 
 def linear(answer: Answer) -> Answer:
-    """The answer itself if it is P1 on simplices, otherwise its interpolant on the cut cells (collective)."""
+    """The interpolant of an answer of another element on the cut cells (collective)."""
     level = answer.level
     mesh, comm = level.mesh, level.comm
     cell, dim, gdim = releases.cell_name(mesh), mesh.topology.dim, mesh.geometry.dim
-    if level.pair.degree == 1 and cell in SIMPLICES:
-        return answer
     V, own, count = level.V, own_cells(mesh), level.owned
     centres = 0 if level.pair.nodal else own
     dofs = releases.cell_dofs(V)[:own]
@@ -71,7 +68,7 @@ def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
     dofs = releases.cell_dofs(level.V)[: len(values)].ravel()
     sums, counts = fem.Function(level.V), fem.Function(level.V)
     for function, part in ((sums, values.ravel()), (counts, np.ones(values.size))):
-        np.add.at(function.x.array, dofs, part)
+        function.x.array[:] = np.bincount(dofs, part, len(function.x.array))
         releases.add_ghosts(function)
         function.x.scatter_forward()
     return (sums.x.array / counts.x.array)[dofs].reshape(values.shape)

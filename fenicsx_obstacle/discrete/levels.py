@@ -116,6 +116,11 @@ class Level:
         """Number of cells on all ranks."""
         return self.mesh.topology.index_map(self.mesh.topology.dim).size_global
 
+    @property
+    def downward(self) -> list[Level]:
+        """This level and all below it."""
+        return [self, *([] if self.coarse is None else self.coarse.downward)]
+
     @cached_property
     def W(self) -> fem.FunctionSpace:
         """Tension and load: one value per cell, or polynomials as rich as V_h (first use is collective)."""

@@ -22,7 +22,7 @@ NORMS = {
     "area": "contact area",
 }
 TOLERANCES = tuple(10.0**-k for k in range(1, 7))
-FAR = 20.0  # times beyond the last error of a choice: so far its line is continued
+FAR = 20.0  # times beyond the last error of a choice its line is continued: to a tenth of twice the smallest, at most
 TRUSTED = 3.0  # errors below so many times what the reference itself may be off say nothing
 NOTHING = 1e-9  # of the domain, or of the force scale: no contact to be measured
 STEEPEST = 1.5  # no error is believed to fall faster than unknowns^-1.5, order 3 in h: signs change, and hits are lucky
