@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
 LEAST = 0.1
-ENOUGH = 3.0  # cells with this share of the bound, refined, lower it by 1: cut into four, their norms lose 3/8
+ENOUGH = 1.1  # times the share of the bound that should do: cut into four, cells keep 4^-degree of its square
 BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
 AHEAD = 0.04  # times that: solvers do not mind, and the next meshes need no smaller one
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
@@ -207,8 +207,8 @@ class _Adaptation(Refinement):
 
     def _share(self, answer: Answer) -> float:
         """The last mesh need not be finer than it has to be."""
-        beyond = 1 - self._limit(answer) / _bound(answer).total
-        return min(self.bulk, max(LEAST, ENOUGH * beyond))
+        beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
+        return min(self.bulk, max(LEAST, ENOUGH * beyond / (1 - 0.25**self.scene.pair.degree)))
 
     def _limit(self, answer: Answer) -> float:
         """The tolerance in the unit of the energy norm."""
