@@ -57,13 +57,14 @@ def _fail(message: str, status: int) -> int:
 
 def _begin(petsc: list[str]) -> None:
     """MPI, PETSc with its options, and an exception hook that ends all ranks."""
+    # first: mpirun ends all ranks once one has left with a status but without MPI, the one with the message too
+    from mpi4py import MPI
+
     if petsc and not petsc[0].startswith("-"):
         sys.exit(_fail(f"Error: after -- come PETSc's options, such as -penalty_pc_type lu, not {petsc[0]}", 2))
     import petsc4py
 
     petsc4py.init([sys.argv[0], *petsc])
-    from mpi4py import MPI
-
     from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 
     abort_on_uncaught_errors(MPI.COMM_WORLD)
