@@ -151,14 +151,18 @@ def free(comms: Iterable[MPI.Comm]) -> None:
         PETSc.garbage_cleanup(PETSc.Comm(comm))
 
 
-def create_matrix(bilinear: Any) -> PETSc.Mat:
-    """Matrix with the sparsity of a compiled form (collective)."""
-    return fem.petsc.create_matrix(bilinear)
-
-
 def create_vector(linear: Any, V: fem.FunctionSpace) -> PETSc.Vec:
     """Ghosted vector for a compiled linear form on V (collective)."""
     return fem.petsc.create_vector(V if NEW else linear)
+
+
+def set_values(values: np.ndarray, bcs: Iterable[Any]) -> None:
+    """Give local dofs, ghosts included, what Dirichlet conditions say (local)."""
+    for bc in bcs:
+        if VERSION >= (0, 9):
+            bc.set(values)
+        else:
+            fem.set_bc(values, [bc])
 
 
 def expression(value: Any, V: fem.FunctionSpace) -> fem.Expression:

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
+from conftest import COMM, DEMOS, membrane
 from test_cli import CLEAN, run
 from test_rows import kill
 
@@ -138,6 +138,21 @@ def test_without_an_exact_solution(folder, monkeypatch):
         assert len(part) > 1 and part[-1] < part[0] / 1.5
     again = ladder(membrane(load=1, upper=0.05), folder, budget="30s, 1200 unknowns")[1]
     assert [row["key"] for row in again] == [row["key"] for row in rows]
+
+
+@pytest.mark.serial
+def test_budget_of_nothing(folder, monkeypatch):
+    """The reference has two meshes all the same; where it cannot judge a norm, words stand in place of lines."""
+    from fenicsx_obstacle.show.cost_plots import drawings
+
+    monkeypatch.setattr(cost, "MAP_MESHES", 1)
+    _, rows = ladder(Scene.read(DEMOS / "soap.toml"), folder, budget="0.001s")
+    first = price.truth(rows)
+    assert "bound" not in first and all(change > 0 for change in first["changed"].values())
+    monkeypatch.setattr(price, "TRUSTED", 1e9)
+    page = dict((name, drawn) for name, _, drawn in drawings(rows))["prices"]
+    words = [text.get_text() for axes in page.axes for text in axes.texts]
+    assert len(words) == 3 and all("no error is large enough" in text for text in words)
 
 
 def test_peak_memory_begins_anew():

@@ -23,6 +23,7 @@ from fenicsx_obstacle.studies.rows import RowStore, row_key
 pytestmark = pytest.mark.serial
 
 STUDY = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6,8,10,12,14,16", "--method", "vi"]
+LONG = [*STUDY[:3], "cells=8..256", "--method", "vi", "--start", "cold"]  # it has not ended when Ctrl-C comes
 TIMES = ("seconds", "poisson", "memory", "run", "command", "krylov")  # what may differ between two runs
 
 
@@ -140,7 +141,7 @@ SET_UP = (LAUNCHER.parent / ".venv" / "complete").exists()
 def test_interrupt_says_so(command, tmp_path):
     """Ctrl-C: exit status 130, one line that says how to go on, the rows so far on the disk."""
     process = subprocess.Popen(
-        [*map(str, command), *STUDY, "--output", str(tmp_path / "out")],
+        [*map(str, command), *LONG, "--output", str(tmp_path / "out")],
         env=CLEAN, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored where tests run in the background
     )  # fmt: skip

@@ -234,7 +234,7 @@ class DualNorm:
         bc = fem.dirichletbc(self._zero, dofs)
         self.fixed = dofs[dofs < richer.dofmap.index_map.size_local]
         riesz = releases.form(ufl.inner(ufl.grad(trial), ufl.grad(v)) * ufl.dx + trial * v * ufl.dx)
-        self._H = releases.create_matrix(riesz)
+        self._H = fem.petsc.create_matrix(riesz)
         fem.petsc.assemble_matrix(self._H, riesz, [bc])
         self._H.assemble()
         self._b = releases.create_vector(self._error, richer)

@@ -160,7 +160,7 @@ class Ground:
         """Take the matrix of the present state."""
         self._free_matrices()
         problem = self.problem
-        self.A = releases.create_matrix(self._form)
+        self.A = fem.petsc.create_matrix(self._form)
         fem.petsc.assemble_matrix(self.A, self._form)
         self.A.assemble()
         diagonal = self.A.getDiagonal()

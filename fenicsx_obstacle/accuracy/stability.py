@@ -137,7 +137,7 @@ class Stability:
 
 def _matrix(form: ufl.Form) -> PETSc.Mat:
     compiled = releases.form(form)
-    A = releases.create_matrix(compiled)
+    A = fem.petsc.create_matrix(compiled)
     fem.petsc.assemble_matrix(A, compiled)
     A.assemble()
     return A

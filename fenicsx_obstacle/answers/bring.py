@@ -152,7 +152,7 @@ class _Data(Data):
             None if g is None else self._finite(g, name) for g, name in zip(taken, ("lower", "upper"), strict=True)
         )
         values = fem.Function(level.V)
-        fem.set_bc(values.x.array, list(bcs))
+        releases.set_values(values.x.array, bcs)
         values.x.scatter_forward()
         self._finite(values, "a value of bcs")
         dofs = [np.asarray(bc.dof_indices()[0]) for bc in bcs]

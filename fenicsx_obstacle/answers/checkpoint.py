@@ -16,11 +16,10 @@ from fenicsx_obstacle.answers.paraview import to_hdf5
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import agree, gathered, on_root
-from fenicsx_obstacle.scenes.moments import INERTIA, Moments
+from fenicsx_obstacle.scenes.moments import INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.solvers.steps import Steps
 
 NAME = "checkpoint.h5"
-NO_STEP = 1e-9  # of the whole time
 NEAR = 1e-6  # of h: how far a node may be from where it was
 
 

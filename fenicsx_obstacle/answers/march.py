@@ -21,13 +21,12 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.motion import Inertia
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.moments import EQUILIBRIA, INERTIA, Moments
+from fenicsx_obstacle.scenes.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.steps import Steps
 
 _log = logging.getLogger(__name__)
 EVERY = 20.0  # seconds between states on the disk
-NO_STEP = 1e-9  # of the whole time
 CROSSES = 1e-9  # of the heights: what a start may be beyond an obstacle
 
 

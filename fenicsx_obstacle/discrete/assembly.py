@@ -122,7 +122,7 @@ class Forms:
 
     def create_matrix(self) -> PETSc.Mat:
         """The matrix that `jacobian` fills."""
-        return releases.create_matrix(self._stiffness)
+        return fem.petsc.create_matrix(self._stiffness)
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         """Fill A with the derivative of the residual; rows and columns of fixed dofs are those of the identity."""

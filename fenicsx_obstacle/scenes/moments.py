@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene
 
 EQUILIBRIA, RATE, INERTIA = 0, 1, 2  # orders of the derivatives in time
+NO_STEP = 1e-9  # of the whole time
 COLUMNS = ("step", "dt", "newton", "krylov", "energy", "kinetic", "contact_area", "force_lower", "force_upper",
            "penetration")  # fmt: skip
 

@@ -39,11 +39,15 @@ def against_seconds(rows: Rows) -> Any:
     page, grid = figure(11.5, 3.6 * count, rows=count, columns=columns)
     panels = np.atleast_1d(grid).ravel()
     for axes, norm in zip(panels, measured, strict=False):
-        for name, part in _lines(rows, norm).items():
+        lines = _lines(rows, norm)
+        for name, part in lines.items():
             axes.loglog([row["seconds"] for row in part], [relative(row, norm) for row in part], **_look(name))
-        _floor(axes, rows, norm)
         axes.set(title=NORMS[norm], xlabel="seconds, mesh and estimate included", ylabel="relative error")
-        _grid(axes)
+        if lines:
+            _floor(axes, rows, norm)
+            _grid(axes)
+        else:
+            _nothing(axes)
     for axes in panels[len(measured) :]:
         axes.axis("off")
     _legend(panels[len(measured)], rows)
@@ -61,12 +65,17 @@ def against_prices(rows: Rows) -> Any:
         "unknowns": lambda row: row["dofs"],
     }
     for axes, (label, value) in zip(panels, keys.items(), strict=True):
-        for name, part in _lines(rows, "energy").items():
+        lines = _lines(rows, "energy")
+        for name, part in lines.items():
             axes.loglog([value(row) for row in part], [relative(row, "energy") for row in part], **_look(name))
         axes.set(xlabel=label, ylabel="relative error, energy norm")
         axes.xaxis.label.set_fontsize(8.5)
-        _grid(axes)
-    _legend(panels[0], rows, inside=True)
+        if lines:
+            _grid(axes)
+        else:
+            _nothing(axes)
+    if lines:
+        _legend(panels[0], rows, inside=True)
     page.suptitle(_title(rows, "The same error by other prices"), fontsize=11)
     return page
 
@@ -187,6 +196,13 @@ def _lines(rows: Rows, norm: str) -> dict[str, list[Any]]:
         if (relative(row, norm) or 0) > 0 and trusted(rows, row, norm):
             found.setdefault(row["choice"], []).append(row)
     return found
+
+
+def _nothing(axes: Any) -> None:
+    """In place of lines."""
+    axes.set(xticks=[], yticks=[])
+    axes.text(0.5, 0.5, "no error is large enough to be told\nfrom what the reference may be off", ha="center",
+              va="center", fontsize=9, color=_GREY, transform=axes.transAxes)  # fmt: skip
 
 
 def _floor(axes: Any, rows: Rows, norm: str) -> None:

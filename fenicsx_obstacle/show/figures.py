@@ -39,11 +39,12 @@ def figure(
 def style(number: int, dashed: int = 1) -> dict[str, Any]:
     """Colour, marker and dash of line `number`; dashes change after `dashed` lines, and later lines are thinner.
 
-    Where lines coincide, all are seen.
+    Where lines coincide, all are seen; where colours come again, markers are hollow.
     """
-    place = number % len(COLOURS)
+    again, place = divmod(number, len(COLOURS))
     return {
         "color": COLOURS[place], "marker": MARKERS[place], "markersize": 7 - 1.2 * place,
+        "markerfacecolor": "white" if again % 2 else COLOURS[place],
         "linewidth": 2.4 - 0.5 * place, "linestyle": DASHES[number // dashed % len(DASHES)],
     }  # fmt: skip
 

@@ -32,7 +32,7 @@ def poisson_seconds(level: Level) -> float:
 def _once(level: Level, a: object, f: object, bc: object) -> float:
     level.comm.barrier()
     start = time.perf_counter()
-    A = releases.create_matrix(a)
+    A = fem.petsc.create_matrix(a)
     fem.petsc.assemble_matrix(A, a, [bc])
     A.assemble()
     b = releases.create_vector(f, level.V)

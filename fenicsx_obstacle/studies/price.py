@@ -154,10 +154,9 @@ def trusted(rows: Rows, row: Mapping[str, Any], norm: str) -> bool:
     first = truth(rows)
     if first["exact"]:
         return True
-    off = first["changed"].get(norm, 0.0)
     if norm == "energy" and "bound" in first:
-        off = first["bound"]["total"]
-    return row["errors"][norm] > TRUSTED * off if norm != "energy" else row["errors"][norm] > off
+        return bool(row["errors"][norm] > first["bound"]["total"])
+    return bool(row["errors"][norm] > TRUSTED * first["changed"].get(norm, 0.0))
 
 
 def _slope(rows: Rows, errors: np.ndarray, key: str) -> float:

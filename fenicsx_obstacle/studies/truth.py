@@ -151,7 +151,7 @@ def make_reference(
 
 
 def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> list[Answer]:
-    """The last two answers on meshes refined where the error is (collective)."""
+    """The last two answers on meshes refined where the error is, of at least two (collective)."""
     found: list[Answer] = []
     refinement = Refinement(scene, comm)
     with closing(refinement.meshes(unknowns=FINER * unknowns)) as meshes:
@@ -159,7 +159,7 @@ def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> l
             found = [*found[-1:], answer]
             spent, dofs = refinement.path[-1]["seconds"], answer.record["dofs"]
             last = spent * (1 + GROWTH / 2) > FINER * seconds or GROWTH * dofs > FINER * unknowns
-            if comm.bcast(last):
+            if len(found) > 1 and comm.bcast(last):
                 break
     return found
 
@@ -167,7 +167,7 @@ def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> l
 def _uniform(
     sizes: Callable[[Scene], Iterator[Scene]], scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm
 ) -> list[Answer]:
-    """Likewise on uniform meshes (collective)."""
+    """Likewise on uniform meshes, at least two (collective)."""
     found: list[Answer] = []
     for finer in sizes(scene):
         with closing(Workbench(finer, comm)) as bench:
@@ -175,7 +175,7 @@ def _uniform(
         record = found[-1].record
         growth = 2.0 ** found[-1].level.mesh.topology.dim
         last = growth * record["seconds"]["total"] > FINER * seconds or growth * record["dofs"] > FINER * unknowns
-        if comm.bcast(last):
+        if len(found) > 1 and comm.bcast(last):
             break
     return found
 
