@@ -64,8 +64,8 @@ def against_prices(rows: Rows) -> Any:
         "memory of the row, MB": lambda row: max(row["memory_mb"], 0.1),
         "unknowns": lambda row: row["dofs"],
     }
+    lines = _lines(rows, "energy")
     for axes, (label, value) in zip(panels, keys.items(), strict=True):
-        lines = _lines(rows, "energy")
         for name, part in lines.items():
             axes.loglog([value(row) for row in part], [relative(row, "energy") for row in part], **_look(name))
         axes.set(xlabel=label, ylabel="relative error, energy norm")

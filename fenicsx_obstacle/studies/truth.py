@@ -154,7 +154,7 @@ def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> l
     """The last two answers on meshes refined where the error is, of at least two (collective)."""
     found: list[Answer] = []
     refinement = Refinement(scene, comm)
-    with closing(refinement.meshes(unknowns=FINER * unknowns)) as meshes:
+    with closing(refinement.meshes()) as meshes:
         for _, answer in meshes:
             found = [*found[-1:], answer]
             spent, dofs = refinement.path[-1]["seconds"], answer.record["dofs"]
