@@ -25,7 +25,7 @@ def test_mass_is_diagonal_and_weighs_the_domain(cell):
     V = releases.functionspace(mesh, "Lagrange", 1)
     dI = nodal_rule(cell).on(ufl.Measure("dx", domain=mesh))
     form = releases.form(ufl.TrialFunction(V) * ufl.TestFunction(V) * dI)
-    M = releases.create_matrix(form)
+    M = fem.petsc.create_matrix(form)
     fem.petsc.assemble_matrix(M, form)
     M.assemble()
     D = M.getDiagonal()
