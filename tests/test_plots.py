@@ -5,9 +5,9 @@ import json
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
+from conftest import COMM, DEMOS, membrane
 
-from fenicsx_obstacle import InputError, study
+from fenicsx_obstacle import InputError, Scene, study
 from fenicsx_obstacle.show import warped
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.report import report_study
@@ -137,6 +137,12 @@ def test_eps_means_nothing_to_vi(vary, options, disk, folder):
     assert not (folder / "out").exists()
     with pytest.raises(InputError, match="or without an obstacle"):
         study(membrane(load=1), {"eps": [0.1, 0.01]})
+
+
+def test_eps_of_obstacles_on_the_boundary():
+    """They have an eps as well: u_eps - u_h falls like it (Theorem 3.2)."""
+    rows = study(Scene.read(DEMOS / "wall.toml"), {"eps": [1e-3, 1e-4]}, cells=8)
+    assert 8 < rows[0]["to_vi.energy"] / rows[1]["to_vi.energy"] < 12
 
 
 def test_a_refused_study_leaves_nothing(disk, folder):

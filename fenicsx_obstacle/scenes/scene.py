@@ -190,6 +190,17 @@ class Scene(Vocabulary):
         return any(part.lower is not None or part.upper is not None for part in self.tables.boundary)
 
     @property
+    def sides(self) -> list[str]:
+        """The obstacles there are, in the domain or on its boundary: lower, upper."""
+        places = self.tables.boundary if self.thin else [self.tables.obstacle]
+        return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
+
+    @property
+    def penalised(self) -> bool:
+        """Whether there is an eps."""
+        return bool(self.sides) and self.tables.solve.method != "vi"
+
+    @property
     def eps(self) -> float | str:
         """The penalty parameter: a number in units of u/p, or a formula in h, yet to be divided by the tension."""
         asked = self.tables.solve.eps
@@ -201,9 +212,8 @@ class Scene(Vocabulary):
         for key, value in self.tables.define.items():
             place = f"[define] {key}"
             if not key.isidentifier() or keyword.iskeyword(key) or unicodedata.normalize("NFKC", key) != key:
-                raise InputError(
-                    f"{self.source}: {place}: not a name; take letters, digits and _, and no word of Python"
-                )
+                wanted = "letters, digits and _, and no word of Python"
+                raise InputError(f"{self.source}: {place}: not a name; take {wanted}")
             if key in RESERVED:
                 raise InputError(f"{self.source}: {place}: '{key}' has a meaning already; choose another name")
             formula = self.formula(value, place)

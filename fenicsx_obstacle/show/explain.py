@@ -66,38 +66,28 @@ def _equation(scene: Scene) -> list[str]:
     inside = [effect for effect in scene.effects if effect.table == "effects"]
     left = [effect.equation for effect in inside if effect.left]
     right = [effect.equation for effect in inside if not effect.left and effect.equation]
-    contact = ["p"] if _sides(scene) and not scene.thin else []
+    contact = ["p"] if scene.sides and not scene.thin else []
     return [f"{' + '.join(left).replace('+ -', '- ')} = {' + '.join(right + contact) or '0'}"]
 
 
 def integrals(scene: Scene) -> int:
     """How many integrals are assembled: those of the effects, and the penalty."""
-    return sum(effect.integrals for effect in scene.effects) + _penalised(scene)
-
-
-def _penalised(scene: Scene) -> bool:
-    return bool(_sides(scene)) and scene.tables.solve.method != "vi"
+    return sum(effect.integrals for effect in scene.effects) + scene.penalised
 
 
 def _integrals(scene: Scene) -> list[str]:
     """Each effect with its term, and how many integrals that makes."""
-    contact = ", the penalty included" if _penalised(scene) else ""
+    contact = ", the penalty included" if scene.penalised else ""
     without = [effect.key for effect in scene.effects if not effect.integrals]
     no_form = f"; {', '.join(without)} without one" if without else ""
     terms = [f"{effect.key}: {effect.term.removeprefix('+ ')}" for effect in scene.effects if effect.term]
     return [*terms, f"{counted(integrals(scene), 'integral')}{contact}{no_form}; nothing else is assembled"]
 
 
-def _sides(scene: Scene) -> list[str]:
-    """The obstacles there are, in the domain or on its boundary."""
-    places = scene.tables.boundary if scene.thin else [scene.tables.obstacle]
-    return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
-
-
 def _obstacles(scene: Scene) -> list[str]:
     signs = {"lower": ("u >= lower", ">="), "upper": ("u <= upper", "<=")}
     lines = []
-    for side in _sides(scene):
+    for side in scene.sides:
         relation, sign = signs[side]
         found = [(getattr(scene.tables.obstacle, side), "")]
         found += [(getattr(part, side), f" {_where(part)}") for part in scene.tables.boundary]
@@ -149,7 +139,7 @@ def _named_sides(scene: Scene) -> tuple[str, ...]:
 
 
 def _discrete(scene: Scene) -> list[str]:
-    sides = _sides(scene)
+    sides = scene.sides
     terms = ["a(u, v)"]
     penalised = scene.tables.solve.method != "vi"
     rule = "(L/eps) I" if scene.thin else "(1/eps) I"
@@ -211,7 +201,7 @@ def _size(scene: Scene) -> list[str]:
 
 
 def _solver(scene: Scene) -> list[str]:
-    if not _sides(scene):
+    if not scene.sides:
         steps = "one linear solve" if all(effect.affine for effect in scene.effects) else "Newton steps"
         levels = NESTED if nested(scene) else f"{_linear_solver(scene)}, {_levels(scene)}"
         return [_why(scene), f"PETSc SNES, {steps}: {levels}"]
@@ -286,5 +276,5 @@ def _exact(scene: Scene) -> list[str]:
 def _left_out(scene: Scene) -> str:
     named = {effect.key for effect in scene.effects}
     absent = [key for key in (*sorted(known()), *sorted(known("boundary"))) if key not in named]
-    absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in _sides(scene)]
+    absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in scene.sides]
     return "; ".join(absent) or "nothing"

@@ -48,8 +48,8 @@ def choices(scene: Scene) -> list[Choice]:
     own, nested, penalty = scene.pair.name, "started from the solution on the next coarser mesh", {"method": "penalty"}
     if own == "P2":
         own = "P1"
-    held, found = bool(_sides(scene)), []
-    if held:
+    found = []
+    if scene.sides:
         found += [
             Choice(f"{own} VI", f"no penalty: the inequality itself, by PETSc's SNES VI, {nested}",
                    {"element": own, "method": "vi"}),
@@ -68,7 +68,7 @@ def choices(scene: Scene) -> list[Choice]:
         Choice(f"{own} adaptive", "the same on meshes refined where a bound of the error says that it is",
                {"element": own, "eps": "auto", **penalty}, adaptive=True),
     ]  # fmt: skip
-    if held:
+    if scene.sides:
         found += [
             Choice("P2 VI", "quadratic elements, the inequality itself", {"element": "P2", "method": "vi"}),
             Choice("P2 eps = h^2", "quadratic elements with Kikuchi's eps = h^2",
@@ -81,12 +81,6 @@ def choices(scene: Scene) -> list[Choice]:
                {"element": "P2", "eps": "auto", **penalty}, adaptive=True),
     ]  # fmt: skip
     return found
-
-
-def _sides(scene: Scene) -> list[Any]:
-    """Its obstacles."""
-    places = scene.tables.boundary if scene.thin else [scene.tables.obstacle]
-    return [value for place in places for value in (place.lower, place.upper) if value is not None]
 
 
 def uniform_meshes(scene: Scene) -> Iterator[Scene]:

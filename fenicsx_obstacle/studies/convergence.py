@@ -17,7 +17,6 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.studies.orders import parameter
 from fenicsx_obstacle.studies.rows import RowStore, flat, row_key
 
@@ -90,7 +89,7 @@ class Study:
         combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
         self.points = [(combination, changed(base, combination)) for combination in combinations]
         self.last = self.points[-1][1]
-        penalised = [_is_penalised(point.tables) for _, point in self.points]
+        penalised = [point.penalised for _, point in self.points]
         if self.by == "eps" and not all(penalised):
             raise InputError(f"{scene.source}: eps cannot vary: it means nothing to method vi, or without an obstacle")
         self.penalised = any(penalised)
@@ -153,10 +152,6 @@ class Study:
             dual = self._bench.work.exact.dual.error(answer.pressure, eps)
             extras["errors"] = {**answer.record["errors"], "pressure_dual": dual}
         return extras
-
-
-def _is_penalised(tables: Tables) -> bool:
-    return tables.solve.method != "vi" and (tables.obstacle.lower, tables.obstacle.upper) != (None, None)
 
 
 class _Bench:
