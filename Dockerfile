@@ -22,7 +22,8 @@ RUN python3 -m venv --system-site-packages /opt/fenicsx_obstacle/.venv \
 
 # any user may compile forms and draw; containers forbid the system call that Open MPI copies with
 ENV HOME=/tmp XDG_CACHE_HOME=/var/cache/obstacle MPLCONFIGDIR=/var/cache/obstacle/matplotlib \
-    HYPOTHESIS_STORAGE_DIRECTORY=/tmp/hypothesis OMPI_MCA_smsc=^cma
+    HYPOTHESIS_STORAGE_DIRECTORY=/tmp/hypothesis OMPI_MCA_smsc=^cma \
+    OMP_NUM_THREADS=1 SCOTCH_PTHREAD_NUMBER=1
 # what the demos compile is there from the first solve on
 RUN /opt/fenicsx_obstacle/obstacle --ranks 1 demo --output /tmp/demo && rm -rf /tmp/* && chmod -R a+rwX /var/cache/obstacle
 
