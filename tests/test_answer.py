@@ -124,3 +124,16 @@ def test_one_line_says_what_it_is(ball):
     assert "  1 Newton step, " in linear.summary()
     assert "512 cells, 289 unknowns" in linear.summary()
     assert str(NotConverged("penalty", "no", 1, eps=None, h=1.0)) == "penalty did not converge: no after 1 step (h = 1)"
+
+
+@pytest.mark.serial
+def test_a_torn_history_is_refused(disk, folder):
+    """Wherever it is torn: within a line, within its last number, between two lines."""
+    solve(disk, cells=8).save(folder)
+    file = folder / "history.csv"
+    whole = file.read_bytes()
+    assert len(Answer.read(folder).history) > 1
+    for end in {*range(0, len(whole) - 2, 7), *(k + 1 for k in range(len(whole) - 1) if whole[k : k + 1] == b"\n")}:
+        file.write_bytes(whole[:end])
+        with pytest.raises(InputError, match=r"damaged: history\.csv"):
+            Answer.read(folder)

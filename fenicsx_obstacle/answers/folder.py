@@ -83,7 +83,7 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
             from fenicsx_obstacle.answers.frames import load_course
 
             return record, arrays, _steps(folder / NEWTON), load_course(folder)
-        return record, arrays, _steps(folder / "history.csv"), None
+        return record, arrays, _steps(folder / "history.csv", record.get("newton_iterations", 0)), None
 
     record, arrays, steps, course = on_root(comm, load)
     mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")
@@ -116,13 +116,17 @@ def _record(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder}: the saved answer is damaged: answer.json: {error}") from None
 
 
-def _steps(file: Path) -> tuple[Step, ...]:
+def _steps(file: Path, least: int = 0) -> tuple[Step, ...]:
+    """More than `least`, as there is one for the start."""
     try:
-        rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8"))))
+        text = file.read_text(encoding="utf-8")
+        rows = list(csv.DictReader(io.StringIO(text)))
         steps = [Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
                  for r in rows]  # fmt: skip
         if not steps:
             raise ValueError("it holds no steps")
+        if not text.endswith("\n") or len(steps) <= least:
+            raise ValueError("its end is missing")
         return tuple(steps)
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise InputError(f"{file.parent}: the saved answer is damaged: {file.name}: {error}") from None
