@@ -127,13 +127,14 @@ def test_one_line_says_what_it_is(ball):
 
 
 @pytest.mark.serial
-def test_a_torn_history_is_refused(disk, folder):
-    """Wherever it is torn: within a line, within its last number, between two lines."""
-    solve(disk, cells=8).save(folder)
-    file = folder / "history.csv"
+@pytest.mark.parametrize(("demo", "name"), [("disk", "history.csv"), ("put", "newton.csv")])
+def test_a_torn_history_is_refused(demo, name, folder):
+    """Wherever it is torn: within a line, within its last number, between two lines; with time as well."""
+    solve(Scene.read(DEMOS / f"{demo}.toml"), cells=8).save(folder)
+    file = folder / name
     whole = file.read_bytes()
     assert len(Answer.read(folder).history) > 1
     for end in {*range(0, len(whole) - 2, 7), *(k + 1 for k in range(len(whole) - 1) if whole[k : k + 1] == b"\n")}:
         file.write_bytes(whole[:end])
-        with pytest.raises(InputError, match=r"damaged: history\.csv"):
+        with pytest.raises(InputError, match=f"damaged: {name}"):
             Answer.read(folder)

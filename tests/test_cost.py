@@ -150,7 +150,7 @@ def test_budget_of_nothing(folder, monkeypatch):
     first = price.truth(rows)
     assert "bound" not in first and all(change > 0 for change in first["changed"].values())
     monkeypatch.setattr(price, "TRUSTED", 1e9)
-    page = dict((name, drawn) for name, _, drawn in drawings(rows))["prices"]
+    page = {name: drawn for name, _, drawn in drawings(rows)}["prices"]
     words = [text.get_text() for axes in page.axes for text in axes.texts]
     assert len(words) == 3 and all("no error is large enough" in text for text in words)
 

@@ -82,8 +82,8 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         if "time" in record:
             from fenicsx_obstacle.answers.frames import load_course
 
-            return record, arrays, _steps(folder / NEWTON), load_course(folder)
-        return record, arrays, _steps(folder / "history.csv", record.get("newton_iterations", 0)), None
+            return record, arrays, _steps(folder / NEWTON, record), load_course(folder)
+        return record, arrays, _steps(folder / "history.csv", record), None
 
     record, arrays, steps, course = on_root(comm, load)
     mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")
@@ -109,23 +109,21 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
 def _record(folder: Path) -> dict[str, Any]:
     try:
         record = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
-        if not isinstance(record, dict) or not {"scene", "h", "eps", "contact"} <= set(record):
+        if not isinstance(record, dict) or not {"scene", "h", "eps", "contact", "newton_iterations"} <= set(record):
             raise ValueError("it holds no figures")
         return record
     except (OSError, ValueError) as error:
         raise InputError(f"{folder}: the saved answer is damaged: answer.json: {error}") from None
 
 
-def _steps(file: Path, least: int = 0) -> tuple[Step, ...]:
-    """More than `least`, as there is one for the start."""
+def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:
     try:
         text = file.read_text(encoding="utf-8")
         rows = list(csv.DictReader(io.StringIO(text)))
         steps = [Step(int(r["active"]), int(r["changed"]), float(r["unbalanced"]), float(r["forces"]), int(r["krylov"]))
                  for r in rows]  # fmt: skip
-        if not steps:
-            raise ValueError("it holds no steps")
-        if not text.endswith("\n") or len(steps) <= least:
+        # one for each Newton step, and one for the start
+        if not text.endswith("\n") or len(steps) <= record["newton_iterations"]:
             raise ValueError("its end is missing")
         return tuple(steps)
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
