@@ -39,6 +39,8 @@ class Level:
         coarse: The level it was refined from; of P2 that of P1 on the same mesh.
         parents: For each owned cell the local cell of `coarse` it came from.
         places: Where in it the corners of the cell are.
+        straight: Of a mesh from a file, whether its CAD curves are straight lines (in solids: flat surfaces); None where
+            the file does not say, and for the caller's own mesh.
     """
 
     mesh: dmesh.Mesh
@@ -50,6 +52,7 @@ class Level:
     coarse: Level | None = None
     parents: np.ndarray | None = None
     places: np.ndarray | None = None
+    straight: bool | None = None
 
     @cached_property
     def V(self) -> fem.FunctionSpace:
@@ -96,6 +99,13 @@ class Level:
         if self.coarse is None or self.parents is None:
             return self.materials or {}
         return {name: np.flatnonzero(np.isin(self.parents, cells)) for name, cells in self.coarse.groups.items()}
+
+    @property
+    def polygonal(self) -> bool | None:
+        """Whether the domain is exactly the polygon (polyhedron) of the mesh; None where that is unknown."""
+        if self.shape is not None:
+            return self.shape.project is None
+        return self.straight if self.coarse is None else self.coarse.polygonal
 
     @property
     def comm(self) -> MPI.Comm:
