@@ -9,7 +9,7 @@ import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, options, typed, varied
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.outlets import check_places, tell, write_json
+from fenicsx_obstacle.outlets import check_places, tell, tolerance_status, write_json
 
 
 class _Ordered(click.Group):
@@ -53,7 +53,7 @@ def solve(
     json_file: str | None,
     quiet: bool,
     **given: Any,
-) -> None:
+) -> int:
     """Solve a scene: u, contact pressure p, contact set.
 
     SCENE is a file, or a name that 'scenes' lists. Writes answer.json, scene.toml, history.csv, fields.xdmf (ParaView),
@@ -80,6 +80,7 @@ def solve(
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
         tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} shows it all")
+    return tolerance_status(answer.record, folder)
 
 
 @commands.command()
