@@ -47,7 +47,9 @@ def guard_streams() -> None:
             os.open(os.devnull, os.O_RDWR)
     for number, name in ((1, "stdout"), (2, "stderr")):
         stream = getattr(sys, name)
-        if stream is None or stream is not getattr(sys, f"__{name}__") or not isinstance(stream, io.TextIOWrapper):
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  (libraries ask it whether it is a terminal)
+        if stream is not getattr(sys, f"__{name}__") or not isinstance(stream, io.TextIOWrapper):
             continue
         _outlets[name] = _Outlet(number, "w", closefd=False)
         text = io.TextIOWrapper(io.BufferedWriter(_outlets[name]), encoding=stream.encoding, errors="backslashreplace",
