@@ -1,26 +1,34 @@
-"""Entry point: splits off PETSc's options, turns errors into messages and exit statuses."""
+"""Entry point: splits off PETSc's options, turns errors and signals into messages and exit statuses."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
+from typing import Any
 
 import click
 
 from fenicsx_obstacle.cli import commands
-from fenicsx_obstacle.errors import ObstacleError
+from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
+from fenicsx_obstacle.outlets import guard_streams, lost_output
 
+_received: list[int] = []  # signals
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
 
 
 def main() -> None:
     """Run the command line; does not return."""
+    guard_streams()
     arguments = sys.argv[1:]
     petsc = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     arguments = arguments[: len(arguments) - len(petsc) - 1] if "--" in arguments else arguments
     if _RANK != 0:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  (help and messages come from rank 0 alone)
-    sys.exit(_run(arguments, petsc))
+    status = _run(arguments, petsc)
+    why = lost_output() if status == 0 else None
+    sys.exit(status if why is None else _fail(f"Error: standard output: {why}; files are complete", LOST_OUTPUT))
 
 
 def _run(arguments: list[str], petsc: list[str]) -> int:
@@ -39,14 +47,22 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
             raise
         has_rows = arguments[:1] in (["study"], ["cost"])
         kept = "; finished rows are kept, the same command goes on from them" if has_rows else ""
-        return _fail(f"interrupted{kept}", 130)
+        number = _received[-1] if _received else signal.SIGINT
+        word = "interrupted" if number == signal.SIGINT else "terminated"
+        if _several():  # the others may not end in MPI's way; whoever has started mpirun tells
+            os._exit(128 + number)
+        return _fail(f"{word}{kept}", 128 + number)
     except RuntimeError as error:
         if type(error).__module__ != "petsc4py.PETSc":
             raise
         return _fail(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
-    except BrokenPipeError:
-        return 1
     return result if isinstance(result, int) else 0
+
+
+def _several() -> bool:
+    """Whether there are several ranks."""
+    mpi = sys.modules.get("mpi4py.MPI")
+    return mpi is not None and mpi.COMM_WORLD.size > 1
 
 
 def _fail(message: str, status: int) -> int:
@@ -68,6 +84,24 @@ def _begin(petsc: list[str]) -> None:
     from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 
     abort_on_uncaught_errors(MPI.COMM_WORLD)
+    _catch_signals()
+
+
+def _catch_signals() -> None:
+    """SIGTERM and SIGHUP end a command as Ctrl-C does; after PETSc, which has handlers of its own."""
+    if threading.current_thread() is not threading.main_thread():
+        return
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # writing to a closed pipe is an error, which `outlets` keeps
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup and shells in the background leave them
+            signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, _frame: Any) -> None:
+    _received.append(number)
+    if (processes := sys.modules.get("fenicsx_obstacle.studies.processes")) is not None:
+        processes.end_all()
+    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, options, typed, varied
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.outlets import check_places, tell, write_json
+from fenicsx_obstacle.outlets import check_places, tell, tolerance_status, write_json
 
 
 class _Ordered(click.Group):
@@ -53,20 +53,18 @@ def solve(
     json_file: str | None,
     quiet: bool,
     **given: Any,
-) -> None:
+) -> int:
     """Solve a scene: u, contact pressure p, contact set.
 
     SCENE is a file, or a name that 'scenes' lists. Writes answer.json, scene.toml, history.csv, fields.xdmf (ParaView),
     free_boundary.csv and report.html into out/SCENE; with [time] frames.xdmf, history.png, a state for --restart too.
     """
-    scene = _read(scene_file)  # a mistake in it is told before finite elements are loaded
+    scene = _read(scene_file, typed(given))  # a mistake in it is told before finite elements are loaded
     from fenicsx_obstacle.answers.adapt import solve
-    from fenicsx_obstacle.answers.changes import changed
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_answer
 
-    scene = changed(scene, typed(given))
     folder = output or Path("out") / scene.name
     check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
@@ -80,6 +78,7 @@ def solve(
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
         tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} shows it all")
+    return tolerance_status(answer.record, folder)
 
 
 @commands.command()
@@ -88,11 +87,9 @@ def solve(
 @options(*CHANGES, "plugin")
 def explain(scene_file: str, tol: float | None, **given: Any) -> None:
     """Print the equation, the solver, and what a scene leaves out."""
-    scene = _read(scene_file)
-    from fenicsx_obstacle.answers.changes import changed
+    scene = _read(scene_file, typed(given))
     from fenicsx_obstacle.show.explain import explain
 
-    scene = changed(scene, typed(given))
     tell(explain(scene))
     if tol is not None:
         from fenicsx_obstacle.show.forecast import forecast_text
@@ -125,9 +122,10 @@ def study(
     study disk.toml --vary eps=1e-1..1e-8             against the SNES VI solution
     study ball.toml --vary cells=16..128 --eps "h^2"  against the exact solution
     """
-    scene, values = _read(scene_file), dict(varied(item) for item in vary)
+    values, fixed = dict(varied(item) for item in vary), typed(given)
     if len(values) < len(vary):
         raise InputError("--vary: the same key twice; give all its values in one list")
+    scene = _read(scene_file, {**fixed, **{key: some[0] for key, some in values.items()}})
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_study
 
@@ -135,7 +133,7 @@ def study(
     check_places(folder, json_file, latex)
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress(scene.name, quiet=quiet):
-        rows = report_study(scene, values, typed(given), folder, say, fresh=fresh, latex=latex)
+        rows = report_study(scene, values, fixed, folder, say, fresh=fresh, latex=latex)
     if json_file is not None:
         write_json(json_file, rows)
 
@@ -159,7 +157,8 @@ def cost(
     Also the price of the next digit. Writes rows, pictures and a page into out/SCENE/cost. Meshes become
     finer until a row would exceed the budget; an interrupted run goes on where it was.
     """
-    scene = _read(scene_file)
+    fixed = typed(given)
+    scene = _read(scene_file, fixed)
     from fenicsx_obstacle.show.cost import report_cost
     from fenicsx_obstacle.show.progress import progress
 
@@ -167,7 +166,7 @@ def cost(
     check_places(folder, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress(scene.name, quiet=quiet):
-        rows = report_cost(scene, typed(given), budget, folder, say, fresh=fresh)
+        rows = report_cost(scene, fixed, budget, folder, say, fresh=fresh)
     if json_file is not None:
         write_json(json_file, rows)
 
@@ -293,7 +292,7 @@ def demo(output: Path) -> None:
         run_demo(output, tell)
 
 
-def _read(place: str) -> Any:
-    from fenicsx_obstacle.scenes import catalogue
+def _read(place: str, options: dict[str, Any]) -> Any:
+    from fenicsx_obstacle.answers.changes import read
 
-    return catalogue.read(place)
+    return read(place, options)

@@ -1,6 +1,21 @@
 """The errors a user can meet; each knows the exit status of the command line."""
 
+from __future__ import annotations
+
+from typing import Any
+
 from fenicsx_obstacle.words import counted
+
+LOST_OUTPUT = 1
+"""Exit status where standard output could not be written: the disk is full, or the reader has closed its pipe."""
+NOT_REACHED = 4
+"""Exit status where an answer is saved, but a budget did not allow its tolerance."""
+
+
+REMEDIES = {
+    "penalty": "; a larger eps, or --method vi, may do",
+    "successive": "; a larger eps, or --method penalty, may do",
+}
 
 
 class ObstacleError(Exception):
@@ -19,7 +34,7 @@ class NotConverged(ObstacleError):
     """A solver stopped short of its tolerance: there is no answer to return.
 
     Attributes:
-        solver: Name of the solver.
+        solver: The method that was asked for; `penalty` where there is no obstacle.
         reason: PETSc's reason, in words.
         iterations: Newton steps taken.
     """
@@ -32,10 +47,16 @@ class NotConverged(ObstacleError):
 
     def __str__(self) -> str:
         where = f"h = {self.h:.3g}" if self.eps is None else f"eps = {self.eps:.3g}, h = {self.h:.3g}"
-        remedy = "; a larger eps, or --method vi, may do" if self.solver == "penalty" and self.eps is not None else ""
+        remedy = "" if self.eps is None else REMEDIES.get(self.solver, "")
         return (
             f"{self.solver} did not converge: {self.reason} after {counted(self.iterations, 'step')} ({where}){remedy}"
         )
+
+    def changed(self, **values: Any) -> NotConverged:
+        """The same error with another `solver`, `reason` or `eps`."""
+        kept = {"solver": self.solver, "reason": self.reason, "iterations": self.iterations, "eps": self.eps,
+                "h": self.h, **values}  # fmt: skip
+        return NotConverged(**kept)
 
     def __reduce__(self):
         # exceptions travel between ranks by pickle, which knows nothing of keyword arguments

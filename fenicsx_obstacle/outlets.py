@@ -1,14 +1,81 @@
-"""Where commands print and write: on rank 0, after the places have been checked. Nothing heavy is imported before."""
+"""Where commands print and write: on rank 0, after the places have been checked. Nothing heavy is imported before.
+
+Standard output and standard error never raise: a full disk or a closed pipe must not end a command that still has
+files to write, on one rank and not on the others. What was lost is told at the end.
+"""
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
+
+from fenicsx_obstacle.errors import NOT_REACHED
+
+
+class _Outlet(io.FileIO):
+    """A standard stream that keeps the first error of writing instead of raising it."""
+
+    lost: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        if self.lost is None:
+            try:
+                return super().write(data)
+            except BlockingIOError:
+                raise
+            except OSError as error:
+                self.lost = error
+        return memoryview(data).nbytes
+
+
+_outlets: dict[str, _Outlet] = {}
+
+
+def guard_streams() -> None:
+    """Let standard output and standard error keep errors of writing; streams that are closed lead nowhere."""
+    for number in range(3):  # otherwise a file that is opened next would be standard output to compiled libraries
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  (libraries ask it whether it is a terminal)
+        if stream is not getattr(sys, f"__{name}__") or not isinstance(stream, io.TextIOWrapper):
+            continue
+        _outlets[name] = _Outlet(number, "w", closefd=False)
+        text = io.TextIOWrapper(io.BufferedWriter(_outlets[name]), encoding=stream.encoding, errors="backslashreplace",
+                                line_buffering=name == "stderr" or stream.isatty())  # fmt: skip
+        setattr(sys, name, text)
+
+
+def lost_output() -> str | None:
+    """Why standard output was not written; None if it was."""
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    error = _outlets["stdout"].lost if "stdout" in _outlets else None
+    return None if error is None else "closed by its reader" if isinstance(error, BrokenPipeError) else error.strerror
+
+
+def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
+    """The exit status of a saved answer: `NOT_REACHED`, with a line on standard error, or 0."""
+    from mpi4py import MPI
+
+    adaptive = record.get("adaptive")
+    if adaptive is None or adaptive["reached"]:
+        return 0
+    if MPI.COMM_WORLD.rank == 0:
+        what = f"the {'relative' if adaptive['relative'] else 'absolute'} tolerance {adaptive['tolerance']:g}"
+        click.echo(f"Error: {what} is not reached: {adaptive['stopped']}; the last answer is in {folder}", err=True)
+    return NOT_REACHED
 
 
 def tell(text: str) -> None:

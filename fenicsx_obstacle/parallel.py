@@ -169,7 +169,7 @@ def write_text(path: Path, text: str) -> None:
     scratch = path if _is_device(path) else path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_text(text)
+        scratch.write_text(text, encoding="utf-8", errors="backslashreplace")
         if scratch != path:
             scratch.replace(path)
     except OSError as error:

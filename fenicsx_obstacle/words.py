@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+import unicodedata
 from typing import Any
+
+LONGEST = 160  # characters of a title or name where it is shown
 
 
 def counted(number: int, noun: str) -> str:
     """A number with its noun: 1 step, 2 steps."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def one_line(text: str, longest: int = LONGEST) -> str:
+    """A user's text in one line: no control or formatting characters, and its beginning only where it is long."""
+    shown = "".join(" " if _is_control(character) else character for character in text[: 20 * longest])
+    shown = " ".join(shown.split())
+    return shown if len(shown) <= longest else shown[: longest - 4].rstrip() + " ..."
+
+
+def title_of(title: str, name: str) -> str:
+    """The title of a scene, or its name where it has none, in one line."""
+    return one_line(title) or one_line(name)
+
+
+def _is_control(character: str) -> bool:
+    """Whether it is a control or formatting character or a surrogate; what joins letters is none of them."""
+    return unicodedata.category(character).startswith("C") and character not in "\u200c\u200d"
 
 
 def plain(value: Any) -> str:

@@ -14,7 +14,7 @@ from dolfinx import fem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.words import counted, title_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -64,7 +64,9 @@ class Answer:
     def __repr__(self) -> str:
         r = self.record
         how = r["method"] if r["eps"] is None else f"{r['method']}, eps = {r['eps']:.3g}"
-        return f"Answer({r['title'] or r['scene']!r}: {how}, {r['dofs']} unknowns; {', '.join(self._figures())})"
+        return (
+            f"Answer({title_of(r['title'], r['scene'])!r}: {how}, {r['dofs']} unknowns; {', '.join(self._figures())})"
+        )
 
     @property
     def report(self) -> dict[str, float | None]:
@@ -129,7 +131,7 @@ class Answer:
         if "time" in r:
             steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"
         lines = [
-            f"{r['title'] or r['scene']}",
+            title_of(r["title"], r["scene"]),
             f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
             *self._steps(),
             f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
@@ -137,10 +139,9 @@ class Answer:
             "  " + "; ".join(figures),
         ]
         if r["penetration"] > DEEP * r["u_range"]:
-            share = r["penetration"] / r["u_range"]
-            lines.append(
-                f"  penetration is {share:.1%} of the range of u: for figures take a smaller eps, or --method vi"
-            )
+            large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
+            share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
+            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or --method vi")
         lines += self._round_off()
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))

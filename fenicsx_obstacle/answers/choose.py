@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.augmented import solve_augmented
@@ -128,9 +129,25 @@ def method_of(problem: Problem, scene: Scene) -> Method:
     if asked == "vi":
         by_bounds = problem.level.pair.nodal
         force = residual_pressure if by_bounds else penalty_pressure
-        return Method(solve_vi if by_bounds else solve_augmented, None, share, force)
+        return Method(_named(solve_vi if by_bounds else solve_augmented, asked), None, share, force)
     if not problem.constrained:
         return Method(partial(solve_penalty, eps=1.0), None, share, penalty_pressure)
     eps = penalty_parameter(problem, scene)
     solve = partial(solve_penalty, eps=eps * share, successive=asked == "successive")
-    return Method(solve, eps, share, penalty_pressure)
+    return Method(_named(solve, asked), eps, share, penalty_pressure)
+
+
+def _named(solve: Callable[..., Outcome], asked: str) -> Callable[..., Outcome]:
+    """The solver with errors that name the method that was asked for, whatever it begins with or is made of."""
+
+    def solve_as_asked(*given: Any, **options: Any) -> Outcome:
+        try:
+            return solve(*given, **options)
+        except NotConverged as error:
+            if asked == "vi" and error.solver != asked:
+                raise error.changed(
+                    solver=asked, eps=None, reason=f"{error.reason}, in a penalty solve for it,"
+                ) from None
+            raise error.changed(solver=asked) from None
+
+    return solve_as_asked

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.steps import Steps
+from fenicsx_obstacle.words import one_line
 
 _log = logging.getLogger(__name__)
 EVERY = 20.0  # seconds between states on the disk
@@ -77,14 +79,21 @@ class March:
 
         Raises:
             InputError: If data are wrong at some moment.
-            NotConverged: At a step that cannot be shortened. The state before it is in `keep` in both cases.
+            NotConverged: At a step that cannot be shortened. The state before it is in `keep` then.
         """
         self._begin(restart)
+        return self._advance(keep)
+
+    @contextmanager
+    def _at(self, t: float) -> Iterator[None]:
+        """Errors within the block say at which time they were met."""
+        when = f"at {one_line(self.moments.name)} = {t:g}"
         try:
-            return self._advance(keep)
-        except InputError:
-            self._keep(keep)
-            raise
+            yield
+        except InputError as error:
+            raise InputError(f"{error}, {when}") from None
+        except NotConverged as error:
+            raise error.changed(reason=f"{error.reason}, {when},") from None
 
     def _advance(self, keep: Path | None) -> Outcome:
         """All steps (collective)."""
@@ -92,14 +101,12 @@ class March:
         while (t := self._next(dt)) is not None:
             before = self.steps.times[0]
             try:
-                outcomes = self._step(t)
-            except NotConverged as error:
+                with self._at(t):
+                    outcomes = self._step(t)
+            except NotConverged:
                 if self.moments.tolerance is None or dt < NO_STEP * self.moments.end:
                     self._keep(keep)
-                    raise NotConverged(
-                        error.solver, f"{error.reason}, at {self.moments.name} = {t:g},", error.iterations,
-                        eps=error.eps, h=error.h,
-                    ) from None  # fmt: skip
+                    raise
                 dt, self._rejected = (t - before) / 4, self._rejected + 1
                 continue
             u = self._heights()
@@ -142,7 +149,8 @@ class March:
         if moments.order == EQUILIBRIA:
             self.steps = Steps(moments.order, moments.scheme, 0.0, problem.cold_start())
             problem.refer(self.steps.heights[0])
-            outcomes = self._solve()
+            with self._at(0.0):
+                outcomes = self._solve()
             self.steps.heights = [self._heights()]
             self._count(outcomes)
             self._row(0.0, None, outcomes)

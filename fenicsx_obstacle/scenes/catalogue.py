@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import nearest
@@ -17,13 +19,13 @@ def names() -> list[str]:
     return sorted(found, key=lambda name: name.startswith("string"))
 
 
-def scene(name: str) -> Scene:
-    """The scene of this name.
+def scene(name: str, changes: Mapping[str, Any] | None = None) -> Scene:
+    """The scene of this name, with other values as in `Scene.change`.
 
     Raises:
         InputError: If there is none, naming the nearest.
     """
-    return Scene.read(_file(name))
+    return Scene.read(_file(name), changes)
 
 
 def text(name: str) -> str:
@@ -35,14 +37,15 @@ def text(name: str) -> str:
     return _file(name).read_text(encoding="utf-8")
 
 
-def read(place: str) -> Scene:
-    """The scene of a file, or of a bare name where there is no such file.
+def read(place: str, changes: Mapping[str, Any] | None = None) -> Scene:
+    """The scene of a file, or of a bare name where there is no such file, with other values as in `Scene.change`.
 
     Raises:
         InputError: As `Scene.read` and `scene`.
     """
     path = Path(place)
-    return scene(place) if place == path.stem and not path.is_file() else Scene.read(path)
+    is_name = place == path.stem and not path.is_file()
+    return scene(place, changes) if is_name else Scene.read(path, changes)
 
 
 def _file(name: str) -> Path:

@@ -21,6 +21,7 @@ from fenicsx_obstacle.scenes.materials import Materials, Value
 from fenicsx_obstacle.scenes.moments import Moments, moments
 from fenicsx_obstacle.scenes.parts import check_parts, part_place
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
+from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.words import plain
 
@@ -118,15 +119,17 @@ class Scene(Vocabulary):
         return f"Scene({self.tables.title or self.name!r}, source={self.source!r})"
 
     @classmethod
-    def read(cls, path: str | Path) -> Scene:
-        """Scene from a TOML file (every rank reads it).
+    def read(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
+        """Scene from a TOML file (every rank reads it), with other values as in `change`.
 
         Raises:
             InputError: Naming file, table and key.
         """
         path = Path(path)
+        raw = tables.read_toml(path)
+        set_values(raw, changes or {}, str(path))
         self = cls.__new__(cls)
-        self._fill(tables.read_toml(path), str(path), path.parent, None)
+        self._fill(raw, str(path), path.parent, None)
         return self
 
     def change(self, changes: Mapping[str, Any]) -> Scene:
@@ -136,16 +139,7 @@ class Scene(Vocabulary):
             InputError: If a key is unknown or a value does not fit it.
         """
         raw = msgspec.to_builtins(self.tables)
-        for key, value in changes.items():
-            *path, last = key.split(".")
-            table = raw
-            for step in path:
-                table = table.setdefault(step, {}) if isinstance(table, dict) else None
-            if not isinstance(table, dict):
-                raise InputError(f"{key}: not a key that can be set")
-            if path == ["define"] and last not in table:  # a new name would change nothing
-                raise InputError(f"{self.source}: [define] has no '{last}'" + nearest(last, table))
-            table[last] = value
+        set_values(raw, changes, self.source)
         new = Scene.__new__(Scene)
         new._fill(raw, self.source, self.folder, self.mesh)
         return new

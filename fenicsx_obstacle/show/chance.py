@@ -13,7 +13,8 @@ from mpi4py import MPI
 from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.studies.hard.draw import run
 from fenicsx_obstacle.studies.hard.row import FAILED, Row
-from fenicsx_obstacle.studies.hard.suite import clean, one_rank
+from fenicsx_obstacle.studies.hard.suite import one_rank
+from fenicsx_obstacle.studies.processes import clean
 
 LINES = "random.jsonl"
 

@@ -15,6 +15,7 @@ from fenicsx_obstacle.studies import price
 from fenicsx_obstacle.studies.choices import Choice
 from fenicsx_obstacle.studies.cost import Ladder
 from fenicsx_obstacle.studies.price import NORMS, Rows
+from fenicsx_obstacle.words import title_of
 
 READ = {
     "seconds": """Down is more accurate, right is dearer: the lowest line at a given time is the best buy. A straight
@@ -96,7 +97,7 @@ def parts(rows: Rows, ladder: Ladder, drawn: Mapping[str, tuple[str, str]]) -> l
 
 
 def _about(scene: Scene, rows: Rows) -> str:
-    texts = [ABOUT.format(title=scene.tables.title or scene.name), MEASURES, PENALTY, tables.against(rows)]
+    texts = [ABOUT.format(title=title_of(scene.tables.title, scene.name)), MEASURES, PENALTY, tables.against(rows)]
     return _lead(*texts)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import figure, plain
+from fenicsx_obstacle.show.figures import figure, heading
 from fenicsx_obstacle.studies.price import NORMS, Rows, largest_harmless_eps, norms, relative, solved, trusted, unit
 
 _BLUE, _SKY, _GREEN, _ORANGE, _RED, _PINK, _GREY = (
@@ -245,4 +245,4 @@ def _grid(axes: Any) -> None:
 
 def _title(rows: Rows, words: str) -> str:
     title = next((row["title"] for row in rows if row.get("title")), "")
-    return plain(f"{words}: {title}" if title else words)
+    return heading(f"{words}: {title}" if title else words)

@@ -10,9 +10,10 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.course import Course, Frame
-from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, figure, plain, save, write_gif
+from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, figure, heading, plain, save, write_gif
 from fenicsx_obstacle.show.plan import triangles
 from fenicsx_obstacle.show.simplices import patch_of
+from fenicsx_obstacle.words import title_of
 
 HISTORY, ANIMATION = "history.png", "answer.gif"
 COUNTS = ("step", "t", "dt", "newton", "krylov")
@@ -47,7 +48,7 @@ def draw_course(answer: Answer, arrays: Arrays, path: Path) -> str:
         axis.plot(t, values, color=COLOURS[number % len(COLOURS)], linewidth=1.6)
         axis.set(title=plain(column.replace("_", " ")), xlabel=name)
         axis.title.set_fontsize(9)
-    page.sheet.suptitle(plain(answer.scene.tables.title or answer.scene.name), fontsize=12)
+    page.sheet.suptitle(heading(title_of(answer.scene.tables.title, answer.scene.name)), fontsize=12)
     save(page.sheet, path)
     return f"{path}: {', '.join(column.replace('_', ' ') for column in columns)} over {_moments(answer).name}"
 
@@ -70,7 +71,7 @@ def moving(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]
 
     def draw_moment(frame: Frame) -> None:
         draw(frame)
-        page.suptitle(f"{_moments(answer).name} = {frame.t:.4g}", fontsize=11)
+        page.suptitle(f"{plain(_moments(answer).name)} = {frame.t:.4g}", fontsize=11)
 
     return page, draw_moment
 

@@ -9,6 +9,7 @@ from fenicsx_obstacle.answers.adapt import solve
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.report import Say, report_answer, report_study
+from fenicsx_obstacle.words import title_of
 
 DEMOS = Path(__file__).parent.parent.parent / "demos"
 
@@ -35,6 +36,6 @@ def run_demo(folder: Path, say: Say) -> None:
     ]  # fmt: skip
     for name, headline, vary, options in studies:
         scene = Scene.read(DEMOS / f"{name}.toml")
-        say(f"{scene.tables.title}. {headline}")
+        say(f"{title_of(scene.tables.title, scene.name)}. {headline}")
         report_study(scene, vary, options, folder / name / "-".join(vary), say)
         say("")

@@ -23,12 +23,12 @@ from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
 from fenicsx_obstacle.show.steps import steps_of
-from fenicsx_obstacle.words import counted, plain
+from fenicsx_obstacle.words import counted, plain, title_of
 
 
 def explain(scene: Scene) -> str:
     """The text, in lines of at most 110 characters; needs no mesh."""
-    lines = [scene.tables.title or scene.name]
+    lines = [title_of(scene.tables.title, scene.name)]
     for name, texts in explained(scene):
         for number, text in enumerate(texts):
             first = f"  {name if number == 0 else '':10}"

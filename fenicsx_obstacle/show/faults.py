@@ -13,8 +13,8 @@ from mpi4py import MPI
 from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.studies.faults.disk import disks
 from fenicsx_obstacle.studies.faults.kill import Fault, interrupts, kills
-from fenicsx_obstacle.studies.hard.suite import clean, one_rank
-from fenicsx_obstacle.studies.processes import launch, records
+from fenicsx_obstacle.studies.hard.suite import one_rank
+from fenicsx_obstacle.studies.processes import clean, launch, records
 
 LINES = "faults.jsonl"
 ROUNDS = {1: 8, 2: 6, 3: 4}  # how often studies are killed, by ranks

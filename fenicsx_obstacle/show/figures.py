@@ -5,16 +5,21 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.words import one_line
 
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
 BLUE, VERMILION, *_ = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 MARKERS = ("o", "s", "^", "D")
 KINDS = (".png", ".pdf", ".svg")
+LABEL, LINE = 60, 64  # characters of a label, and of each line of a title
 DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))  # dots are for what is expected
 
 
@@ -49,9 +54,15 @@ def style(number: int, dashed: int = 1) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def plain(text: str) -> str:
-    """A user's words for matplotlib: a dollar is no formula, which could be wrong."""
-    return text.replace("$", r"\$")
+def plain(text: str, longest: int = LABEL) -> str:
+    """A user's text for matplotlib, in one line: a dollar sign begins no formula, and long texts are cut."""
+    return one_line(text, longest).replace("$", r"\$")
+
+
+def heading(text: str, width: int = LINE) -> str:
+    """A user's title for matplotlib, in two lines at most, without formulas."""
+    lines = wrap(one_line(text), width, max_lines=2, placeholder=" ...")
+    return "\n".join(lines).replace("$", r"\$")
 
 
 def power(low: float, high: float) -> int:
@@ -63,6 +74,14 @@ def power(low: float, high: float) -> int:
 def over(label: str, exponent: int) -> str:
     """A label whose figures are divided by a power of ten."""
     return f"{label} / $10^{{{exponent}}}$" if exponent else label
+
+
+@contextmanager
+def missing_glyphs() -> Iterator[None]:
+    """Draw within: characters that the font does not have become boxes, without a warning for each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
+        yield
 
 
 def check_name(path: Path) -> None:
@@ -80,7 +99,8 @@ def save(page: Any, path: Path) -> None:
     scratch = path.with_name(f".{path.stem}.part{path.suffix}")
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        page.savefig(scratch)
+        with missing_glyphs():
+            page.savefig(scratch)
         scratch.replace(path)
     finally:
         scratch.unlink(missing_ok=True)
@@ -101,7 +121,7 @@ def write_gif(page: Any, path: Path, per_second: float, frames: Iterable[Any], d
     writer = PillowWriter(fps=per_second)
     scratch = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        with writer.saving(page, str(scratch), dpi=90):
+        with missing_glyphs(), writer.saving(page, str(scratch), dpi=90):
             for frame in frames:
                 draw(frame)
                 writer.grab_frame()
@@ -113,7 +133,8 @@ def write_gif(page: Any, path: Path, per_second: float, frames: Iterable[Any], d
 def svg(page: Any, name: str) -> str:
     """A figure as an <svg> element for a page: it fetches nothing, and its ids begin with `name`."""
     text = io.StringIO()
-    page.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    with missing_glyphs():
+        page.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     element = text.getvalue()
     element = element[element.index("<svg") :]
     element = re.sub(r"<metadata>.*?</metadata>", "", element, flags=re.DOTALL)

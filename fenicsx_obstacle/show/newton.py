@@ -14,11 +14,11 @@ from fenicsx_obstacle.answers.iterates import Iterate, iterates
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
-from fenicsx_obstacle.show.figures import BLUE, figure, plain, write_gif
+from fenicsx_obstacle.show.figures import BLUE, figure, heading, write_gif
 from fenicsx_obstacle.show.plan import outline, strokes, triangles
 from fenicsx_obstacle.show.relief import INK
 from fenicsx_obstacle.show.simplices import Patch, patch_of, rims
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.words import counted, title_of
 
 PER_SECOND = 2  # steps
 REST = 4  # frames that the end stays
@@ -58,7 +58,7 @@ def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iter
     names = [_name(method, course) for method, course in courses.items()]
     _legend(page, whose if line else "")
     eps = answer.record["eps"]
-    title = plain(answer.scene.tables.title or answer.scene.name)
+    title = heading(title_of(answer.scene.tables.title, answer.scene.name))
     page.suptitle(title if eps is None else f"{title}, eps = {eps:.2g}", fontsize=12)
 
     def draw(frame: int) -> None:

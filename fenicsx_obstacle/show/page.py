@@ -15,7 +15,7 @@ from fenicsx_obstacle.parallel import write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.words import counted, title_of
 
 NAME = "report.html"
 _STYLE = """
@@ -126,7 +126,7 @@ def _write(
 
 
 def _title(scene: Scene) -> str:
-    return scene.tables.title or scene.name
+    return title_of(scene.tables.title, scene.name)
 
 
 def _how(record: Mapping[str, Any]) -> str:

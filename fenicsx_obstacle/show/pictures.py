@@ -15,10 +15,11 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show import relief
 from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
-from fenicsx_obstacle.show.figures import BLUE, VERMILION, check_name, figure, plain, save
+from fenicsx_obstacle.show.figures import BLUE, VERMILION, check_name, figure, heading, missing_glyphs, plain, save
 from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, draw_plan, strokes, triangles
 from fenicsx_obstacle.show.simplices import Patch, patch_of, rims, zero
 from fenicsx_obstacle.show.space import draw_view
+from fenicsx_obstacle.words import title_of
 
 PRESSURE = "contact pressure p"
 
@@ -42,7 +43,8 @@ class Picture:
         if self.page is None:
             return None
         data = io.BytesIO()
-        self.page.savefig(data, format="png")
+        with missing_glyphs():
+            self.page.savefig(data, format="png")
         return data.getvalue()
 
 
@@ -70,7 +72,7 @@ def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path | None, page
         page, who = _solid(patch, u)
     else:
         page, who = _flat(patch, u) if gdim == 2 else _curved(patch, u)
-    page.suptitle(plain(answer.scene.tables.title or answer.scene.name), fontsize=12)
+    page.suptitle(heading(title_of(answer.scene.tables.title, answer.scene.name)), fontsize=12)
     pages.append(page)
     if path is None:
         return f"drawn by {who}"

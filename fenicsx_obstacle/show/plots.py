@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import DASHES, figure, plain, style
+from fenicsx_obstacle.show.figures import DASHES, figure, heading, plain, style
 from fenicsx_obstacle.show.sweep import sweep
 from fenicsx_obstacle.studies.grid import Vary, along, lines_of
 from fenicsx_obstacle.studies.orders import Quantity, lookup, parameter, quantities
@@ -118,5 +118,5 @@ def _finish(axes: Any, rows: Rows, *, beside: bool = False) -> None:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.grid(True, which="major", color="0.9")
     axes.legend(fontsize=8, **({"loc": "center left", "bbox_to_anchor": (1.01, 0.5)} if beside else {}))
-    title, methods = plain(rows[0]["title"] or rows[0]["scene"]), dict.fromkeys(row["method"] for row in rows)
+    title, methods = heading(rows[0]["title"] or rows[0]["scene"]), dict.fromkeys(row["method"] for row in rows)
     axes.set_title(f"{title} ({rows[0]['element']}, {', '.join(methods)})", fontsize=10)

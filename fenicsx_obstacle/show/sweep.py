@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import COLOURS, figure, plain, style
+from fenicsx_obstacle.show.figures import COLOURS, figure, heading, plain, style
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, lines_of
 from fenicsx_obstacle.studies.orders import lookup
 from fenicsx_obstacle.words import short
@@ -37,7 +37,7 @@ def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary) -> Any:
         axes.remove()
     if len(lines) > 1:
         panels[0].legend(fontsize=8)
-    page.suptitle(plain(rows[0]["title"] or rows[0]["scene"]), fontsize=11)
+    page.suptitle(heading(rows[0]["title"] or rows[0]["scene"]), fontsize=11)
     return page
 
 

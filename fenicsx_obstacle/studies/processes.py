@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import queue
@@ -14,6 +15,46 @@ from contextlib import suppress
 from typing import Any
 
 import click
+
+# what the launcher `obstacle` sets before it starts Python or mpirun; its first lines say why
+FIXED = {
+    "OMP_NUM_THREADS": "1", "SCOTCH_PTHREAD_NUMBER": "1", "PYTHONNOUSERSITE": "1",
+    "OMPI_MCA_btl_vader_single_copy_mechanism": "none", "OMPI_MCA_ess_singleton_isolated": "1",
+    "OMPI_MCA_mpi_yield_when_idle": "1", "OMPI_MCA_orte_execute_quiet": "1",
+}  # fmt: skip
+DEFAULTS = {"OMPI_MCA_smsc": "^cma", "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "^tcp,uct,openib,ofi"}
+OF_ROOT = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+# what MPI has put into the environment of this process would confuse the MPI of a child
+_MPI = ("OMPI_COMM", "OMPI_ARGV", "OMPI_APP", "OMPI_COMMAND", "PMIX", "PRTE", "PMI_")
+_running: set[subprocess.Popen[str]] = set()
+_over: list[bool] = []  # not empty once this process is to end
+
+
+def clean() -> dict[str, str]:
+    """The environment of a process to start: that of the launcher, without what an MPI process finds in its own."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
+    given = {key: kept.get(key) or value for key, value in DEFAULTS.items()}
+    return {**kept, **given, **FIXED, **(OF_ROOT if os.geteuid() == 0 else {})}
+
+
+def start(command: Sequence[str], **options: Any) -> subprocess.Popen[str]:
+    """Start a process that leads a session, so that it can be ended with all that it starts; see `subprocess.Popen`.
+
+    Raises:
+        InterruptedError: After `end_all`.
+    """
+    if _over:
+        raise InterruptedError(errno.EINTR, "interrupted")
+    process = subprocess.Popen(command, text=True, errors="replace", start_new_session=True, **options)
+    _running.add(process)
+    return process
+
+
+def end_all() -> None:
+    """End all processes that `start` has started; it starts no more."""
+    _over.append(True)
+    for process in list(_running):
+        end(process)
 
 
 def launch(ranks: int, *arguments: str) -> list[str]:
@@ -31,6 +72,7 @@ def tell(record: Mapping[str, Any]) -> None:
 
 def end(process: subprocess.Popen[str]) -> None:
     """End a process that leads a session, with all that it has started and that did not leave it."""
+    _running.discard(process)
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -47,8 +89,7 @@ def records(
         patience: Seconds to wait for a line.
         given: Its standard input.
     """
-    process = subprocess.Popen(command, env=environment, text=True, errors="replace", start_new_session=True,
-                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)  # fmt: skip
+    process = start(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdin is not None and process.stdout is not None
     process.stdin.write(given)
     process.stdin.close()

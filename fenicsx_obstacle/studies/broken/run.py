@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fenicsx_obstacle.studies.broken.case import LIMIT, Broken, complaint
 from fenicsx_obstacle.studies.broken.collection import collect, prepare
-from fenicsx_obstacle.studies.processes import end, launch, records
+from fenicsx_obstacle.studies.processes import end, launch, records, start
 
 EVERY = {1: 8, 3: 24}  # which cases have processes of their own: each so manyth, and what only a process can show
 AT_ONCE = {1: 2, 3: 1}
@@ -66,17 +66,15 @@ def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mappi
     folder = root / f"alone-{ranks}" / str(number)
     case.lay_out(folder)
     command = launch(ranks, "-m", "fenicsx_obstacle", *case.command())
-    start = time.perf_counter()
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, text=True, errors="replace", start_new_session=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )  # fmt: skip
+    began = time.perf_counter()
+    process = start(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:
         said, status = process.communicate(timeout=PATIENCE)[1], process.returncode
     except subprocess.TimeoutExpired:
-        end(process)
         said, status = "", None
-    seconds = time.perf_counter() - start
+    finally:
+        end(process)
+    seconds = time.perf_counter() - began
     return Tried(case, ranks, True, said, seconds, complaint(case, status, said, seconds, folder))
 
 

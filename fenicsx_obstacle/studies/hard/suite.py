@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -21,18 +19,13 @@ from fenicsx_obstacle.scenes.hard import Case
 from fenicsx_obstacle.studies.hard.judge import METHODS, TRIAL
 from fenicsx_obstacle.studies.hard.ranks import agree_on
 from fenicsx_obstacle.studies.hard.row import FAILED, RIGHT, Row
+from fenicsx_obstacle.studies.processes import clean, end, launch, start
 
 AT_ONCE = 2
 RANKS = (2, 3)
 PATIENCE = 900.0  # seconds for one process; alone it takes some ten
+LONGEST = 300  # characters of what a process has said
 MODULES = "fenicsx_obstacle.studies.hard"
-# what our own MPI has put into the environment would confuse the MPI of a child
-_MPI = ("OMPI_COMM", "OMPI_ARGV", "OMPI_APP", "OMPI_COMMAND", "PMIX", "PRTE", "PMI_")
-
-
-def clean() -> dict[str, str]:
-    """The environment without what an MPI process finds in it; choices for MPI itself stay."""
-    return {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
 
 
 def one_rank() -> None:
@@ -55,7 +48,7 @@ def rows_of(one: Case) -> list[Row]:
     """The rows of a case: those its process wrote, and one for each number of ranks."""
     with tempfile.TemporaryDirectory(prefix="obstacle-") as folder:
         file = Path(folder) / "1.npz"
-        text, trouble = _process([sys.executable, "-m", f"{MODULES}.one", one.name, str(file)])
+        text, trouble = _process(launch(1, "-m", f"{MODULES}.one", one.name, str(file)))
         rows = [json.loads(line) for line in text.splitlines() if line.startswith("{")]
         if trouble:
             return [*rows, _lost(one, trouble)]
@@ -64,9 +57,8 @@ def rows_of(one: Case) -> list[Row]:
 
 def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
     for ranks in RANKS:
-        start, file = time.perf_counter(), folder / f"{ranks}.npz"
-        mpirun = ["mpirun", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"]
-        _, trouble = _process([*mpirun, sys.executable, "-m", f"{MODULES}.ranks", one.name, str(file)])
+        began, file = time.perf_counter(), folder / f"{ranks}.npz"
+        _, trouble = _process(launch(ranks, "-m", f"{MODULES}.ranks", one.name, str(file)))
         if trouble:
             yield _lost(one, f"on {ranks} ranks {trouble}")
             continue
@@ -78,7 +70,7 @@ def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
                     "case": one.name, "family": one.family, "mesh": one.meshes[0], "scene": one.name, "method": method,
                     "asked": None if method == "vi" else TRIAL, "trial": f"{ranks} ranks",
                     "verdict": FAILED if wrong else RIGHT, "message": "; ".join(map(str, wrong)),
-                    "seconds": (time.perf_counter() - start) / (1 + len(METHODS)),
+                    "seconds": (time.perf_counter() - began) / (1 + len(METHODS)),
                     "findings": [finding.record for finding in findings],
                 }  # fmt: skip
 
@@ -86,14 +78,24 @@ def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
 def _process(command: Sequence[str]) -> tuple[str, str]:
     """What a process wrote, and in words what went wrong with it."""
     try:
-        done = subprocess.run(command, env=clean(), capture_output=True, text=True, timeout=PATIENCE, check=False)
-    except subprocess.TimeoutExpired as late:
-        text = late.stdout.decode() if isinstance(late.stdout, bytes) else late.stdout or ""
-        return text, f"its process took more than {PATIENCE:.0f} s"
+        process = start(command, env=clean(), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     except OSError as error:
         return "", f"its process could not be started: {error.strerror}"
-    last = [line for line in done.stderr.strip().splitlines() if "Error" in line or "rror:" in line][-1:]
-    return done.stdout, f"its process ended with status {done.returncode}: {''.join(last)}" if done.returncode else ""
+    try:
+        text, said = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        end(process)
+        return process.communicate()[0], f"its process took more than {PATIENCE:.0f} s"
+    finally:
+        end(process)
+    return text, f"its process ended with status {process.returncode}: {reason(said)}" if process.returncode else ""
+
+
+def reason(said: str) -> str:
+    """What a process has said of its end: the last line that names an error, or else the first words."""
+    lines = [line.strip() for line in said.splitlines()]
+    named = [line for line in lines if "Error" in line or "rror:" in line]
+    return (named[-1] if named else " ".join(line for line in lines if line.strip("-")))[:LONGEST]
 
 
 def _lost(one: Case, message: str) -> Row:
