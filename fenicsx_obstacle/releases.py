@@ -267,24 +267,6 @@ def cells_near(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np
     return np.repeat(np.arange(len(points)), np.diff(found.offsets)), np.asarray(found.array)
 
 
-def from_gmsh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[dmesh.Mesh, Any, Any]:
-    """Mesh, cell tags and facet tags of a Gmsh model held by rank 0 (collective)."""
-    if OLD:
-        from dolfinx.io import gmshio
-
-        mesh, cells, facets = gmshio.model_to_mesh(model, comm, 0, gdim=gdim)
-    elif NEW:
-        from dolfinx.io import gmsh as reader
-
-        data = reader.model_to_mesh(model, comm, 0, gdim=gdim, partitioner=_partitioner(False))
-        mesh, cells, facets = data.mesh, data.cell_tags, data.facet_tags
-    else:
-        from dolfinx.io import gmshio
-
-        mesh, cells, facets = gmshio.model_to_mesh(model, comm, 0, gdim=gdim, partitioner=_partitioner(False))
-    return settle(mesh), cells, facets
-
-
 def from_xdmf(file: io.XDMFFile, name: str) -> dmesh.Mesh:
     """Mesh of an open XDMF file, ghosted over facets (collective)."""
     return settle(file.read_mesh(FACET_GHOSTS, name=name))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,40 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.meshing import meshed
+from fenicsx_obstacle.discrete import meshing
+from fenicsx_obstacle.discrete.cells import cell_facets, facet_vertices, own_cells
+from fenicsx_obstacle.discrete.meshing import Arrays
 from fenicsx_obstacle.discrete.soundness import refuse_unsound
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
-_LINEAR = {1: {1}, 2: {2}, 3: {4}}  # Gmsh's numbers of straight lines, triangles, tetrahedra
+CELLS = {2: "interval", 3: "triangle", 4: "tetrahedron"}  # by vertices
 
 
 Groups = dict[str, np.ndarray]
 
 
-def read(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
-    """A mesh, the local facets of each named curve (in solids, surface), the owned cells of each material (collective).
+@dataclass(frozen=True)
+class MeshFile:
+    """What a file holds.
+
+    Attributes:
+        mesh: The mesh.
+        facets: Local facets of each named curve (in solids, surface).
+        groups: Owned cells of each named material.
+        straight: As `Level.straight`.
+        remarks: What the user should know of the file.
+    """
+
+    mesh: dmesh.Mesh
+    facets: Groups
+    groups: Groups
+    straight: bool | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def read(path: Path, comm: MPI.Comm) -> MeshFile:
+    """The mesh of a file, with its named parts (collective).
 
     Raises:
         InputError: If the file is missing, broken, or has cells other than straight simplices.
@@ -46,85 +66,48 @@ def _check(path: Path) -> None:
         raise InputError(f"{path}: a mesh file ends in .msh, .geo (Gmsh) or .xdmf")
 
 
-def _gmsh(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
-    dim, gdim, names = on_root(comm, _open_gmsh, path)
-    import gmsh
+def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
+    kept: list[Arrays] = []  # arrays stay on rank 0
 
-    mesh, cell_tags, facet_tags = releases.from_gmsh(gmsh.model, comm, gdim)
+    def load() -> tuple[Any, ...]:
+        if find_spec("gmsh") is None:
+            raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)")
+        found = meshing.load(path)
+        kept.append(found)
+        return (*found.points.shape[1:], *found.cells.shape[1:], found.materials, found.parts, found.facets,
+                found.facet_part, found.cell_material, found.straight, found.remarks)  # fmt: skip
+
+    gdim, vertices, materials, parts, facets, facet_part, cell_material, straight, remarks = on_root(comm, load)
+    points, cells = np.empty((0, gdim)), np.empty((0, vertices), np.int64)
     if comm.rank == 0:
-        gmsh.finalize()
-    facets = {name: facet_tags.find(tag) for name, d, tag in names if d == dim - 1 and facet_tags is not None}
-    groups = {name: _owned(mesh, cell_tags.find(tag)) for name, d, tag in names if d == dim}
-    return mesh, facets, groups
+        points, cells = kept[0].points, kept[0].cells
+    mesh = releases.create_mesh(comm, cells, points, CELLS[vertices])
+    numbers = _local_facets(mesh, facets)
+    named = {name: np.unique(numbers[(facet_part == k) & (numbers >= 0)]) for k, name in enumerate(parts)}
+    groups = Groups()
+    if materials:
+        of_own = cell_material[np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]]
+        groups = {name: np.flatnonzero(of_own == k).astype(np.int32) for k, name in enumerate(materials)}
+    return MeshFile(mesh, named, groups, straight, remarks)
 
 
-def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
-    return cells[cells < own_cells(mesh)]
+def _local_facets(mesh: dmesh.Mesh, facets: np.ndarray) -> np.ndarray:
+    """Local number of each facet given by vertices of the input, -1 where this rank does not have it."""
+    dim = mesh.topology.dim
+    inputs = np.asarray(mesh.geometry.input_global_indices)
+    marked = np.isin(inputs, facets)
+    corners, table = releases.geometry_dofs(mesh), cell_facets(mesh)
+    known: dict[tuple[int, ...], int] = {}
+    for number, members in enumerate(facet_vertices(dim)):
+        side = corners[:, members]
+        cells = np.flatnonzero(marked[side].all(axis=1))
+        keys = np.sort(inputs[side[cells]], axis=1).tolist()
+        known.update(zip(map(tuple, keys), table[cells, number].tolist(), strict=True))
+    found = [known.get(tuple(row), -1) for row in np.sort(facets, axis=1).tolist()]
+    return np.array(found, dtype=np.int32)
 
 
-def _open_gmsh(path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
-    """Load the model on rank 0: its dimension, the space it lies in, its physical names."""
-    if find_spec("gmsh") is None:
-        raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)")
-    with meshed(path) if path.suffix == ".geo" else nullcontext(path) as mesh:
-        return _load_gmsh(mesh, path)
-
-
-def _load_gmsh(mesh: Path, path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
-    """Load a .msh file; `path` is what the user gave."""
-    import gmsh
-
-    gmsh.initialize([], False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    try:
-        gmsh.open(str(mesh))
-        gmsh.model.mesh.renumberNodes()  # DOLFINx wants no gaps
-        return _inspect_gmsh(gmsh.model, path)
-    except InputError:
-        gmsh.finalize()
-        raise
-    except Exception as error:  # gmsh raises the base class, whatever is wrong with the file
-        gmsh.finalize()
-        raise InputError(f"{path}: Gmsh cannot read it: {error}; is it whole?") from None
-
-
-def _inspect_gmsh(model: Any, path: Path) -> tuple[int, int, list[tuple[str, int, int]]]:
-    dims = [dim for dim in (1, 2, 3) if len(model.mesh.getElementTypes(dim))]
-    if not dims:
-        raise InputError(f"{path}: holds no cells")
-    dim = max(dims)
-    if set(model.mesh.getElementTypes(dim)) - _LINEAR[dim]:
-        kinds = [model.mesh.getElementProperties(kind)[0] for kind in model.mesh.getElementTypes(dim)]
-        raise InputError(f"{path}: has {', '.join(kinds)} cells; P1 needs straight lines, triangles or tetrahedra")
-    if not model.getPhysicalGroups(dim):  # only what is in a physical group becomes part of the mesh
-        model.addPhysicalGroup(dim, [tag for _, tag in model.getEntities(dim)])
-    for d in (dim, dim - 1):
-        for _, entity in model.getEntities(d):
-            both = [model.getPhysicalName(d, tag) or str(tag) for tag in model.getPhysicalGroupsForEntity(d, entity)]
-            if len(both) > 1:
-                kind = ("point", "curve", "surface", "volume")[d]
-                words = " and ".join(f"'{name}'" for name in both)
-                raise InputError(f"{path}: {kind} {entity} is in the physical groups {words}; one is allowed")
-    in_cells = np.concatenate(
-        [model.mesh.getNodesForPhysicalGroup(*group)[0] for group in model.getPhysicalGroups(dim)]
-    )
-    for d, tag in model.getPhysicalGroups(dim - 1):
-        # DOLFINx crashes on them
-        if not np.isin(model.mesh.getNodesForPhysicalGroup(d, tag)[0], in_cells).all():
-            name = model.getPhysicalName(d, tag) or str(tag)
-            raise InputError(f"{path}: '{name}' is not on the mesh; a part inside must be embedded in its domain")
-    tags, places, _ = model.mesh.getNodes()
-    coordinates, numbers = np.asarray(places).reshape(-1, 3), np.argsort(tags)
-    of_cells = np.concatenate([model.mesh.getElements(dim, tag)[2][0] for _, tag in model.getEntities(dim)
-                               if len(model.mesh.getElements(dim, tag)[2])])  # fmt: skip
-    refuse_unsound(path, coordinates[numbers], np.searchsorted(np.sort(tags), of_cells).reshape(-1, dim + 1))
-    flat = np.abs(coordinates).max(axis=0) > 1e-12 * np.abs(coordinates).max()
-    gdim = max(dim, int(np.flatnonzero(flat).max(initial=0)) + 1)
-    names = [(model.getPhysicalName(d, tag) or str(tag), d, tag) for d, tag in model.getPhysicalGroups()]
-    return dim, gdim, names
-
-
-def _xdmf(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
+def _xdmf(path: Path, comm: MPI.Comm) -> MeshFile:
     grid, tags = on_root(comm, _grids, path)
     facets, groups = Groups(), Groups()
     try:
@@ -140,7 +123,11 @@ def _xdmf(path: Path, comm: MPI.Comm) -> tuple[dmesh.Mesh, Groups, Groups]:
                     groups |= {str(tag): _owned(mesh, found.find(tag)) for tag in values}
     except RuntimeError as error:
         raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    return mesh, facets, groups
+    return MeshFile(mesh, facets, groups)
+
+
+def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
+    return cells[cells < own_cells(mesh)]
 
 
 def _grids(path: Path) -> tuple[str, list[str]]:
@@ -154,7 +141,10 @@ def _grids(path: Path) -> tuple[str, list[str]]:
         raise InputError(f"{path}: holds no mesh")
     points, cells = (_array(path, grids[0].find(f"{part}/DataItem"), part) for part in ("Geometry", "Topology"))
     if cells.shape[1] in (2, 3, 4) and cells.dtype.kind in "iu":  # others are refused by their kind
-        refuse_unsound(path, points, cells)
+        try:
+            refuse_unsound(points, cells)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
     return grids[0].get("Name", "mesh"), [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]
 
 

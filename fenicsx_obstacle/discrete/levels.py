@@ -15,6 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, files, parents
 from fenicsx_obstacle.discrete.cells import corners, volumes
+from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.grids import coarsest_grid, shape_of
 from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.errors import InputError
@@ -39,8 +40,9 @@ class Level:
         coarse: The level it was refined from; of P2 that of P1 on the same mesh.
         parents: For each owned cell the local cell of `coarse` it came from.
         places: Where in it the corners of the cell are.
-        straight: Of a mesh from a file, whether its CAD curves are straight lines (in solids: flat surfaces); None where
-            the file does not say, and for the caller's own mesh.
+        straight: Of a mesh from a file, whether its CAD curves are straight and, in solids, its surfaces flat; None
+            where the file does not say, and for the caller's own mesh.
+        remarks: What the user should know of the mesh, in words.
     """
 
     mesh: dmesh.Mesh
@@ -53,6 +55,7 @@ class Level:
     parents: np.ndarray | None = None
     places: np.ndarray | None = None
     straight: bool | None = None
+    remarks: tuple[str, ...] = ()
 
     @cached_property
     def V(self) -> fem.FunctionSpace:
@@ -105,7 +108,7 @@ class Level:
         """Whether the domain is exactly the polygon (polyhedron) of the mesh; None where that is unknown."""
         if self.shape is not None:
             return self.shape.project is None
-        return self.straight if self.coarse is None else self.coarse.polygonal
+        return self.straight
 
     @property
     def comm(self) -> MPI.Comm:
@@ -191,9 +194,12 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     table, pair = scene.tables.mesh, scene.pair
     refine = table.refine
     if scene.mesh is not None:
-        level = _level(releases.settle(scene.mesh))
+        level = _level(releases.settle(scene.mesh), scene.source)
     elif table.file is not None:
-        level = _level(*files.read(scene.folder / table.file, comm))
+        path = scene.folder / table.file
+        found = files.read(path, comm)
+        level = _level(found.mesh, str(path), found.facets, found.groups)
+        level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
@@ -228,7 +234,7 @@ def of_space(V: fem.FunctionSpace) -> Level:
     element = V.ufl_element()
     if releases.called(element.degree) != 1 or V.dofmap.index_map_bs != 1 or "DG" in str(element):
         raise InputError("u must be a continuous P1 Function of one component")
-    level = _level(releases.settle(V.mesh))
+    level = _level(releases.settle(V.mesh), "solve_form")
     level.__dict__["V"] = V  # in place of one made on first use
     return level
 
@@ -236,7 +242,9 @@ def of_space(V: fem.FunctionSpace) -> Level:
 def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
     new, cells, places = parents.halved(level.mesh, level.V)
-    fine = Level(new, level.h / 2, shape=level.shape, coarse=level, parents=cells, places=places)
+    fine = replace(
+        level, mesh=new, h=level.h / 2, named=None, materials=None, pair=P1, coarse=level, parents=cells, places=places
+    )
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
     return fine
@@ -252,8 +260,8 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
         assert level.coarse is not None
         return of_pair(refined_where(level.coarse, marked), level.pair)
     new, cells, places = bisection.refined_where(level.V, marked)
-    fine = Level(
-        new, _largest_side(new), shape=level.shape, pair=level.pair, coarse=level, parents=cells, places=places
+    fine = replace(
+        level, mesh=new, h=_largest_side(new), named=None, materials=None, coarse=level, parents=cells, places=places
     )
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
@@ -261,13 +269,16 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
 
 
 def _level(
-    mesh: dmesh.Mesh, facets: dict[str, np.ndarray] | None = None, groups: dict[str, np.ndarray] | None = None
+    mesh: dmesh.Mesh,
+    source: str,
+    facets: dict[str, np.ndarray] | None = None,
+    groups: dict[str, np.ndarray] | None = None,
 ) -> Level:
-    """A mesh that is not one of our shapes: h from the volumes of its cells."""
+    """A mesh that is not one of our shapes: h from the volumes of its cells (collective)."""
     cell = releases.cell_name(mesh)
     if cell not in SIMPLICES:
         raise InputError(f"the mesh has {cell} cells; only shapes have others than intervals, triangles and tetrahedra")
-    return Level(mesh, _largest_side(mesh), facets, groups)
+    return Level(mesh, _largest_side(mesh), facets, groups, remarks=check_mesh(mesh, source))
 
 
 def _largest_side(mesh: dmesh.Mesh) -> float:

@@ -1,50 +1,103 @@
-"""Gmsh meshes a geometry in a process of its own: what it cannot mesh may end the process.
+"""Gmsh reads and meshes in a process of its own: what it cannot read may end the process.
 
-`python -m fenicsx_obstacle.discrete.meshing GEOMETRY MESH`; it says what is wrong and leaves with status 1.
+`python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo or .msh file as NumPy arrays; if
+that fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours).
 """
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from fenicsx_obstacle.errors import InputError
 
+_REJECTED = 2  # exit status
 
-@contextmanager
-def meshed(geometry: Path) -> Iterator[Path]:
-    """The mesh of a geometry as a file that is gone afterwards (one rank).
+
+@dataclass(frozen=True)
+class Arrays:
+    """A mesh as arrays.
+
+    Attributes:
+        points: Coordinates, shape (points, gdim); each is a vertex of a cell.
+        cells: Rows of `points`, shape (cells, dim + 1).
+        materials: Names of the groups of cells.
+        cell_material: Row of `materials` of each cell; empty without materials.
+        parts: Names of the groups of facets.
+        facets: Rows of `points` of each facet in a group, shape (facets, dim).
+        facet_part: Row of `parts` of each of these facets.
+        straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
+        remarks: What the user should know of the file.
+    """
+
+    points: np.ndarray
+    cells: np.ndarray
+    materials: tuple[str, ...]
+    cell_material: np.ndarray
+    parts: tuple[str, ...]
+    facets: np.ndarray
+    facet_part: np.ndarray
+    straight: bool | None
+    remarks: tuple[str, ...]
+
+
+def load(path: Path) -> Arrays:
+    """The mesh of a Gmsh file (one rank).
 
     Raises:
-        InputError: With what Gmsh says.
+        InputError: With what Gmsh says, or what is wrong with the mesh.
     """
     with tempfile.TemporaryDirectory() as folder:
-        mesh = Path(folder) / "mesh.msh"
-        command = [sys.executable, "-m", __name__, str(geometry), str(mesh)]
+        arrays = Path(folder) / "mesh.npz"
+        command = [sys.executable, "-m", __name__, str(path), str(arrays)]
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        said = done.stdout.strip()
         if done.returncode < 0:
-            raise InputError(f"{geometry}: Gmsh crashed on it: look at it in Gmsh, or mesh it to a .msh there")
+            other = ", or mesh it to a .msh there" if path.suffix == ".geo" else ""
+            raise InputError(f"{path}: Gmsh crashed on it: look at it in Gmsh{other}")
+        if done.returncode == _REJECTED:
+            raise InputError(f"{path}: {said}")
         if done.returncode:
-            said = done.stdout.strip().splitlines()
-            raise InputError(f"{geometry}: Gmsh cannot read it: {said[-1] if said else 'without a word'}")
-        yield mesh
+            reason = said.splitlines()[-1] if said else "it gives no reason"
+            raise InputError(f"{path}: Gmsh cannot read it: {reason}; is it whole?")
+        with np.load(arrays) as file:
+            words = json.loads(str(file["words"]))
+            return Arrays(
+                file["points"], file["cells"], tuple(words["materials"]), file["cell_material"],
+                tuple(words["parts"]), file["facets"], file["facet_part"],
+                words["straight"], tuple(words["remarks"]),
+            )  # fmt: skip
 
 
-def _mesh(geometry: str, mesh: str) -> int:
+def _run(source: str, target: str) -> int:
     import gmsh
+
+    from fenicsx_obstacle.discrete.gmsh_model import arrays_of, straight
 
     gmsh.initialize([], False)
     gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.option.setNumber("Mesh.Binary", 1)
-    gmsh.option.setNumber("Mesh.SaveAll", 0)
     try:
-        gmsh.open(geometry)
-        gmsh.model.mesh.generate(gmsh.model.getDimension())
-        gmsh.write(mesh)
+        gmsh.open(source)
+        if source.endswith(".geo"):
+            gmsh.model.mesh.generate(gmsh.model.getDimension())
+        found = arrays_of(gmsh.model)
+        words = {
+            "materials": found.materials, "parts": found.parts, "remarks": found.remarks,
+            "straight": straight(gmsh.model, found.cells.shape[1] - 1),
+        }  # fmt: skip
+        np.savez(
+            target, words=json.dumps(words), points=found.points, cells=found.cells, facets=found.facets,
+            cell_material=found.cell_material, facet_part=found.facet_part,
+        )  # fmt: skip
+    except InputError as error:
+        sys.stdout.write(f"{error}\n")
+        return _REJECTED
     except Exception as error:  # gmsh raises the base class, whatever is wrong
         sys.stdout.write(f"{error}\n")
         return 1
@@ -52,4 +105,4 @@ def _mesh(geometry: str, mesh: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(_mesh(*sys.argv[1:]))
+    sys.exit(_run(*sys.argv[1:]))

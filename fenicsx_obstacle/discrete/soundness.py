@@ -15,11 +15,10 @@ FLAT = 1e-13  # of its longest edge to the power of the dimension: what a cell's
 _WORDS = {2: ("interval", "length"), 3: ("triangle", "area"), 4: ("tetrahedron", "volume")}
 
 
-def refuse_unsound(path: object, points: np.ndarray, cells: np.ndarray) -> None:
+def refuse_unsound(points: np.ndarray, cells: np.ndarray) -> None:
     """Refuse cells that are none (one rank).
 
     Args:
-        path: The file, for messages.
         points: Shape (points, 1 to 3).
         cells: Numbers of the points of each cell, shape (cells, vertices).
 
@@ -28,24 +27,24 @@ def refuse_unsound(path: object, points: np.ndarray, cells: np.ndarray) -> None:
     """
     cell, size = _WORDS[cells.shape[1]]
     if cells.min(initial=0) < 0 or cells.max(initial=-1) >= len(points):
-        raise InputError(f"{path}: a {cell} has a vertex that is not in the file")
+        raise InputError(f"a {cell} has a vertex that is not in the file")
     used = np.unique(cells)
     lost = used[~np.isfinite(points[used]).all(axis=1)]
     if len(lost):
-        raise InputError(f"{path}: a vertex lies at {_at(points[lost[0]])}: not a finite number")
+        raise InputError(f"a vertex lies at {place(points[lost[0]])}: not a finite number")
     corners = np.zeros((*cells.shape, 3))
     corners[:, :, : points.shape[1]] = points[cells]
-    flat = np.flatnonzero(_sizes(corners) <= FLAT)
+    flat = np.flatnonzero(sizes(corners) <= FLAT)
     if len(flat):
-        places = ", ".join(_at(corner) for corner in corners[flat[0]])
-        raise InputError(f"{path}: the {cell} with the corners {places} has no {size}")
+        places = ", ".join(place(corner) for corner in corners[flat[0]])
+        raise InputError(f"the {cell} with the corners {places} has no {size}")
     twice = _twice(cells)
     if twice is not None:
-        places = ", ".join(_at(corner) for corner in corners[twice])
-        raise InputError(f"{path}: the {cell} with the corners {places} is there twice")
+        places = ", ".join(place(corner) for corner in corners[twice])
+        raise InputError(f"the {cell} with the corners {places} is there twice")
 
 
-def _sizes(corners: np.ndarray) -> np.ndarray:
+def sizes(corners: np.ndarray) -> np.ndarray:
     """dim! times the volume over the longest edge to the power dim."""
     edges = corners[:, 1:] - corners[:, :1]
     pairs = combinations(range(corners.shape[1]), 2)
@@ -56,7 +55,7 @@ def _sizes(corners: np.ndarray) -> np.ndarray:
             return np.linalg.norm(edges[:, 0], axis=1)
         case 2:
             return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return np.abs(np.linalg.det(edges))
+    return np.abs(np.einsum("ni,ni->n", np.cross(edges[:, 0], edges[:, 1]), edges[:, 2]))
 
 
 def _twice(cells: np.ndarray) -> int | None:
@@ -67,5 +66,6 @@ def _twice(cells: np.ndarray) -> int | None:
     return int(order[same[0]]) if len(same) else None
 
 
-def _at(place: np.ndarray) -> str:
-    return f"({', '.join(f'{x:.4g}' for x in place)})"
+def place(point: np.ndarray) -> str:
+    """A point, for messages."""
+    return f"({', '.join(f'{x:.4g}' for x in point)})"

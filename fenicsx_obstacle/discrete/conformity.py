@@ -1,0 +1,249 @@
+"""Whether the parts of a mesh that touch are connected: facets that lie on each other without shared nodes.
+
+CAD bodies that were not fragmented are meshed one by one. Where they touch, each has nodes of its own, so that they are
+separate membranes: no error shows in the solution.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices, own_cells
+from fenicsx_obstacle.discrete.components import Components, components
+from fenicsx_obstacle.discrete.soundness import FLAT, place, sizes
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.words import counted
+
+# of the local length: what is nearer touches; at least what six digits of coordinates resolve, where cells are larger
+NEAR, FEW_DIGITS, LARGEST = 1e-5, 1e-6, 1e-2
+OVERLAP = 1e-3  # of a facet's width
+INSIDE = 1e-4  # barycentric coordinate of a point that is inside a cell
+_REMEDY = "in Gmsh use BooleanFragments (OpenCASCADE) or Coherence"
+_CELLS = {1: "an interval", 2: "a triangle", 3: "a tetrahedron"}
+
+
+def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
+    """Reject a mesh of simplices that is no domain (collective).
+
+    Args:
+        mesh: From a file, or the caller's own.
+        source: Where it is from, for messages.
+
+    Returns:
+        What the user should know.
+
+    Raises:
+        InputError: If a cell has no volume, cells overlap, or parts touch without shared nodes; naming a place.
+    """
+    wrong = _wrong_cell(mesh)
+    if wrong is not None:
+        raise InputError(f"{source}: {wrong}")
+    try:
+        return tuple(_check_contact(mesh, components(mesh)))
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
+
+
+def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
+    """What is wrong with the cells of a mesh, with a place: one without volume, or three at a facet (collective)."""
+    dim, own = mesh.topology.dim, slice(own_cells(mesh))
+    vertices = corners(mesh, own)
+    flat = np.flatnonzero(~(sizes(vertices) > FLAT))
+    mine = None
+    if len(flat):
+        word = {1: "length", 2: "area", 3: "volume"}[dim]
+        mine = f"{_CELLS[dim]} at {place(vertices[flat[0]].mean(axis=0))} has no {word}"
+    elif dim == mesh.geometry.dim:
+        beside = np.diff(mesh.topology.connectivity(dim - 1, dim).offsets)
+        if beside.max(initial=0) > 2:
+            cell = mesh.topology.connectivity(dim - 1, dim).links(int(np.argmax(beside)))[0]
+            mine = f"at {place(corners(mesh, slice(cell, cell + 1))[0].mean(axis=0))} cells lie on each other"
+    return next((one for one in mesh.comm.allgather(mine) if one is not None), None)
+
+
+def _check_contact(mesh: dmesh.Mesh, found: Components) -> list[str]:
+    """Reject parts of a mesh that touch without shared nodes, and parts that overlap (collective).
+
+    Two sides of a slit within one component may lie on each other; parts that meet in a point (solids in an edge) are
+    not connected anyway.
+
+    Returns:
+        What the user should know.
+
+    Raises:
+        InputError: Naming a place and the remedy.
+    """
+    comm, dim = mesh.comm, mesh.topology.dim
+    rim = comm.gather(_rim(mesh, found))
+
+    def touching() -> tuple[list[str], np.ndarray, np.ndarray]:
+        vertices, component, size = map(np.concatenate, zip(*rim, strict=True))
+        remarks = _touching(vertices, component, _near(vertices, size))
+        samples = np.concatenate([vertices, vertices.mean(axis=1, keepdims=True)], axis=1)[:, dim == 1 :]
+        return (remarks, samples, component) if found.count > 1 else (remarks, samples[:0], component[:0])
+
+    remarks, samples, component = on_root(comm, touching)
+    if found.count > 1:
+        _check_overlap(mesh, found, samples, component)
+        remarks.insert(0, f"{found.count} parts that are not connected: u must be held in each")
+    return remarks
+
+
+def _rim(mesh: dmesh.Mesh, found: Components) -> tuple[np.ndarray, ...]:
+    """Owned exterior facets: their vertices, component and local length."""
+    dim = mesh.topology.dim
+    exterior = np.zeros(_count(mesh), dtype=bool)
+    exterior[dmesh.exterior_facet_indices(mesh.topology)] = True
+    table = cell_facets(mesh)
+    cells, numbers = np.nonzero(exterior[table])
+    _, first = np.unique(table[cells, numbers], return_index=True)
+    cells, numbers = cells[first], numbers[first]
+    rows = releases.geometry_dofs(mesh)[cells]
+    members = np.array(facet_vertices(dim))[numbers]
+    all_vertices = mesh.geometry.x[rows]
+    # the height over the facet: what is thin across may be long along it
+    heights = sizes(all_vertices) * _longest(all_vertices) ** dim
+    vertices = mesh.geometry.x[np.take_along_axis(rows, members, axis=1)]
+    base = sizes(vertices) * _longest(vertices) ** (dim - 1) if dim > 1 else 1.0
+    width = _shortest(vertices) if dim > 1 else np.inf
+    size = np.minimum(heights / base, width)
+    return vertices, found.of_cells[cells], size
+
+
+def _count(mesh: dmesh.Mesh) -> int:
+    facets = mesh.topology.index_map(mesh.topology.dim - 1)
+    return facets.size_local + facets.num_ghosts
+
+
+def _edges(vertices: np.ndarray) -> np.ndarray:
+    """Lengths of the edges of simplices."""
+    pairs = combinations(range(vertices.shape[1]), 2)
+    return np.stack([np.linalg.norm(vertices[:, i] - vertices[:, j], axis=1) for i, j in pairs])
+
+
+def _longest(vertices: np.ndarray) -> np.ndarray:
+    return _edges(vertices).max(axis=0, initial=0.0)
+
+
+def _shortest(vertices: np.ndarray) -> np.ndarray:
+    return _edges(vertices).min(axis=0, initial=np.inf)
+
+
+def _near(vertices: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """The distance below which something touches each facet."""
+    extent = np.ptp(vertices.reshape(-1, 3), axis=0).max() if len(vertices) else 0.0
+    return np.minimum(LARGEST * size, np.maximum(NEAR * size, FEW_DIGITS * extent))
+
+
+def _touching(vertices: np.ndarray, component: np.ndarray, near: np.ndarray) -> list[str]:
+    """Reject exterior facets that lie on each other, but the two sides of a slit (one rank)."""
+    f, g = _pairs(vertices, near)
+    allowed = np.minimum(near[f], near[g])
+    apart = np.linalg.norm(vertices[f][:, :, None] - vertices[g][:, None], axis=3)
+    same = (apart.min(axis=2) <= allowed[:, None]).all(axis=1) & (apart.min(axis=1) <= allowed[:, None]).all(axis=1)
+    other = component[f] != component[g]
+    middles = vertices.mean(axis=1)
+    for bad, what in (
+        (other, "two parts of the mesh touch without shared nodes"),
+        (~other & ~same, "cells touch along a part of their sides only (hanging nodes)"),
+    ):
+        if bad.any():
+            lie = np.concatenate([middles[f[bad]], middles[g[bad]]])
+            at = place(lie[np.lexsort(lie.T[::-1])[0]])
+            raise InputError(f"{what}: {counted(int(bad.sum()), 'pair')} of sides, one at {at}; {_REMEDY}")
+    if not len(f):
+        return []
+    at = place(middles[f][np.lexsort(middles[f].T[::-1])[0]])
+    return [f"a slit at {at}: {counted(len(f), 'pair')} of sides without shared nodes"]
+
+
+def _pairs(vertices: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of facets that lie on each other over more than a point, or for triangles an edge."""
+    from scipy.spatial import cKDTree
+
+    middles = vertices.mean(axis=1)
+    reach = np.linalg.norm(vertices - middles[:, None], axis=2).max(axis=1, initial=0.0) + near
+    found = [np.empty((0, 2), np.int64)]
+    classes = np.floor(np.log2(np.maximum(reach, np.finfo(float).tiny))).astype(int)
+    for one in np.unique(classes):  # of facets of very different sizes, each looks among the smaller ones only
+        here, smaller = np.flatnonzero(classes == one), np.flatnonzero(classes <= one)
+        hits = cKDTree(middles[smaller]).query_ball_point(middles[here], reach[here] + reach[smaller].max())
+        counts = np.array([len(hit) for hit in hits])
+        pairs = np.column_stack([np.repeat(here, counts), smaller[np.concatenate(hits).astype(np.int64)]])
+        found.append(pairs[(classes[pairs[:, 1]] < one) | (pairs[:, 1] < pairs[:, 0])])
+    f, g = np.concatenate(found).T
+    gap = np.linalg.norm(middles[f] - middles[g], axis=1)
+    keep = gap <= reach[f] + reach[g]
+    f, g = f[keep], g[keep]
+    keep = _lie_on(vertices[f], vertices[g], np.minimum(near[f], near[g]))
+    return f[keep], g[keep]
+
+
+def _lie_on(one: np.ndarray, other: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Whether facets (n, vertices, 3) lie on each other over more than a point, or for triangles an edge."""
+    if one.shape[1] == 1:
+        return np.linalg.norm(one[:, 0] - other[:, 0], axis=1) <= near
+    meets = np.minimum(_away(one, other), _away(other, one)) <= near
+    pairs = list(combinations(range(one.shape[1]), 2))
+    for facet in (one, other):
+        for i, j in pairs if one.shape[1] == 3 else pairs * (facet is one):
+            # convex sets have no common interior if they lie apart along one of these axes
+            some = np.flatnonzero(meets)
+            axis = facet[some, i] - facet[some, j]
+            if one.shape[1] == 3:
+                axis = np.cross(axis, _normals(one[some]))
+            a, b = (np.einsum("nvi,ni->nv", side[some], axis) for side in (one, other))
+            common = np.minimum(a.max(axis=1), b.max(axis=1)) - np.maximum(a.min(axis=1), b.min(axis=1))
+            meets[some] = common > OVERLAP * np.minimum(np.ptp(a, axis=1), np.ptp(b, axis=1))
+    return meets
+
+
+def _away(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The largest distance of the vertices of one facet from the line or plane of the other."""
+    there = one - other[:, :1]
+    if one.shape[1] == 3:
+        return np.abs(np.einsum("nvi,ni->nv", there, _normals(other))).max(axis=1)
+    along = _unit(other[:, 1] - other[:, 0])
+    return np.linalg.norm(np.cross(there, along[:, None]), axis=2).max(axis=1)
+
+
+def _normals(triangles: np.ndarray) -> np.ndarray:
+    return _unit(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+def _check_overlap(mesh: dmesh.Mesh, found: Components, samples: np.ndarray, component: np.ndarray) -> None:
+    """Reject components with boundary points inside another one, or sides that lie on its cells (collective)."""
+    comm, dim = mesh.comm, mesh.topology.dim
+    points = samples.reshape(-1, 3)
+    owner = np.repeat(component, samples.shape[1])
+    extent = float(np.ptp(points, axis=0).max())
+    solid = dim == mesh.geometry.dim
+    rows, cells = releases.cells_near(mesh, points, FEW_DIGITS * extent)
+    other = found.of_cells[cells] != owner[rows]
+    rows, cells = rows[other], cells[other]
+    vertices = corners(mesh)[cells]
+    weights = barycentric(points[rows][:, None], vertices)[:, 0]
+    if solid:
+        inside = weights.min(axis=1, initial=np.inf) > INSIDE
+    else:  # a side of one part that lies on cells of another, not in their plane only
+        away = np.linalg.norm(np.einsum("nv,nvi->ni", weights, vertices) - points[rows], axis=1)
+        inside = (weights.min(axis=1, initial=np.inf) > -INSIDE) & (away <= NEAR * _longest(vertices))
+    hits = np.unique(np.concatenate(comm.allgather(rows[inside] * found.count + found.of_cells[cells[inside]])))
+    facets = np.unique(hits // (samples.shape[1] * found.count))
+    if not solid:  # all samples of a facet on the same component
+        key = hits // found.count // samples.shape[1] * found.count + hits % found.count
+        key, times = np.unique(key, return_counts=True)
+        facets = key[times == samples.shape[1]] // found.count
+    if len(facets):
+        first = samples[facets, 0]
+        what = "overlap" if solid else "touch without shared nodes"
+        raise InputError(f"two parts of the mesh {what}, at {place(first[np.lexsort(first.T[::-1])[0]])}; {_REMEDY}")

@@ -1,0 +1,158 @@
+"""The mesh of a Gmsh model as arrays, checked: what DOLFINx would not take is rejected here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.meshing import Arrays
+from fenicsx_obstacle.discrete.soundness import place, refuse_unsound
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.words import counted
+
+_LINEAR = {0: 15, 1: 1, 2: 2, 3: 4}  # Gmsh's numbers of points, straight lines, triangles, tetrahedra
+_KINDS = ("point", "curve", "surface", "volume")
+_LISTED = 5  # entities in a message
+
+
+def arrays_of(model: Any) -> Arrays:
+    """The cells of the highest dimension, and the facets in physical groups.
+
+    With physical groups of that dimension only their cells are part of the mesh, as in what Gmsh itself saves;
+    otherwise all cells are.
+
+    Raises:
+        InputError: If there are no cells, or others than straight simplices; if one is degenerate; if an entity is in
+            two groups; if a group of facets is not on the mesh.
+    """
+    dims = [dim for dim in (1, 2, 3) if len(model.mesh.getElementTypes(dim))]
+    if not dims:
+        raise InputError("holds no cells")
+    dim = max(dims)
+    if set(model.mesh.getElementTypes(dim)) - {_LINEAR[dim]}:
+        kinds = [model.mesh.getElementProperties(kind)[0] for kind in model.mesh.getElementTypes(dim)]
+        raise InputError(f"has {', '.join(kinds)} cells; P1 needs straight lines, triangles or tetrahedra")
+    groups = {d: _groups(model, d) for d in (dim, dim - 1)}
+    tags, coordinates, _ = model.mesh.getNodes()
+    order = np.argsort(tags)
+    tags, coordinates = np.asarray(tags)[order], np.asarray(coordinates).reshape(-1, 3)[order]
+
+    rows = {(d, tag): _rows(model, d, tag, tags) for d, tag in (*model.getEntities(dim), *model.getEntities(dim - 1))}
+    remarks = [
+        f"the physical group '{name}' holds no mesh"
+        for d, found in groups.items()
+        for name, members in found.items()
+        if not any(len(rows[d, tag]) for tag in members)
+    ]
+    filled = [tag for d, tag in rows if d == dim and len(rows[d, tag])]
+    grouped = {tag for members in groups[dim].values() for tag in members}
+    if grouped.intersection(filled):
+        materials = tuple(groups[dim])
+        pieces = [(number, tag) for number, name in enumerate(materials) for tag in groups[dim][name]]
+        lost = [tag for tag in filled if tag not in grouped]
+        if lost:
+            count = counted(sum(len(rows[dim, tag]) for tag in lost), "cell")
+            remarks.append(f"{_listed(_KINDS[dim], lost)} in no physical group: {count} not part of the mesh")
+    else:
+        materials, pieces = (), [(0, tag) for tag in filled]
+    cells, material = _joined(pieces, rows, dim)
+    refuse_unsound(coordinates, cells)
+
+    parts = tuple(groups[dim - 1])
+    pieces = [(number, tag) for number, name in enumerate(parts) for tag in groups[dim - 1][name]]
+    facets, facet_part = _joined(pieces, rows, dim - 1)
+    lone = np.flatnonzero(~_on_mesh(cells, facets))
+    if len(lone):
+        middle, name = place(coordinates[facets[lone[0]]].mean(axis=0)), parts[facet_part[lone[0]]]
+        raise InputError(f"'{name}' is not on the mesh; a part inside must be embedded in its domain: see {middle}")
+
+    used = np.unique(cells)  # Gmsh keeps nodes that no cell has, such as the centres of circles
+    points = coordinates[used]
+    extended = np.abs(points).max(axis=0) > 1e-12 * np.abs(points).max()
+    gdim = max(dim, int(np.flatnonzero(extended).max(initial=0)) + 1)
+    return Arrays(
+        points[:, :gdim], np.searchsorted(used, cells), materials, material if materials else material[:0],
+        parts, np.searchsorted(used, facets), facet_part, None, tuple(remarks),
+    )  # fmt: skip
+
+
+def _joined(
+    pieces: Iterable[tuple[int, int]], rows: dict[tuple[int, int], np.ndarray], dim: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The elements of entities, and the number that goes with each."""
+    found = [(number, rows[dim, tag]) for number, tag in pieces]
+    numbers = [np.full(len(some), number, np.int32) for number, some in found]
+    return (
+        np.concatenate([np.empty((0, dim + 1), np.int64), *(some for _, some in found)]),
+        np.concatenate([np.empty(0, np.int32), *numbers]),
+    )
+
+
+def straight(model: Any, dim: int) -> bool | None:
+    """Whether all CAD curves are straight lines and, in solids and on surfaces in space, all surfaces flat.
+
+    None where some have no CAD geometry, as in files that hold nothing but a mesh.
+    """
+    found = {dim: {tag for d, tag in model.getEntities(dim) if len(model.mesh.getElementTypes(d, tag))}}
+    for d in range(dim, 1, -1):
+        sides = model.getBoundary([(d, tag) for tag in found[d]], False, False)
+        inside = [one for tag in found[d] for one in model.mesh.getEmbedded(d, tag)]
+        for lower in range(1, d):
+            found.setdefault(lower, set()).update(tag for other, tag in (*sides, *inside) if other == lower)
+    types = {d: {model.getType(d, tag) for tag in found.get(d, ())} for d in (1, 2)}
+    if any(not one or one.startswith(("Discrete", "Unknown")) for one in types[1] | types[2]):
+        return None
+    boxes = np.array([model.getBoundingBox(d, tag) for d, tag in model.getEntities(dim)])
+    in_plane = dim == 2 and np.ptp(boxes[:, [2, 5]]) <= 1e-6 * np.ptp(boxes)  # Gmsh widens its boxes by 1e-7
+    return bool(types[1] <= {"Line"} and (in_plane or types[2] <= {"Plane"}))
+
+
+def _groups(model: Any, dim: int) -> dict[str, list[int]]:
+    """Entities of each physical group of a dimension; a group without a name has its number as name."""
+    groups: dict[str, list[int]] = {}
+    owner: dict[int, str] = {}
+    for d, tag in model.getPhysicalGroups(dim):
+        name = model.getPhysicalName(d, tag) or str(tag)
+        for entity in map(int, model.getEntitiesForPhysicalGroup(d, tag)):
+            if owner.setdefault(entity, name) != name:
+                words = f"'{owner[entity]}' and '{name}'"
+                raise InputError(f"{_KINDS[d]} {entity} is in the physical groups {words}; one is allowed")
+            members = groups.setdefault(name, [])
+            members += [entity] if entity not in members else []
+    return groups
+
+
+def _rows(model: Any, dim: int, entity: int, tags: np.ndarray) -> np.ndarray:
+    """Rows of `tags` of the vertices of each element of an entity, shape (elements, dim + 1)."""
+    kinds, _, nodes = model.mesh.getElements(dim, entity)
+    if set(kinds) - {_LINEAR[dim]}:
+        words = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
+        raise InputError(f"{_KINDS[dim]} {entity} has {', '.join(words)}; its cells have other sides")
+    if not len(kinds):
+        return np.empty((0, dim + 1), np.int64)
+    found = np.searchsorted(tags, nodes[0])
+    if found.max(initial=-1) >= len(tags) or (tags[found] != nodes[0]).any():
+        raise InputError(f"{_KINDS[dim]} {entity} has a vertex that is not in the file")
+    return found.reshape(-1, dim + 1)
+
+
+def _on_mesh(cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Whether each of these facets is a facet of a cell."""
+    marked = np.zeros(cells.max() + 2, dtype=bool)
+    marked[facets[facets < len(marked)]] = True
+    dim = cells.shape[1] - 1
+    sides = [cells[:, side] for side in combinations(range(dim + 1), dim)]
+    candidates = [side[marked[side].all(axis=1)] for side in sides]
+    known = {tuple(row) for row in np.sort(np.concatenate(candidates), axis=1).tolist()}
+    return np.array([tuple(row) in known for row in np.sort(facets, axis=1).tolist()], dtype=bool)
+
+
+def _listed(kind: str, tags: Iterable[int]) -> str:
+    """'surface 2 is', 'surfaces 2, 5 are'."""
+    tags = list(tags)
+    more = f" and {len(tags) - _LISTED} more" if len(tags) > _LISTED else ""
+    plural = len(tags) > 1
+    return f"{kind}{'s' * plural} {', '.join(map(str, tags[:_LISTED]))}{more} {'are' if plural else 'is'}"
