@@ -121,6 +121,7 @@ class _Given:
     """The caller's residual as an effect: what a problem is made of."""
 
     key, elastic, affine, holds, radial, leans, order = "solve_form", True, False, False, False, False, 0
+    gives_way = False
 
     def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
         arguments = F.arguments()
@@ -136,6 +137,12 @@ class _Given:
         return None
 
     def vector(self, data: Any) -> None:
+        return None
+
+    def heights(self, data: Any) -> list[Any]:
+        return [0.0]
+
+    def push(self, data: Any) -> None:
         return None
 
     def energy(self, u: Any, data: Any) -> ufl.Form | None:

@@ -24,7 +24,7 @@ def check_admissible(data: Data) -> None:
     """
     comm, source = data.level.comm, data.scene.source
     dofs, values = data.fixed
-    holds = any(effect.holds for effect in data.scene.effects)
+    holds = any(effect.holds or effect.gives_way for effect in data.scene.effects)
     if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
         raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
     _check_parts(data)

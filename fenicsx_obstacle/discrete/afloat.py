@@ -1,54 +1,166 @@
-"""The forces on a membrane as a whole: whether any hold one that is fixed nowhere, and which are at work in a step."""
+"""Forces on a membrane as a whole: what holds a part of it that is fixed nowhere, and the forces at work in a step."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.moments import INERTIA
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.problem import Problem
 
+Sums: TypeAlias = Callable[[np.ndarray], np.ndarray]  # values at owned dofs, summed over each component
 ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
+EPSILON = float(np.finfo(float).eps)
+LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a solution meaningless
 
 
-def refuse_afloat(problem: Problem, net_load: float) -> None:
-    """Refuse a membrane held nowhere that its load does not press against its only obstacle (collective).
+def check_support(problem: Problem) -> np.ndarray | None:
+    """Check that each part of the mesh is held, and find a start in contact where only contact holds (collective).
 
-    (3.4) with v = 1 says that contact forces and loads add up to 0, and an obstacle only pushes.
+    With v = 1 on a connected component where u is given nowhere, (3.4) says that loads, supports and contact add up to
+    0. A support whose answer to u = 1 is below the round-off of the stiffness holds nothing; then an obstacle must, and
+    an obstacle only pushes.
 
     Args:
-        problem: At rest at u = 0, its residual just evaluated; it is so again afterwards.
-        net_load: The sum of all loads.
+        problem: At u = 0; it is so again afterwards.
+
+    Returns:
+        Values of u at local dofs from which to start on such components, not-a-number elsewhere; None where there are
+        none.
 
     Raises:
-        InputError: Since no u is in balance.
+        InputError: Since no u is in balance, or since round-off would decide which one is.
     """
+    comm, level = problem.level.comm, problem.level
+    if level.shape is not None and total(comm, np.count_nonzero(problem.fixed)) > 0:
+        return None
+    count, component = level.parts
+    own = component[: level.owned]
+
+    def sums(values: np.ndarray) -> np.ndarray:
+        return np.asarray(comm.allreduce(np.bincount(own, values, count)))
+
+    loose = sums(problem.fixed.astype(float)) == 0
+    if not loose.any():
+        return None
+    hard = problem.obstacles()
+    soft = _soft_obstacles(problem)
+    rest, shift = _between(comm, soft)
+    at_rest = _forces(problem, rest)
+    scale = sums(_diagonal(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
+    held = sums(_forces(problem, rest + shift) - at_rest) / shift
+    holds = held > scale
+    net = -sums(at_rest)  # the load, and what supports answer to `rest`
+    size = ROUND_OFF * sums(np.abs(at_rest)) + scale * abs(rest)
+    stiff = [_stiffness(problem, g, side, sums) - held for g, side in zip(soft, (-1, 1), strict=True)]
+    up, down = ((one > scale) | _reached(problem, g, sums) for one, g in zip(stiff, hard, strict=True))
+    presses = np.where(net < -size, up, np.where(net > size, down, up & down))
+    bad = loose & ~holds & ~(up & down) & ~presses
+    if not problem.symmetric and bad.any():
+        # not 1 but another positive test function, which is not known, has no stiffness
+        rises, falls = (sums(np.maximum(sign * at_rest, 0.0)) > 0 for sign in (-1, 1))
+        bad &= ~((up & falls) | (down & rises))
+    if bad.any():
+        _refuse(problem, int(np.flatnonzero(bad)[0]), up, down, net, held, count)
+    side = np.where(up & (~down | (net <= 0)), -1, 1)
+    side[~(loose & (up | down) & (~holds | problem.constrained))] = 0
+    if not side.any():
+        return None
+    start = np.full(len(component), np.nan)
+    for sign, obstacle, soft_one, one in zip((-1, 1), hard, soft, stiff, strict=True):
+        here, heights = (side == sign)[component], np.broadcast_to(obstacle, len(component))
+        if soft_one is not None:
+            depth = np.abs(net) / np.where(one > scale, one, 1.0)
+            start[here] = (soft_one + sign * np.where(depth > 0, depth, 1.0)[component])[here]
+        known = here & np.isfinite(heights)
+        extreme = (smallest if sign < 0 else largest)(comm, heights[known])
+        if np.isfinite(extreme):
+            # beside an obstacle on a part of the boundary: at its lowest or highest place
+            start[here] = extreme + sign
+            start[known] = heights[known] + sign
+    return start
+
+
+def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Local nodal values of the lower and the upper obstacle that give way (collective on first use)."""
+    found = (effect.sides(problem.data) for effect in problem.scene.effects if effect.gives_way)
+    return next(found, (None, None))
+
+
+def _between(comm: MPI.Comm, soft: tuple[np.ndarray | None, np.ndarray | None]) -> tuple[float, float]:
+    """A height at which soft obstacles exert nothing, and a shift from there to another one (collective)."""
+    lower = None if soft[0] is None else largest(comm, soft[0])
+    upper = None if soft[1] is None else smallest(comm, soft[1])
+    if lower is None and upper is None:
+        return 0.0, 1.0
+    if lower is None or upper is None:
+        rest = upper if lower is None else lower
+        assert rest is not None
+        return rest, (-1.0 if lower is None else 1.0) * (abs(rest) or 1.0)
+    return (lower + upper) / 2, (upper - lower) / 4 or 1.0
+
+
+def _stiffness(problem: Problem, soft: np.ndarray | None, side: int, sums: Sums) -> np.ndarray:
+    """The force on each component per unit of u, where all of it is beyond a soft obstacle (collective)."""
+    if soft is None:
+        return sums(np.zeros(problem.level.owned))
     comm = problem.level.comm
-    if total(comm, np.count_nonzero(problem.fixed)) > 0 or (problem.below is None) == (problem.above is None):
-        return
-    at_rest = problem.elastic.array_r.copy()  # minus the loads
-    problem.w.x.array[:] = 1.0
+    beyond = smallest(comm, soft) if side < 0 else largest(comm, soft)
+    shift = side * (abs(beyond) or 1.0)
+    return sums(_forces(problem, beyond + 2 * shift) - _forces(problem, beyond + shift)) / shift
+
+
+def _refuse(
+    problem: Problem, one: int, up: np.ndarray, down: np.ndarray, net: np.ndarray, held: np.ndarray, count: int
+) -> None:
+    """Say what is missing for a component."""
+    source = f"{problem.scene.source}: "
+    where = "u is given nowhere" if count == 1 else f"u is given nowhere on one of {count} separate parts of the mesh"
+    if up[one] or down[one]:
+        side = "lower" if up[one] else "upper"
+        raise InputError(
+            f"{source}{where}, and the load, {net[one] + 0.0:.3g} in all, does not press against the {side} obstacle: "
+            "no u is in balance; add a [[boundary]] with a value"
+        )
+    if any(effect.holds or effect.gives_way for effect in problem.scene.effects):
+        raise InputError(
+            f"{source}{where}, and what holds it, {max(held[one], 0.0):.3g} in all per unit of u, is below the "
+            "round-off of the stiffness: round-off would decide u; add a [[boundary]] with a value, or a stiffer "
+            "support"
+        )
+    raise InputError(f"{source}{where}, and no obstacle holds it: add a [[boundary]] with a value")
+
+
+def _forces(problem: Problem, heights: np.ndarray | float) -> np.ndarray:
+    """a(u, .) - f at owned dofs for these heights, from and back to u = 0 (collective)."""
+    problem.w.x.array[:] = heights
     problem.forms.elastic(problem.elastic)
+    forces = problem.elastic.array_r.copy()
     problem.w.x.array[:] = 0.0
+    return forces
+
+
+def _diagonal(problem: Problem) -> np.ndarray:
+    """Of the stiffness at u = 0 (collective)."""
     state = problem.state()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    answer = total(comm, problem.elastic.array_r - at_rest)
-    shifts = answer <= ROUND_OFF * total(comm, diagonal.array_r)
+    values = diagonal.array_r.copy()
     for vector in (state, diagonal):
         vector.destroy()
-    if not shifts:  # something else than contact answers
-        return
-    side, push = ("lower", -net_load) if problem.below is not None else ("upper", net_load)
-    if push <= ROUND_OFF * total(comm, np.abs(at_rest)):
-        raise InputError(
-            f"{problem.scene.source}: u is given nowhere, and the load, {net_load:.3g} in all, does not press "
-            f"against the {side} obstacle: no u is in balance; add a [[boundary]] with a value"
-        )
+    return values
+
+
+def _reached(problem: Problem, obstacle: np.ndarray | float, sums: Sums) -> np.ndarray:
+    """Whether a component has an obstacle somewhere (collective)."""
+    there = np.isfinite(np.broadcast_to(obstacle, len(problem.w.x.array))[: problem.level.owned])
+    return sums((there & ~problem.fixed).astype(float)) > 0
 
 
 def forces_at_work(problem: Problem, load: float) -> float:

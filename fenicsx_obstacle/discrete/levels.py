@@ -15,6 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, files, parents
 from fenicsx_obstacle.discrete.cells import corners, volumes
+from fenicsx_obstacle.discrete.components import components
 from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.grids import coarsest_grid, shape_of
 from fenicsx_obstacle.discrete.memory import check_memory
@@ -109,6 +110,17 @@ class Level:
         if self.shape is not None:
             return self.shape.project is None
         return self.straight
+
+    @cached_property
+    def parts(self) -> tuple[int, np.ndarray]:
+        """Number of connected components of the mesh, and the component of each local dof (first use is collective).
+
+        The meshes of shapes have one.
+        """
+        if self.shape is not None:
+            return 1, np.zeros(len(self.points.T), dtype=np.int32)
+        found = components(self.mesh)
+        return found.count, found.of_dofs(self.V)
 
     @property
     def comm(self) -> MPI.Comm:

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.admissible import check_admissible
-from fenicsx_obstacle.discrete.afloat import forces_at_work, refuse_afloat
+from fenicsx_obstacle.discrete.afloat import check_support, forces_at_work
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
@@ -75,8 +75,8 @@ class Problem:
         self.elastic, self.reaction = forms.vector(), forms.vector()
         self.weights = forms.weights()
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
-        self.load, self._net_load = self._loads()
-        refuse_afloat(self, self._net_load)
+        self.load = self._load_sum()
+        self._start = check_support(self)
         self.refer(self.cold_start())
 
     def cold_start(self) -> np.ndarray:
@@ -91,13 +91,8 @@ class Problem:
         lower, upper = self.obstacles()
         np.clip(heights, lower, upper, out=heights)
         heights[dofs] = values.x.array[dofs]
-        if self.constrained and total(comm, len(own)) == 0:
-            # nothing else holds it: begin with contact everywhere, where the load presses
-            down = self.above is None or (self.below is not None and self._net_load <= 0)
-            heights[:] = lower - 1.0 if down else upper + 1.0
-            known = np.isfinite(heights)
-            if self.data.thin:  # off the obstacle: at the height of its lowest or highest place
-                heights[~known] = (smallest if down else largest)(comm, heights[known])
+        if self._start is not None:  # nothing else holds it: begin with contact everywhere, where the load presses
+            heights = np.where(np.isnan(self._start), heights, self._start)
         return heights
 
     def move(self, heights: np.ndarray) -> bool:
@@ -111,8 +106,8 @@ class Problem:
             check_admissible(self.data)
         if changed:
             self.__dict__.pop("m_matrix", None)
-        self.load, self._net_load = self._loads()
-        refuse_afloat(self, self._net_load)
+        self.load = self._load_sum()
+        self._start = check_support(self)
         self.refer(heights)
         self.load = forces_at_work(self, self.load)
         return changed
@@ -291,10 +286,9 @@ class Problem:
         flags.x.scatter_forward()
         return flags.x.array > 0.5
 
-    def _loads(self) -> tuple[float, float]:
-        """Sum of |f_i| over free dofs, and of all f_i: minus the residual of u = 0, which is the state afterwards."""
+    def _load_sum(self) -> float:
+        """Sum of |f_i| over free dofs, f being minus the residual of u = 0, which is the state afterwards."""
         self.w.x.array[:] = self.reference.x.array[:] = 0.0
         self.forms.refer()
         self.forms.elastic(self.elastic)
-        comm, at_rest = self.level.comm, self.elastic.array_r
-        return total(comm, np.abs(at_rest[~self.fixed])), -total(comm, at_rest)
+        return total(self.level.comm, np.abs(self.elastic.array_r[~self.fixed]))

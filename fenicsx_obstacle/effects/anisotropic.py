@@ -51,6 +51,9 @@ class Anisotropic(Effect):
     def text(self) -> str:
         return "[" + ", ".join("[" + ", ".join(entry.text for entry in row) + "]" for row in self.value) + "]"
 
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
+
     def along(self, direction: Any, data: Sampler) -> Any:
         from ufl import inner
 

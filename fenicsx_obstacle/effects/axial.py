@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 from fenicsx_obstacle.errors import InputError
 
 
@@ -29,6 +29,9 @@ class AxialSymmetry(Effect):
         if raw is not True:
             raise InputError(f"{reader.source}: {place} = {raw!r}: expected true, or nothing")
         return cls()
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
 
     @property
     def text(self) -> str:

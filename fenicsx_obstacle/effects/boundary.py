@@ -49,6 +49,10 @@ class Flux(OnPart):
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key)
 
+    def push(self, data: Sampler) -> tuple[float, float]:
+        values = data.on_part(self.value, self.part).x.array
+        return float(values.min(initial=0.0)), float(values.max(initial=0.0))
+
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * u * data.over(self.part, self.key)
 
@@ -71,6 +75,9 @@ class Spring(OnPart):
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)
         return k * u * v * data.over(self.part, self.key, nodal=True)
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)

@@ -136,6 +136,7 @@ class Effect:
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy
+    gives_way: ClassVar[bool] = False  # an obstacle that pushes back in proportion to the distance beyond it
     pointwise: ClassVar[bool] = False  # each node answers its own height alone, and the more the higher it is
 
     @classmethod
@@ -170,6 +171,22 @@ class Effect:
 
     def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
         """Its part of the residual a(u, v) - f(v), as far as it is a form."""
+        return None
+
+    def heights(self, data: Sampler) -> list[Any]:
+        """Local nodal values of u at which its part of a(u, v) is zero, where that is not so for all constants."""
+        return [0.0] if self.holds else []
+
+    def sides(self, data: Sampler) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Local nodal values of the lower and the upper obstacle, where it is one that gives way."""
+        return None, None
+
+    def push(self, data: Sampler) -> tuple[float, float] | None:
+        """Smallest and largest local value of its part of f, for maximum principles; None where it obeys none.
+
+        (0, 0) says that its part of a(., .) lets constants be compared with solutions: it contains gradients of u, or
+        draws u towards `heights`.
+        """
         return None
 
     def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:

@@ -63,6 +63,9 @@ class Drift(Effect):
 
         return inner(data.field(self.value), grad(u)) * v * data.dx
 
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
+
     def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
         from ufl import conditional, grad, gt, inner, max_value, sqrt
 

@@ -34,6 +34,9 @@ class Tension(Effect):
             return Anisotropic.read(raw, place, reader)
         return cls(reader.value(raw, place))
 
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
+
     def along(self, direction: Any, data: Sampler) -> Any:
         return data.cellwise(self.value, positive=True)
 
@@ -67,6 +70,10 @@ class Load(Effect):
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return -data.cellwise(self.value) * u * data.dx
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        values = data.values(self.value)
+        return float(values.min(initial=0.0)), float(values.max(initial=0.0))
 
     def density(self, data: NodalSampler) -> np.ndarray:
         return data.at_nodes(self.value)

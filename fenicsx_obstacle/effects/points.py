@@ -50,5 +50,9 @@ class PointLoad(Effect):
     def text(self) -> str:
         return ", ".join(f"{force:g} at ({', '.join(f'{x:g}' for x in at)})" for at, force in self.value)
 
+    def push(self, data: Sampler) -> tuple[float, float]:
+        forces = [force for _, force in self.value]
+        return min(0.0, *forces), max(0.0, *forces)
+
     def vector(self, data: Sampler) -> np.ndarray:
         return data.at_points(self.value, f"[effects] {self.key}")

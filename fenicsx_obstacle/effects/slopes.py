@@ -24,6 +24,9 @@ class OfSlope(Effect):
     elastic = True
     affine = False
 
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
+
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value)
 

@@ -32,6 +32,9 @@ class Foundation(Effect):
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, least=0.0) * u * v * data.dI
 
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
+
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI
 
@@ -58,6 +61,7 @@ class SoftObstacle(Effect):
     term = "+ int stiffness ((u - upper)^+ - (lower - u)^+) v, nodal rule"
     unit = "force/volume"
     affine = False
+    gives_way = True
     pointwise = True
 
     @classmethod
@@ -78,6 +82,16 @@ class SoftObstacle(Effect):
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         above, below = self._excess(u, data)
         return 0.5 * data.cellwise(self.value, least=0.0) * (above**2 + below**2) * data.dI
+
+    def heights(self, data: Sampler) -> list[Any]:
+        return [values for values in self.sides(data) if values is not None]
+
+    def sides(self, data: Sampler) -> tuple[Any, Any]:
+        lower, upper = (None if g is None else data.height(g).x.array for g in (self.lower, self.upper))
+        return lower, upper
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
 
     def _excess(self, u: Any, data: Sampler) -> tuple[Any, Any]:
         """(u - upper)^+ and (lower - u)^+."""
