@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from fenicsx_obstacle.accuracy.bound import Bound
     from fenicsx_obstacle.answers.course import Course
+    from fenicsx_obstacle.answers.linear import Cut
     from fenicsx_obstacle.discrete.levels import Level
     from fenicsx_obstacle.show.pictures import Picture
 
@@ -44,7 +46,7 @@ class Answer:
         error: Nodal distance to the exact solution, or None.
         history: The steps of the iteration.
         record: All figures, as in answer.json.
-        bound: Of the energy error, where it was asked for.
+        bound: Of the energy error, where it was asked for; of a read answer only its figures are there, in `record`.
         course: All steps, of a scene with [time]; the fields are those of the last moment.
     """
 
@@ -75,18 +77,18 @@ class Answer:
 
     @property
     def plain(self) -> Answer:
-        """The same on P1 simplices, as it is drawn, saved, compared and looked up (first use is collective)."""
-        return self if self.level.pair.nests else self._cut
+        """The same on P1 simplices, as it is drawn, and written for ParaView (first use is collective)."""
+        return self if self.level.pair.nests else self.cut.plain
 
     @cached_property
-    def _cut(self) -> Answer:
-        from fenicsx_obstacle.answers.linear import linear
+    def cut(self) -> Cut:
+        """How `plain` was made of the cells of another element than P1 (first use is collective)."""
+        from fenicsx_obstacle.answers.linear import cut
 
-        return linear(self)
+        return cut(self)
 
     def at(self, points: ArrayLike) -> np.ndarray:
-        """Values of u at points, not-a-number outside the mesh; of other elements than P1, of their linear interpolant
-        at the nodes (collective).
+        """Values of u at points, not-a-number outside the mesh (collective).
 
         Args:
             points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
@@ -99,8 +101,6 @@ class Answer:
         Raises:
             InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh.
         """
-        from fenicsx_obstacle.discrete.points import values_at
-
         given, gdim = np.asarray(points, dtype=np.float64), self.level.mesh.geometry.dim
         if given.ndim == 0 or given.shape[-1] not in (gdim, 3):
             raise InputError(f"at() takes points, shape (n, {gdim}), or one point, shape ({gdim},), not {given.shape}")
@@ -108,7 +108,17 @@ class Answer:
         flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
         if np.any(flat[:, gdim:] != 0):
             raise InputError(f"at() takes points of the mesh, shape (n, {gdim}); coordinates beyond these must be 0")
-        return values_at(self.plain.level, self.plain.u, flat).reshape(given.shape[:-1])
+        return self.values(flat).reshape(given.shape[:-1])
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """Values of u at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective)."""
+        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at
+
+        if self.level.pair.nests:
+            return values_at(self.level, self.u, points)
+        rows, cells, _ = locate(self.plain.level, points)
+        found = self.u.eval(points[rows], self.cut.parents[cells].astype(np.int32)) if len(rows) else np.empty(0)
+        return mean_over_cells(self.level.comm, len(points), rows, np.ravel(found))
 
     def functions(self) -> dict[str, fem.Function]:
         """The fields by name, those that exist."""
@@ -227,15 +237,19 @@ class Answer:
         save(self, Path(folder))
 
     @classmethod
-    def read(cls, folder: str | Path) -> Answer:
-        """A saved answer, on any number of ranks (collective).
+    def read(cls, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
+        """A saved answer with the element it was computed with, on any number of ranks (collective).
+
+        Args:
+            folder: Of `save`.
+            comm: The ranks that share its mesh.
 
         Raises:
             InputError: If the folder does not hold one.
         """
         from fenicsx_obstacle.answers.folder import read
 
-        return read(Path(folder))
+        return read(Path(folder), comm)
 
     def plot(self, path: str | Path | None = None) -> Picture:
         """Draw u with its obstacles, free boundary and pressure (collective).

@@ -30,10 +30,13 @@ def compare(a: Answer, b: Answer) -> dict[str, Any]:
     Raises:
         InputError: If the answers live in spaces of different dimensions.
     """
-    a, b = a.plain, b.plain
     fine, coarse = _by_size(a, b)
+    points, mine = _everywhere(fine)
+    there = {"u": coarse.values(points)[mine]}
+    a, b, fine, coarse = a.plain, b.plain, fine.plain, coarse.plain
     comm, own = fine.level.comm, fine.level.owned
-    there = {name: _at_nodes(coarse.functions()[name], coarse, fine) for name in ("u", "pressure", "contact")}
+    for name in ("pressure", "contact"):
+        there[name] = values_at(coarse.level, coarse.functions()[name], points)[mine]
     outside = np.isnan(there["u"])
     difference = {name: np.where(outside, 0.0, getattr(fine, name).x.array - there[name]) for name in there}
     lumped = _lumped(fine)
@@ -59,18 +62,12 @@ def _by_size(a: Answer, b: Answer) -> tuple[Answer, Answer]:
     """The finer one first."""
     if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
         raise InputError("compare: the answers live in spaces of different dimensions")
-    return (a, b) if a.level.dofs >= b.level.dofs else (b, a)
-
-
-def _at_nodes(function: fem.Function, source: Answer, target: Answer) -> np.ndarray:
-    """Values of a function of one answer at the local nodes of another, not-a-number outside (collective)."""
-    points, mine = _everywhere(target)
-    return values_at(source.level, function, points)[mine]
+    return (a, b) if a.plain.level.dofs >= b.plain.level.dofs else (b, a)
 
 
 def _everywhere(answer: Answer) -> tuple[np.ndarray, slice]:
     """The local nodes of all ranks, shape (n, 3), and which are those of this one (collective)."""
-    mine, comm = answer.level.points.T, answer.level.comm
+    mine, comm = answer.plain.level.points.T, answer.level.comm
     parts = comm.allgather(mine)
     start = sum(len(part) for part in parts[: comm.rank])
     return np.vstack(parts), slice(start, start + len(mine))

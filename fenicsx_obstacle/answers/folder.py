@@ -6,19 +6,20 @@ import csv
 import io
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.element import OWN_MESH, element_of, mesh_of, own_mesh, restored
 from fenicsx_obstacle.answers.paraview import FRAMES, to_hdf5, xdmf
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import P1
 from fenicsx_obstacle.parallel import gathered, new_files, on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
@@ -26,7 +27,6 @@ from fenicsx_obstacle.solvers.stopping import Step
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.course import Course
 
-_CELL = {2: "interval", 3: "triangle", 4: "tetrahedron"}
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
 STEPS = "newton.gif"  # drawn on demand; of an older answer it goes like what belongs to time
 _OF_TIME = {NEWTON, *FRAMES}
@@ -36,7 +36,7 @@ DERIVED = ("gap",)  # written for ParaView, not read back
 
 def save(answer: Answer, folder: Path) -> None:
     """Write an answer; of what is in the folder only an older answer is replaced (collective)."""
-    arrays = gather(answer)
+    arrays, element = gather(answer), element_of(answer)
     comm = answer.level.comm
     with new_files(comm, folder) as scratch:
 
@@ -45,9 +45,11 @@ def save(answer: Answer, folder: Path) -> None:
                 "scene.toml": _scene_there(answer.scene, folder).toml().encode(),
                 "answer.json": (json.dumps(dict(answer.record), indent=1) + "\n").encode(),
                 "history.csv": _history(answer.history).encode(),
-                "fields.h5": to_hdf5(arrays),
+                "fields.h5": to_hdf5(arrays | {f"element/{name}": values for name, values in element.items()}),
                 "fields.xdmf": xdmf(arrays, {None: arrays}).encode(),
             }
+            if element and answer.scene.mesh is not None:
+                contents |= own_mesh(arrays["points"][:, : arrays["gdim"]], element)
             if answer.course is not None:
                 from fenicsx_obstacle.answers.frames import files_of  # only where a scene has time
 
@@ -56,7 +58,7 @@ def save(answer: Answer, folder: Path) -> None:
                 for name, content in contents.items():
                     (scratch / name).write_bytes(content)
                 state = {"checkpoint.h5"} if answer.course is None else set[str]()
-                for name in ({STEPS, *_OF_TIME} | state) - set(contents):
+                for name in ({STEPS, *OWN_MESH, *_OF_TIME} | state) - set(contents):
                     (folder / name).unlink(missing_ok=True)
             except OSError as error:
                 raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
@@ -67,43 +69,50 @@ def save(answer: Answer, folder: Path) -> None:
 def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
     """Read an answer (collective)."""
 
-    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], tuple[Step, ...], Course | None]:
+    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], dict[str, np.ndarray], tuple[Step, ...], Course | None]:
+        if folder.is_file():
+            raise InputError(f"{folder}: a file, not the folder of a saved answer")
         for name in ("answer.json", "fields.h5", "scene.toml", "history.csv"):
             if not (folder / name).exists():
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
         try:
             with h5py.File(folder / "fields.h5") as file:
-                arrays = {name: values[()] for name, values in file.items()}
+                arrays, element = _datasets(file), _datasets(file.get("element", {}))
         except (OSError, ValueError) as error:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-        if missing := sorted({"points", "cells", "gdim", "u", "pressure", "contact"} - set(arrays)):
-            raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(missing)}")
+        missing = {"points", "cells", "gdim", "u", "pressure", "contact"} - set(arrays)
+        if element:
+            missing |= {f"element/{name}" for name in {"cell", "cells"} - set(element)}
+        if missing:
+            raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(sorted(missing))}")
         record = _record(folder)
         if "time" in record:
             from fenicsx_obstacle.answers.frames import load_course
 
-            return record, arrays, _steps(folder / NEWTON, record), load_course(folder)
-        return record, arrays, _steps(folder / "history.csv", record), None
+            return record, arrays, element, _steps(folder / NEWTON, record), load_course(folder)
+        return record, arrays, element, _steps(folder / "history.csv", record), None
 
-    record, arrays, steps, course = on_root(comm, load)
-    mesh, points, cells = None, arrays.pop("points"), arrays.pop("cells")
-    gdim, kind = int(arrays.pop("gdim")), _CELL[cells.shape[1]]
-    mine = slice(None) if comm.rank == 0 else slice(0, 0)
-    mesh = releases.create_mesh(comm, cells[mine], points[mine, :gdim], kind)
-    level = Level(mesh, record["h"])
-    V = level.V
-    # where each dof stood when it was saved
-    saved = np.asarray(mesh.geometry.input_global_indices)[releases.dof_nodes(V)]
-    if course is not None:
-        course = course.renumbered(points, gathered(comm, level.points.T[: level.owned]))
-    fields: dict[str, fem.Function] = {}
-    for name in set(arrays) - set(DERIVED):
-        fields[name] = fem.Function(V)
-        fields[name].x.array[:] = arrays[name][saved]
-    return Answer(
-        Scene.read(folder / "scene.toml"), level, fields["u"], fields["pressure"], fields["contact"],
-        fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record, course=course,
+    record, arrays, element, steps, course = on_root(comm, load)
+    scene = Scene.read(folder / "scene.toml")
+    # version 0.1 kept the nodal values on cut cells alone: what it saved of other elements is P1
+    pair = scene.pair if element or scene.pair.nests else P1
+    level = mesh_of(arrays, element, int(arrays["gdim"]), record["h"], comm, pair)
+    try:
+        fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)
+    except InputError as error:
+        raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
+    answer = Answer(
+        scene, level, fields["u"], fields["pressure"], fields["contact"],
+        fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
     )  # fmt: skip
+    if course is None:
+        return answer
+    shown = answer.plain.level
+    return replace(answer, course=course.renumbered(arrays["points"], gathered(comm, shown.points.T[: shown.owned])))
+
+
+def _datasets(group: Any) -> dict[str, np.ndarray]:
+    return {name: values[()] for name, values in group.items() if isinstance(values, h5py.Dataset)}
 
 
 def _record(folder: Path) -> dict[str, Any]:
@@ -134,7 +143,7 @@ def _scene_there(scene: Scene, folder: Path) -> Scene:
     """The scene as it can be read from its folder: a mesh of the caller's own is the one in fields.xdmf."""
     file = scene.tables.mesh.file
     if scene.mesh is not None:
-        return scene.with_mesh_file("fields.xdmf")
+        return scene.with_mesh_file("fields.xdmf" if scene.pair.nests else OWN_MESH[0])
     if file is None:
         return scene
     return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})

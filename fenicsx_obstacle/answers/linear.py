@@ -6,7 +6,7 @@ cells the centres become nodes too, or a mean at the vertices would hide what di
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Any
 
@@ -26,6 +26,26 @@ _SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}
 
 def linear(answer: Answer) -> Answer:
     """The interpolant of an answer of another element on the cut cells (collective)."""
+    return cut(answer).plain
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """An answer on cut cells.
+
+    Attributes:
+        plain: The answer, on P1 simplices.
+        nodes: Global dof of `plain` at each node of each owned cell, in DOLFINx's order of the dofs of V_h in a cell.
+        parents: For each owned cell of `plain` the local cell it was cut from.
+    """
+
+    plain: Answer
+    nodes: np.ndarray
+    parents: np.ndarray
+
+
+def cut(answer: Answer) -> Cut:
+    """Cut the cells of an answer of another element (collective)."""
     level = answer.level
     mesh, comm = level.mesh, level.comm
     cell, dim, gdim = releases.cell_name(mesh), mesh.topology.dim, mesh.geometry.dim
@@ -41,14 +61,14 @@ def linear(answer: Answer) -> Answer:
         points = np.vstack([points, level.points.T[dofs, :gdim].mean(axis=1)])
     pieces = _fan(dim) if centres else _lattice(V, cell)
     new = releases.create_mesh(comm, nodes[:, pieces].reshape(-1, dim + 1), points, _SIMPLEX[dim], stay=True)
-    cut = Level(new, level.h)
+    pieced = Level(new, level.h)
     start = before(comm, own * len(pieces))
     kept = np.asarray(new.topology.original_cell_index)[: own_cells(new)] - start
-    corners, targets = pieces[kept % len(pieces)], releases.cell_dofs(cut.V)[: len(kept)]
+    corners, targets = pieces[kept % len(pieces)], releases.cell_dofs(pieced.V)[: len(kept)]
     table = at_nodes(level)
 
     def moved(function: fem.Function) -> fem.Function:
-        result, space = fem.Function(cut.V), function.function_space
+        result, space = fem.Function(pieced.V), function.function_space
         values = function.x.array[releases.cell_dofs(space)[:own]]
         if space != V:
             values = _continuous(level, values @ table.T)
@@ -60,7 +80,10 @@ def linear(answer: Answer) -> Answer:
         return result
 
     fields: dict[str, Any] = {name: moved(function) for name, function in answer.functions().items()}
-    return replace(answer, level=cut, **fields)
+    parents, found = kept // len(pieces), np.empty(nodes.shape, dtype=np.int64)
+    global_dofs = pieced.V.dofmap.index_map.local_to_global(targets.astype(np.int32).ravel())
+    found[parents[:, None], corners] = np.asarray(global_dofs).reshape(targets.shape)
+    return Cut(replace(answer, level=pieced, **fields), found[:, : dofs.shape[1]], parents)
 
 
 def _continuous(level: Level, values: np.ndarray) -> np.ndarray:

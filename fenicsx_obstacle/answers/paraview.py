@@ -27,15 +27,7 @@ def xdmf(mesh: Mapping[str, np.ndarray], moments: Mapping[float | None, Mapping[
         mesh: `points` and `cells`, which fields.h5 holds.
         moments: Fields at each moment, of frames.h5; or those of fields.h5 at None.
     """
-    points, cells = mesh["points"], mesh["cells"]
-    shape = " ".join(map(str, cells.shape))
-    ground = (
-        f'<Topology TopologyType="{_TOPOLOGY[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
-        f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
-        'Format="HDF">fields.h5:/cells</DataItem></Topology>\n'
-        f'<Geometry GeometryType="XYZ"><DataItem Dimensions="{len(points)} 3" NumberType="Float" Precision="8" '
-        'Format="HDF">fields.h5:/points</DataItem></Geometry>\n'
-    )
+    points, ground = mesh["points"], _mesh("fields.h5", mesh["points"], mesh["cells"])
     grids = ""
     for number, (t, fields) in enumerate(moments.items()):
         place = "fields.h5:/" if t is None else f"frames.h5:/{number:04d}/"
@@ -50,4 +42,24 @@ def xdmf(mesh: Mapping[str, np.ndarray], moments: Mapping[float | None, Mapping[
         grids += f'<Grid Name="answer" GridType="Uniform">\n{clock}{ground}{attributes}</Grid>\n'
     if None not in moments:
         grids = f'<Grid Name="course" GridType="Collection" CollectionType="Temporal">\n{grids}</Grid>\n'
+    return _document(grids)
+
+
+def xdmf_mesh(file: str, points: np.ndarray, cells: np.ndarray) -> str:
+    """A mesh alone, whose points, shape (n, gdim), and cells an HDF5 file holds."""
+    return _document(f'<Grid Name="mesh" GridType="Uniform">\n{_mesh(file, points, cells)}</Grid>\n')
+
+
+def _document(grids: str) -> str:
     return f'<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n{grids}</Domain></Xdmf>\n'
+
+
+def _mesh(file: str, points: np.ndarray, cells: np.ndarray) -> str:
+    shape, (count, gdim) = " ".join(map(str, cells.shape)), points.shape
+    return (
+        f'<Topology TopologyType="{_TOPOLOGY[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
+        f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
+        f'Format="HDF">{file}:/cells</DataItem></Topology>\n'
+        f'<Geometry GeometryType="{"XYZ"[:gdim]}"><DataItem Dimensions="{count} {gdim}" NumberType="Float" '
+        f'Precision="8" Format="HDF">{file}:/points</DataItem></Geometry>\n'
+    )

@@ -1,0 +1,118 @@
+"""The finite element functions of a saved answer, in a form that depends neither on ranks nor on DOLFINx's numbering.
+
+On P1 simplices the nodal values of fields.h5 are all there is. For other elements that file holds the nodal values on
+cut cells, as ParaView draws them; the group `element` says which of these nodes each cell has, and holds the fields of
+Q_h where they are not nodal, cell by cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf_mesh
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.levels import Level, of_pair
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import Pair
+from fenicsx_obstacle.parallel import gathered
+
+OWN_MESH = ("element.xdmf", "element.h5")  # a mesh of the caller's own, where fields.xdmf has cut cells
+OF_Q = ("pressure", "contact")  # fields of Q_h, the others are of V_h
+_SIMPLEX = {2: "interval", 3: "triangle", 4: "tetrahedron"}
+_VERTICES = {"interval": 2, "triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def element_of(answer: Answer) -> dict[str, np.ndarray]:
+    """What restores the element of an answer, on rank 0; empty elsewhere, and for P1 simplices (collective).
+
+    Returns:
+        `cell`, the name of the cells; `cells`, for each of them the rows of the nodal values in the order of its dofs;
+        and by its name each field of Q_h that is not nodal, shape (cells, dofs of a cell).
+    """
+    level = answer.level
+    if level.pair.nests:
+        return {}
+    own = own_cells(level.mesh)
+    parts = {"cells": answer.cut.nodes}
+    for name, function in answer.functions().items():
+        space = function.function_space
+        if space != level.V:
+            parts[name] = function.x.array[releases.cell_dofs(space)[:own]].real
+    found = {name: gathered(level.comm, values) for name, values in parts.items()}
+    if level.comm.rank != 0:
+        return {}
+    cell = np.array(releases.cell_name(level.mesh).encode())
+    return {"cell": cell, **{name: values for name, values in found.items() if values is not None}}
+
+
+def own_mesh(points: np.ndarray, element: Arrays) -> dict[str, bytes]:
+    """The files `OWN_MESH`: the mesh of an answer without the nodes between its vertices (one rank).
+
+    Args:
+        points: Coordinates of all nodes, shape (n, gdim).
+        element: What `element_of` returned.
+    """
+    used, cells = _vertices(element)
+    text = xdmf_mesh(OWN_MESH[1], points[used], cells)
+    return dict(zip(OWN_MESH, (text.encode(), to_hdf5({"points": points[used], "cells": cells})), strict=True))
+
+
+def mesh_of(arrays: Arrays, element: Arrays, gdim: int, h: float, comm: MPI.Comm, pair: Pair) -> Level:
+    """The mesh of a saved answer with the spaces of its pair (collective).
+
+    Args:
+        arrays: Those of fields.h5, the same on every rank.
+        element: Those of its group `element`; none of P1 simplices.
+        gdim: Number of coordinates.
+        h: Mesh size.
+        comm: Communicator.
+        pair: V_h, the rule I and Q_h.
+    """
+    points, cells = arrays["points"], arrays["cells"]
+    cell = _SIMPLEX[cells.shape[1]]
+    if element:
+        cell = element["cell"].item().decode()
+        used, cells = _vertices(element)
+        points = points[used]
+    mine = slice(None) if comm.rank == 0 else slice(0, 0)
+    return of_pair(Level(releases.create_mesh(comm, cells[mine], points[mine, :gdim], cell), h), pair)
+
+
+def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Function]:
+    """The functions that were saved, on the mesh that was saved (collective).
+
+    Raises:
+        InputError: If the arrays are those of another element.
+    """
+    own = own_cells(level.mesh)
+    functions = {name: fem.Function(level.Q if name in OF_Q else level.V) for name in arrays}
+    if not element:
+        # where each dof stood when it was saved
+        rows = np.asarray(level.mesh.geometry.input_global_indices)[releases.dof_nodes(level.V)]
+        for name, function in functions.items():
+            function.x.array[:] = arrays[name][rows]
+        return functions
+    cells = np.asarray(level.mesh.topology.original_cell_index)[:own]
+    for name, function in functions.items():
+        values = element[name][cells] if name in element else arrays[name][element["cells"][cells]]
+        dofs = releases.cell_dofs(function.function_space)[:own]
+        if values.shape[1] != dofs.shape[1]:
+            raise InputError(f"'{name}' has {values.shape[1]} values in a cell, and {level.pair.name} {dofs.shape[1]}")
+        function.x.array[dofs] = values
+        function.x.scatter_forward()
+    return functions
+
+
+def _vertices(element: Arrays) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of nodes that are vertices, and the cells in terms of these; vertices are the first nodes of a cell."""
+    nodes = element["cells"][:, : _VERTICES[element["cell"].item().decode()]]
+    used, numbers = np.unique(nodes, return_inverse=True)
+    return used, numbers.reshape(nodes.shape)
