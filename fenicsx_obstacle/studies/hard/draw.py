@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -16,13 +16,24 @@ from fenicsx_obstacle.errors import InputError, ObstacleError
 from fenicsx_obstacle.studies.hard.row import FAILED, REFUSED, RIGHT, Row
 from fenicsx_obstacle.studies.processes import launch, records, tell
 
+if TYPE_CHECKING:
+    from hypothesis.strategies import SearchStrategy
+
+    from fenicsx_obstacle.studies.hard.families.family import Family
+
 AT_ONCE = 2
 PATIENCE = 60.0  # seconds for one scene
 SEED = 1  # the same scenes every time
+STRIDE = 10000  # between the seeds of processes for two seeds of the user
 
 
 def try_all(
-    count: int, seed: int, comm: MPI.Comm, done: Callable[[Row], None], begins: Callable[[Any], None] | None = None
+    count: int,
+    seed: int,
+    comm: MPI.Comm,
+    done: Callable[[Row], None],
+    begins: Callable[[Family], None] | None = None,
+    scenes: SearchStrategy[Family] | None = None,
 ) -> None:
     """Draw scenes and judge them (collective).
 
@@ -32,6 +43,7 @@ def try_all(
         comm: Communicator.
         done: Called with a row for each scene.
         begins: Called with each scene before it is solved, on rank 0.
+        scenes: What to draw; by default scenes of all kinds.
 
     Raises:
         InputError: Without Hypothesis.
@@ -40,21 +52,21 @@ def try_all(
         raise InputError("random scenes are drawn by Hypothesis, which is not there: pip install hypothesis")
     if comm.rank != 0:
         while (scene := comm.bcast(None)) is not None:
-            done(_judged(scene, comm))
+            done(judged(scene, comm))
         return
     import hypothesis
 
-    from fenicsx_obstacle.studies.hard.chance import Drawn, drawn
+    from fenicsx_obstacle.studies.hard.chance import any_scene
 
     # one rank draws: what Hypothesis draws depends on the modules that are loaded, and not all ranks load the same
     @hypothesis.seed(seed)
     @hypothesis.settings(max_examples=count, deadline=None, database=None, phases=[hypothesis.Phase.generate],
                          suppress_health_check=list(hypothesis.HealthCheck))  # fmt: skip
-    @hypothesis.given(drawn())
-    def one(scene: Drawn) -> None:
+    @hypothesis.given(any_scene() if scenes is None else scenes)
+    def one(scene: Family) -> None:
         if begins is not None:
             begins(scene)
-        done(_judged(comm.bcast(scene), comm))
+        done(judged(comm.bcast(scene), comm))
 
     try:
         one()
@@ -62,32 +74,36 @@ def try_all(
         comm.bcast(None)
 
 
-def _judged(drawn: Any, comm: MPI.Comm) -> Row:
-    """One row: FAILED if anything has, refused if nothing was answered, and what was said."""
-    from fenicsx_obstacle.studies.hard.judge import judge
+def judged(scene: Family, comm: MPI.Comm) -> Row:
+    """One row: FAILED if anything has, refused if nothing was answered, and what was said (collective)."""
+    from fenicsx_obstacle.studies.hard.families.family import Judgement
 
-    start = time.perf_counter()
+    start, judgement = time.perf_counter(), Judgement(comm)
     try:
-        rows = list(judge(drawn.scene(comm), comm, drawn.epsilons()))
+        scene.judge(judgement)
     except ObstacleError as error:
-        rows = [{"verdict": FAILED, "method": "", "asked": None, "message": str(error)}]
-    wrong = [f"{row['method']} {row['asked']}: {row['message']}" for row in rows if row["verdict"] == FAILED]
-    answers = sum(row["verdict"] == RIGHT for row in rows)
-    verdict = FAILED if wrong else (RIGHT if answers else REFUSED)
-    return {"scene": asdict(drawn), "verdict": verdict, "answers": answers, "refused": len(rows) - answers - len(wrong),
-            "message": "; ".join(wrong), "seconds": time.perf_counter() - start}  # fmt: skip
+        judgement.check(False, str(error))
+    verdict = FAILED if judgement.wrong else (RIGHT if judgement.answers else REFUSED)
+    return {**described(scene), "verdict": verdict, "answers": judgement.answers, "refused": judgement.refused,
+            "message": "; ".join(judgement.wrong), "crashed": judgement.crashed,
+            "seconds": time.perf_counter() - start}  # fmt: skip
 
 
-def run(count: int, environment: Mapping[str, str]) -> Iterator[Row]:
+def described(scene: Family) -> Row:
+    """What a scene is, and how to show it to the program again."""
+    return {"family": scene.name, "scene": asdict(scene), "text": scene.text()}
+
+
+def run(count: int, environment: Mapping[str, str], seed: int = SEED) -> Iterator[Row]:
     """A row for each of so many scenes, in processes (one rank)."""
     shares = [count // AT_ONCE + (k < count % AT_ONCE) for k in range(AT_ONCE)]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        for rows in pool.map(lambda k: list(_share(shares[k], SEED + k, environment)), range(AT_ONCE)):
+        for rows in pool.map(lambda k: list(_share(shares[k], STRIDE * seed + k, environment)), range(AT_ONCE)):
             yield from rows
 
 
 def _share(count: int, seed: int, environment: Mapping[str, str]) -> Iterator[Row]:
-    """The rows of one process; should it be lost with a scene, another goes on with others."""
+    """The rows of one process; should it be lost with a scene, or shaken by one, another goes on with others."""
     while count > 0:
         command = launch(1, "-m", "fenicsx_obstacle.studies.hard.draw", str(count), str(seed))
         begun: Any = None
@@ -97,11 +113,13 @@ def _share(count: int, seed: int, environment: Mapping[str, str]) -> Iterator[Ro
                 begun = record["begins"]
                 continue
             begun, count = None, count - 1
-            yield record
+            yield {**record, "seed": seed}
+            if record["crashed"]:  # libraries remember errors, and later scenes might suffer from them
+                break
         if begun is not None:
             count -= 1
-            yield {"scene": begun, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE,
-                   "message": "took the process down, or did not end"}  # fmt: skip
+            yield {**begun, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE, "seed": seed,
+                   "message": "took the process down, or did not end", "crashed": True}  # fmt: skip
         if count == before:
             raise InputError("no random scene could be drawn")
         seed += AT_ONCE
@@ -109,7 +127,7 @@ def _share(count: int, seed: int, environment: Mapping[str, str]) -> Iterator[Ro
 
 def main() -> None:
     """Scenes and rows, a line each."""
-    try_all(int(sys.argv[1]), int(sys.argv[2]), MPI.COMM_WORLD, tell, lambda scene: tell({"begins": asdict(scene)}))
+    try_all(int(sys.argv[1]), int(sys.argv[2]), MPI.COMM_WORLD, tell, lambda scene: tell({"begins": described(scene)}))
 
 
 if __name__ == "__main__":
