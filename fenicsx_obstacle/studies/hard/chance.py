@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.studies.hard.families.every import any_family
+from fenicsx_obstacle.studies.hard.families.every import KNOWN
 from fenicsx_obstacle.studies.hard.families.family import Family, Judgement, toml
 from fenicsx_obstacle.studies.hard.judge import judge
 from fenicsx_obstacle.studies.hard.row import FAILED, RIGHT
@@ -83,12 +83,6 @@ def _power(low: int, high: int) -> st.SearchStrategy[float]:
 
 
 @st.composite
-def any_scene(draw: st.DrawFn) -> Family:
-    """Half of them admissible ones, half of the families whose truth is known."""
-    return draw(drawn()) if draw(st.booleans()) else draw(any_family())
-
-
-@st.composite
 def drawn(draw: st.DrawFn) -> Drawn:
     """An admissible random scene."""
     L, height, tension = draw(_power(-3, 3)), draw(_power(-6, 6)), draw(_power(-6, 6))
@@ -149,3 +143,6 @@ def _skewed(one: Drawn, comm: MPI.Comm) -> dmesh.Mesh:
     x[:, :2] += one.scatter * h * (2 * (mixed - np.floor(mixed)) - 1) * inside[:, None]
     x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
     return mesh
+
+
+FAMILIES: dict[str, st.SearchStrategy[Any]] = {Drawn.name: drawn(), **KNOWN}

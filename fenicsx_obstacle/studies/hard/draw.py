@@ -1,9 +1,11 @@
-"""Random scenes, judged: `python -m fenicsx_obstacle.studies.hard.draw COUNT SEED` prints JSON lines."""
+"""Random scenes, judged: `python -m fenicsx_obstacle.studies.hard.draw COUNTS SEED` prints JSON lines."""
 
 from __future__ import annotations
 
+import json
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -17,8 +19,6 @@ from fenicsx_obstacle.studies.hard.row import FAILED, REFUSED, RIGHT, Row
 from fenicsx_obstacle.studies.processes import launch, records, tell
 
 if TYPE_CHECKING:
-    from hypothesis.strategies import SearchStrategy
-
     from fenicsx_obstacle.studies.hard.families.family import Family
 
 AT_ONCE = 2
@@ -27,51 +27,73 @@ SEED = 1  # the same scenes every time
 STRIDE = 10000  # between the seeds of processes for two seeds of the user
 
 
-def try_all(
-    count: int,
-    seed: int,
-    comm: MPI.Comm,
-    done: Callable[[Row], None],
-    begins: Callable[[Family], None] | None = None,
-    scenes: SearchStrategy[Family] | None = None,
-) -> None:
-    """Draw scenes and judge them (collective).
-
-    Args:
-        count: How many.
-        seed: Of the drawing.
-        comm: Communicator.
-        done: Called with a row for each scene.
-        begins: Called with each scene before it is solved, on rank 0.
-        scenes: What to draw; by default scenes of all kinds.
+def shares(count: int) -> dict[str, int]:
+    """How many scenes of each family to draw: half of them admissible ones, the others alike.
 
     Raises:
         InputError: Without Hypothesis.
     """
     if find_spec("hypothesis") is None:
         raise InputError("random scenes are drawn by Hypothesis, which is not there: pip install hypothesis")
+    from fenicsx_obstacle.studies.hard.chance import FAMILIES
+
+    first, *others = FAMILIES
+    rest = count // 2
+    return {first: count - rest} | {
+        name: rest // len(others) + (k < rest % len(others)) for k, name in enumerate(others)
+    }
+
+
+def try_all(
+    counts: Mapping[str, int], seed: int, comm: MPI.Comm, done: Callable[[Row], None],
+    begins: Callable[[Family], None] | None = None,
+) -> None:  # fmt: skip
+    """Draw scenes and judge them (collective).
+
+    Args:
+        counts: How many of each family.
+        seed: Of the drawing.
+        comm: Communicator.
+        done: Called with a row for each scene.
+        begins: Called with each scene before it is solved, on rank 0.
+    """
     if comm.rank != 0:
         while (scene := comm.bcast(None)) is not None:
             done(judged(scene, comm))
         return
-    import hypothesis
 
-    from fenicsx_obstacle.studies.hard.chance import any_scene
-
-    # one rank draws: what Hypothesis draws depends on the modules that are loaded, and not all ranks load the same
-    @hypothesis.seed(seed)
-    @hypothesis.settings(max_examples=count, deadline=None, database=None, phases=[hypothesis.Phase.generate],
-                         suppress_health_check=list(hypothesis.HealthCheck))  # fmt: skip
-    @hypothesis.given(any_scene() if scenes is None else scenes)
     def one(scene: Family) -> None:
         if begins is not None:
             begins(scene)
         done(judged(comm.bcast(scene), comm))
 
+    # one rank draws: what Hypothesis draws depends on the modules that are loaded, and not all ranks load the same
     try:
-        one()
+        for name, count in counts.items():
+            _draw(name, count, seed, one)
     finally:
         comm.bcast(None)
+
+
+def _draw(name: str, count: int, seed: int, use: Callable[[Family], None]) -> None:
+    """Draw so many different scenes of a family, and use each."""
+    import hypothesis
+
+    from fenicsx_obstacle.studies.hard.chance import FAMILIES
+
+    drawn: set[str] = set()
+
+    @hypothesis.seed(seed)
+    @hypothesis.settings(max_examples=count, deadline=None, database=None, phases=[hypothesis.Phase.generate],
+                         suppress_health_check=list(hypothesis.HealthCheck))  # fmt: skip
+    @hypothesis.given(FAMILIES[name])
+    def one(scene: Family) -> None:
+        hypothesis.assume(repr(scene) not in drawn)
+        drawn.add(repr(scene))
+        use(scene)
+
+    if count > 0:
+        one()
 
 
 def judged(scene: Family, comm: MPI.Comm) -> Row:
@@ -96,38 +118,43 @@ def described(scene: Family) -> Row:
 
 def run(count: int, environment: Mapping[str, str], seed: int = SEED) -> Iterator[Row]:
     """A row for each of so many scenes, in processes (one rank)."""
-    shares = [count // AT_ONCE + (k < count % AT_ONCE) for k in range(AT_ONCE)]
+    counts = shares(count)
+    parts = [{name: n // AT_ONCE + (k < n % AT_ONCE) for name, n in counts.items()} for k in range(AT_ONCE)]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        for rows in pool.map(lambda k: list(_share(shares[k], STRIDE * seed + k, environment)), range(AT_ONCE)):
+        for rows in pool.map(lambda k: list(_share(parts[k], STRIDE * seed + k, environment)), range(AT_ONCE)):
             yield from rows
 
 
-def _share(count: int, seed: int, environment: Mapping[str, str]) -> Iterator[Row]:
+def _share(counts: Mapping[str, int], seed: int, environment: Mapping[str, str]) -> Iterator[Row]:
     """The rows of one process; should it be lost with a scene, or shaken by one, another goes on with others."""
-    while count > 0:
-        command = launch(1, "-m", "fenicsx_obstacle.studies.hard.draw", str(count), str(seed))
+    left = Counter(counts)
+    while left.total() > 0:
+        given = json.dumps({name: count for name, count in left.items() if count})
+        command = launch(1, "-m", "fenicsx_obstacle.studies.hard.draw", given, str(seed))
         begun: Any = None
-        before = count
+        before = left.total()
         for record in records(command, environment, PATIENCE):
             if "begins" in record:
                 begun = record["begins"]
                 continue
-            begun, count = None, count - 1
+            begun = None
+            left[record["family"]] -= 1
             yield {**record, "seed": seed}
             if record["crashed"]:  # libraries remember errors, and later scenes might suffer from them
                 break
         if begun is not None:
-            count -= 1
+            left[begun["family"]] -= 1
             yield {**begun, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE, "seed": seed,
                    "message": "took the process down, or did not end", "crashed": True}  # fmt: skip
-        if count == before:
+        if left.total() == before:
             raise InputError("no random scene could be drawn")
         seed += AT_ONCE
 
 
 def main() -> None:
     """Scenes and rows, a line each."""
-    try_all(int(sys.argv[1]), int(sys.argv[2]), MPI.COMM_WORLD, tell, lambda scene: tell({"begins": described(scene)}))
+    counts, seed = json.loads(sys.argv[1]), int(sys.argv[2])
+    try_all(counts, seed, MPI.COMM_WORLD, tell, lambda scene: tell({"begins": described(scene)}))
 
 
 if __name__ == "__main__":

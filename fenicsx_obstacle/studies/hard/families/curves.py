@@ -66,7 +66,7 @@ class Inclusion(Family):
             along = 1 + B * (y**2 - x**2) / square**2
             return np.where(inside, 2 / (1 + k), along), np.where(inside, 0.0, -2 * B * x * y / square**2)
 
-        pieces = Pieces.of(field).refined(lambda m, r: np.abs(np.linalg.norm(m, axis=1) - a) <= r, 5)
+        pieces = Pieces.of(field).refined(lambda m, r: np.abs(np.linalg.norm(m, axis=1) - a) <= r, 7)
         return energy_error(field, pieces, tension, gradient, count=6)
 
     def text(self) -> str:

@@ -27,6 +27,7 @@ class Field:
     """
 
     def __init__(self, u: fem.Function):
+        self._u = u  # the communicator lives as long as its mesh
         V = u.function_space
         mesh = V.mesh
         self.comm, dim = mesh.comm, mesh.topology.dim

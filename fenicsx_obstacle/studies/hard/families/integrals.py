@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,12 +33,16 @@ class Pieces:
         cells = np.arange(len(vertices))
         return cls(np.tile(cells, len(halves)), np.concatenate([vertices[:, half] for half in halves]))
 
-    def cut(self, direction: tuple[float, float], places: Iterable[float]) -> Pieces:
-        """Cut along the lines direction . (x, y) = place."""
-        found = self
-        for place in places:
-            found = found._cut(np.array(direction), place)
-        return found
+    def cut(self, direction: tuple[float, float], places: Sequence[float] | np.ndarray) -> Pieces:
+        """Cut along the lines direction . (x, y) = place, places rising."""
+        if not len(places) or not len(self.cells):
+            return self
+        middle = len(places) // 2
+        found = self._cut(np.array(direction), places[middle])
+        above = found.corners.mean(axis=1) @ np.array(direction) > places[middle]
+        sides = ((~above, places[:middle]), (above, places[middle + 1 :]))
+        parts = [Pieces(found.cells[side], found.corners[side]).cut(direction, rest) for side, rest in sides]
+        return Pieces(*(np.concatenate([getattr(part, key) for part in parts]) for key in ("cells", "corners")))
 
     def _cut(self, direction: np.ndarray, place: float) -> Pieces:
         height = self.corners @ direction - place

@@ -17,7 +17,7 @@ from fenicsx_obstacle.studies.hard.families.integrals import Pieces, energy_erro
 
 SPELLINGS = ("where({s} < {c}, {a}, {b})", "({a})*({s} < {c}) + ({b})*({s} >= {c})",
              "where(sign({s} - {c}) < 0, {a}, {b})", "where(not {s} < {c}, {b}, {a})")  # fmt: skip
-FEWEST = 8  # pieces to a wave
+PIECES = 4  # of a wave
 
 
 def stepped(s: str, cuts: tuple[float, ...], values: list[str], spelling: str) -> str:
@@ -163,7 +163,7 @@ class LayersInContact(Family):
         def gradient(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return self.load * (np.minimum(x - a, 0) + np.maximum(x - b, 0)) / tension(x, y), np.zeros_like(x)
 
-        return energy_error(field, Pieces.of(field).cut((1.0, 0.0), (*self.cuts, a, b)), tension, gradient)
+        return energy_error(field, Pieces.of(field).cut((1.0, 0.0), sorted((*self.cuts, a, b))), tension, gradient)
 
     def text(self) -> str:
         return toml(self.scene(), f"solve(scene, {self.options})")
@@ -211,7 +211,7 @@ class Waves(Family):
     def error(self, field: Field) -> tuple[float, float]:
         """Of a field, and the norm of u (collective)."""
         tension_of = WAVES[self.kind][1]
-        places = pi / self.wave * np.arange(1, int(FEWEST / 2 * self.wave / pi) + 2) / (FEWEST / 2)
+        places = pi / self.wave * np.arange(1, int(PIECES / 2 * self.wave / pi) + 2) / (PIECES / 2)
         places = places[places < 1]
         ends = np.concatenate([[0.0], places, [1.0]])
         t, weights = np.polynomial.legendre.leggauss(16)
