@@ -72,6 +72,7 @@ def options(*names: str) -> Callable[[Any], Any]:
             is_eager=True,
             help="Python file with effects of your own (docs/effects.md).",
         ),
+        "seed": click.option("--seed", type=click.IntRange(0), metavar="S", help="Other random scenes for each.  [1]"),
         "quiet": click.option("--quiet", is_flag=True, help="Errors only."),
         "log": click.option(
             "--log",

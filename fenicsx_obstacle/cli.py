@@ -250,10 +250,11 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 @click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
 @click.option("--output", type=Place(), default=Path("out/hard"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
-@options("json", "quiet", "log")
+@options("seed", "json", "quiet", "log")
 def hard(
-    name: str | None, count: int | None, broken: bool, faults: bool, output: Path, json_file: str | None, quiet: bool
-) -> int:
+    name: str | None, count: int | None, seed: int | None, broken: bool, faults: bool, output: Path,
+    json_file: str | None, quiet: bool,
+) -> int:  # fmt: skip
     """Solve hard scenes, and check every answer against the theory.
 
     NAME is a scene or a family; all without it. Verdicts: right, refused or FAILED, the last with exit status 3.
@@ -264,8 +265,8 @@ def hard(
     from fenicsx_obstacle.show.hard import show_hard
     from fenicsx_obstacle.show.progress import progress
 
-    if (name is not None) + broken + faults + (count is not None) > 1:
-        raise InputError("hard: NAME, --random, --broken and --faults exclude each other")
+    if (name is not None) + broken + faults + (count is not None) > 1 or (seed is not None and count is None):
+        raise InputError("hard: NAME, --random, --broken and --faults exclude each other; --seed goes with --random")
     check_places(output, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress("hard", quiet=quiet):
@@ -274,7 +275,7 @@ def hard(
         elif faults:
             rows = show_faults(output, say)
         else:
-            rows = show_hard(name, output, say) if count is None else show_random(count, output, say)
+            rows = show_hard(name, output, say) if count is None else show_random(count, output, say, seed)
     if json_file is not None:
         write_json(json_file, rows)
     return 3 if any(row["verdict"] == "FAILED" for row in rows) else 0

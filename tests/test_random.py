@@ -1,19 +1,134 @@
-"""Random scenes: every invariant of the theory holds for every answer, whatever shape, mesh, data and eps."""
+"""Random scenes: invariants hold for every answer, certificates hold, and what has no solution is rejected."""
 
+from dataclasses import dataclass
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
 from conftest import COMM
 
-from fenicsx_obstacle.studies.hard.draw import SEED, try_all
-from fenicsx_obstacle.studies.hard.row import FAILED
+from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.studies.hard.draw import SEED, judged, shares, try_all
+from fenicsx_obstacle.studies.hard.families.drifts import Strip
+from fenicsx_obstacle.studies.hard.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION, Family, Judgement
+from fenicsx_obstacle.studies.hard.families.films import Film
+from fenicsx_obstacle.studies.hard.row import FAILED, REFUSED, RIGHT
 
 COUNT = {1: 50, 2: 20}  # on three ranks 10
+OF_EACH = {1: 3}  # on more ranks 1
 
 
-def test_random_scenes():
-    """A short form of `./obstacle hard --random 500`, with scenes of its own."""
+def rows_of(counts):
     rows = []
-    try_all(COUNT.get(COMM.size, 10), SEED + 100, COMM, rows.append)
-    assert len(rows) >= 10
-    assert not [f"{row['message']}\n{row['scene']}" for row in rows if row["verdict"] == FAILED]
-    assert sum(row["answers"] for row in rows) > 2 * len(rows)
+    try_all(counts, SEED + 100, COMM, rows.append)
     scenes = COMM.allgather([row["scene"] for row in rows])
     assert all(other == scenes[0] for other in scenes)
+    return rows
+
+
+def test_admissible_scenes():
+    """A short form of `./obstacle hard --random 500`, with scenes of its own: all invariants hold."""
+    rows = rows_of({"admissible": COUNT.get(COMM.size, 10)})
+    assert len(rows) >= 10
+    assert not [f"{row['message']}\n{row['text']}" for row in rows if row["verdict"] == FAILED]
+    assert sum(row["answers"] for row in rows) > 2 * len(rows)
+
+
+@pytest.mark.parametrize("family", [name for name in shares(100) if name != "admissible"])
+def test_families(family):
+    """Scenes whose truth is known: certificates hold, answers are right, what has none is rejected."""
+    rows = rows_of({family: OF_EACH.get(COMM.size, 1)})
+    assert rows
+    assert not [f"{row['message']}\n{row['text']}" for row in rows if row["verdict"] == FAILED]
+
+
+def test_shares():
+    """Half of the scenes are admissible ones, no family is forgotten."""
+    counts = shares(1000)
+    assert sum(counts.values()) == 1000
+    assert counts["admissible"] == 500
+    assert min(counts.values()) >= 500 // len(counts)
+    assert sum(shares(1).values()) == 1
+
+
+@dataclass(frozen=True)
+class Told(Family):
+    """A scene whose judge is told what the program did."""
+
+    outcome: str
+
+    name = "told"
+
+    def judge(self, judgement):
+        actions = {"answer": lambda: 1, "input": self._input, "lost": self._lost}
+        judgement.attempt(
+            actions[self.outcome[2:]], {"a": ANSWER, "r": REJECTION, "i": INPUT_ERROR, "e": EITHER}[self.outcome[0]]
+        )
+
+    def text(self):
+        return self.outcome
+
+    def _input(self):
+        raise InputError("wrong")
+
+    def _lost(self):
+        raise NotConverged("penalty", "words", 3, eps=1.0, h=0.1)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "verdict"),
+    [("a answer", RIGHT), ("a input", FAILED), ("a lost", FAILED), ("r answer", FAILED), ("r input", REFUSED),
+     ("r lost", REFUSED), ("i answer", FAILED), ("i input", REFUSED), ("i lost", FAILED), ("e answer", RIGHT),
+     ("e lost", REFUSED)],
+)  # fmt: skip
+def test_expectations(outcome, verdict):
+    """Answers where there must be none are FAILED, and so are rejections where there must be an answer."""
+    row = judged(Told(outcome), COMM)
+    assert row["verdict"] == verdict
+    assert (row["message"] == "") == (verdict != FAILED)
+
+
+@pytest.mark.parametrize(
+    ("words", "guaranteed", "total", "held"),
+    [("certified", True, 0.99, False), ("certified", True, 1.0, True),
+     ("certified on the polygon of the mesh", False, 0.9, False),
+     ("an indicator: drift", False, 0.1, True), ("certified for the sampled tension", False, 0.1, True),
+     ("an indicator: drift", True, 0.1, False)],
+)  # fmt: skip
+def test_certificates(words, guaranteed, total, held):
+    """A bound below the true error is FAILED where it is said to hold, and only there."""
+    answer = SimpleNamespace(bound=SimpleNamespace(words=words, guaranteed=guaranteed, total=total))
+    judgement = Judgement(COMM)
+    judgement.certificate(answer, 1.0, 3.0)
+    assert (not judgement.wrong) == held
+    judgement = Judgement(COMM)
+    judgement.not_certified(answer, "there is no solution")
+    assert (not judgement.wrong) == (words != "certified" and not guaranteed)
+
+
+def false(scene, value, judgement, monkeypatch):
+    """Judge an answer to a scene whose values are replaced."""
+    from fenicsx_obstacle.answers.adapt import solve
+
+    def solved(*given, **more):
+        answer = solve(*given, **more)
+        answer.u.x.array[:] *= value
+        return answer
+
+    monkeypatch.setattr("fenicsx_obstacle.studies.hard.families.family.solve", solved)
+    scene.judge(judgement)
+    return judgement.wrong
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [Strip("interval", 300, 1.0, "from a point", 4.0, 0.5), Film("cap", 60, 1.0, 1.0, 0.5, 1.0, "penalty", False)],
+)
+def test_false_answers(scene, monkeypatch):
+    """The right answer is accepted; the same times -1 or 1.5 is FAILED."""
+    judge = partial(false, scene, monkeypatch=monkeypatch)
+    assert not judge(1.0, judgement=Judgement(COMM))
+    with monkeypatch.context():
+        assert judge(1.5, judgement=Judgement(COMM))
+    with monkeypatch.context():
+        assert judge(-1.0, judgement=Judgement(COMM)) or isinstance(scene, Film)

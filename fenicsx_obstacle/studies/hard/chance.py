@@ -1,7 +1,8 @@
 """Random scenes, drawn by Hypothesis: shapes, meshes, elements, coefficients over 12 decades, obstacles, loads, eps.
 
 They are admissible by construction: boundary values are cut off at the obstacles, the upper obstacle is the lower one
-and a gap. Whatever the program does not answer, or answers against the theory, is a failure.
+and a gap. Whatever the program does not answer, or answers against the theory, is a failure. Scenes whose solution is
+known, or that have none, are in `families`; half of all scenes that are drawn are of these.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.studies.hard.families.every import KNOWN
+from fenicsx_obstacle.studies.hard.families.family import Family, Judgement, toml
+from fenicsx_obstacle.studies.hard.judge import judge
+from fenicsx_obstacle.studies.hard.row import FAILED, RIGHT
 
 SMOOTH = ("1", "1 + x/L", "sin(3*x/L + 1)", "cos(7*x/L)*cos(5*y/L)", "(x^2 - y^2)/L^2", "exp(-9*(x^2 + y^2)/L^2)")
 KINKED = ("where(x < L/3, 1, -1)", "abs(x/L - 0.4)", "max(0, 1 - 4*hypot(x, y)/L)", "sign(sin(20*x/L)*sin(20*y/L + 1))",
@@ -25,8 +30,8 @@ POSITIVE = ("1", "1 + 0.9*sin(9*x/L)", "where(x < L/3, 1, 1e6)", "where(x < L/3,
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """A random scene.
+class Drawn(Family):
+    """An admissible random scene, judged by the invariants of the theory.
 
     Attributes:
         data: What `Scene` takes, the mesh apart.
@@ -44,6 +49,8 @@ class Drawn:
     scatter: float
     ratios: tuple[float, ...]
 
+    name = "admissible"
+
     def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
         """The scene (collective)."""
         if self.skew is None:
@@ -53,6 +60,19 @@ class Drawn:
     def epsilons(self) -> list[str]:
         """Formulas in h: they are divided by the tension."""
         return [f"{ratio!r}*h^2" for ratio in self.ratios]
+
+    def judge(self, judgement: Judgement) -> None:
+        for row in judge(self.scene(judgement.comm), judgement.comm, self.epsilons()):
+            failed = row["verdict"] == FAILED
+            judgement.check(not failed, f"{row['method']} {row['asked']}: {row['message']}")
+            judgement.answers += row["verdict"] == RIGHT
+            judgement.refused += not failed and row["verdict"] != RIGHT
+
+    def text(self) -> str:
+        asked = f"SNES VI, penalty and (3.4)* with eps = {', '.join(self.epsilons())}"
+        if self.skew is None:
+            return toml(self.scene(), asked)
+        return f"from fenicsx_obstacle.studies.hard.chance import Drawn\n{self!r}.scene()  # {asked}"
 
 
 def _power(low: int, high: int) -> st.SearchStrategy[float]:
@@ -64,7 +84,7 @@ def _power(low: int, high: int) -> st.SearchStrategy[float]:
 
 @st.composite
 def drawn(draw: st.DrawFn) -> Drawn:
-    """A random scene."""
+    """An admissible random scene."""
     L, height, tension = draw(_power(-3, 3)), draw(_power(-6, 6)), draw(_power(-6, 6))
     shape = draw(st.sampled_from(["interval", "rectangle", "rectangle", "rectangle", "disk", "l-shape", "box", "own"]))
     mesh: dict[str, Any] = {"shape": shape}
@@ -123,3 +143,6 @@ def _skewed(one: Drawn, comm: MPI.Comm) -> dmesh.Mesh:
     x[:, :2] += one.scatter * h * (2 * (mixed - np.floor(mixed)) - 1) * inside[:, None]
     x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
     return mesh
+
+
+FAMILIES: dict[str, st.SearchStrategy[Any]] = {Drawn.name: drawn(), **KNOWN}

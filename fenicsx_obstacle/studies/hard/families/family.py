@@ -1,0 +1,150 @@
+"""What a family of drawn scenes is, and how the program's behaviour on one of them is judged."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeVar
+
+from mpi4py import MPI
+
+from fenicsx_obstacle.answers.adapt import solve
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.errors import InputError, ObstacleError
+from fenicsx_obstacle.scenes.scene import Scene
+
+ANSWER, REJECTION, EITHER, INPUT_ERROR = "an answer", "a rejection", "either", "a rejection of the input"
+ROUND_OFF = 1e-12  # of the energy norm: no error can be computed more accurately
+Result = TypeVar("Result")
+
+
+class Judgement:
+    """Verdict on one drawn scene.
+
+    Attributes:
+        comm: Communicator.
+        wrong: What is against the truth, in words.
+        answers: How many solutions were returned.
+        refused: How many times data were rejected, or no solution was found.
+        said: Warnings of the last attempt.
+        crashed: Whether an error was raised that is none of this package's.
+    """
+
+    def __init__(self, comm: MPI.Comm):
+        self.comm = comm
+        self.wrong: list[str] = []
+        self.answers = self.refused = 0
+        self.said: list[str] = []
+        self.crashed = False
+
+    def check(self, holds: bool, words: str) -> None:
+        """Note a failure unless something holds (the same on every rank)."""
+        if not holds:
+            self.wrong.append(words)
+
+    def attempt(self, action: Callable[[], Result], expected: str, what: str = "solve") -> Result | None:
+        """Call the program (collective).
+
+        Args:
+            action: The call.
+            expected: ANSWER, REJECTION (of any kind), INPUT_ERROR, or EITHER.
+            what: The call in words.
+
+        Returns:
+            What it returned; None where it was rejected.
+        """
+        try:
+            with _listening() as self.said:
+                found = action()
+        except ObstacleError as error:
+            self.refused += 1
+            name = type(error).__name__
+            self.check(expected != ANSWER, f"{what}: must be answered, not rejected: {name}: {error}")
+            if expected == INPUT_ERROR:
+                self.check(isinstance(error, InputError), f"{what}: must be an InputError, not {name}: {error}")
+            return None
+        except Exception as error:
+            if self.comm.size > 1:  # the other ranks may wait for this one
+                raise
+            self.crashed = True
+            self.check(False, f"{what}: {type(error).__name__}: {error}")
+            return None
+        self.answers += 1
+        self.check(expected in (ANSWER, EITHER), f"{what}: must be rejected, not answered")
+        return found
+
+    def solve(
+        self, scene: Callable[[], Scene], expected: str = ANSWER, what: str = "", **options: Any
+    ) -> Answer | None:
+        """Make a scene and solve it (collective)."""
+        words = what or ", ".join(["solve", *(f"{key}={value!r}" for key, value in options.items())])
+        return self.attempt(lambda: solve(scene(), comm=self.comm, **options), expected, words)
+
+    def certificate(self, answer: Answer, error: float, norm: float, accuracy: float = 1e-9) -> None:
+        """A bound that is said to hold must hold.
+
+        Args:
+            answer: Solved with a bound or a tolerance.
+            error: True energy error, or less.
+            norm: Energy norm of the true solution.
+            accuracy: Of `error`, relative.
+        """
+        assert answer.bound is not None
+        limit = answer.bound.total * (1 + accuracy) + ROUND_OFF * norm
+        words = f"'{answer.bound.words}': bound {answer.bound.total:.6g}, true error {error:.6g}"
+        self.check(not claims(answer) or error <= limit, f"false certificate: {words}, norm {norm:.4g}")
+
+    def not_certified(self, answer: Answer, why: str) -> None:
+        """The word 'certified' must not stand alone."""
+        assert answer.bound is not None
+        self.check(not bare(answer), f"the word 'certified' stands alone although {why}")
+
+
+@contextmanager
+def _listening() -> Iterator[list[str]]:
+    """Warnings, also those that are logged."""
+    said: list[str] = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    logging.getLogger().addHandler(handler)
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            yield said
+    finally:
+        logging.getLogger().removeHandler(handler)
+        said += [str(warning.message) for warning in caught]
+
+
+def bare(answer: Answer) -> bool:
+    """Whether the word 'certified' stands alone, or the record says that the bound is guaranteed."""
+    return answer.bound is not None and (answer.bound.words == "certified" or answer.bound.guaranteed)
+
+
+def claims(answer: Answer) -> bool:
+    """Whether the bound is said to hold on the mesh as it is."""
+    return bare(answer) or (answer.bound is not None and answer.bound.words.startswith("certified on the polygon"))
+
+
+@dataclass(frozen=True)
+class Family(ABC):
+    """A drawn scene, its truth and its judge; the class is the family."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def judge(self, judgement: Judgement) -> None:
+        """Call the program and compare (collective)."""
+
+    @abstractmethod
+    def text(self) -> str:
+        """TOML or Python that shows the scene to the program again."""
+
+
+def toml(scene: Scene, *calls: str) -> str:
+    """A scene as TOML text, and what was asked for."""
+    return f"# {'; '.join(calls)}\n{scene.toml()}"

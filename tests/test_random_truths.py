@@ -1,0 +1,190 @@
+"""Truths of the drawn families: closed forms satisfy their equations, and quadrature is exact where it claims to be."""
+
+from math import pi
+
+import numpy as np
+import pytest
+from conftest import COMM
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers.adapt import solve
+from fenicsx_obstacle.studies.hard.families.curves import CIRCLES, Inclusion, Pole
+from fenicsx_obstacle.studies.hard.families.drifts import Radial, Strip
+from fenicsx_obstacle.studies.hard.families.elements import Field
+from fenicsx_obstacle.studies.hard.families.files import torsion
+from fenicsx_obstacle.studies.hard.families.films import Film
+from fenicsx_obstacle.studies.hard.families.integrals import Pieces, energy_error
+from fenicsx_obstacle.studies.hard.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
+from fenicsx_obstacle.studies.hard.families.smooth import Polynomial
+from fenicsx_obstacle.studies.hard.families.support import Feeble
+
+SQUARE = {"shape": "rectangle", "cells": 16, "diagonal": "right", "perturb": 0.0}
+
+
+def function(degree, cell=dmesh.CellType.triangle, formula=lambda x: x[0]):
+    """A function that interpolates a formula on the unit square, 6 x 6 cells."""
+    mesh = releases.settle(dmesh.create_unit_square(COMM, 6, 6, cell))
+    u = fem.Function(releases.functionspace(mesh, "Lagrange", degree))
+    u.interpolate(formula)
+    u.x.scatter_forward()
+    return u
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", [dmesh.CellType.triangle, dmesh.CellType.quadrilateral])
+def test_fields_are_the_functions_they_are_made_of(degree, cell):
+    """Polynomials of the space are reproduced with their gradients in every cell, and the area is that of the mesh."""
+    field = Field(function(degree, cell, lambda x: (1 + 2 * x[0] - x[1]) ** degree))
+    cells, points = np.arange(len(field.vertices)), field.vertices.mean(axis=1, keepdims=True) + 0.01
+    s = 1 + 2 * points[..., 0] - points[..., 1]
+    assert field.at(cells, points) == pytest.approx(s**degree)
+    outer = degree * s ** (degree - 1)
+    assert field.gradient(cells, points) == pytest.approx(np.stack([2 * outer, -outer], axis=2))
+    assert field.measure() == pytest.approx(1)
+    assert field.ends() == pytest.approx((0, 3**degree))
+
+
+def test_pieces_fill_the_cells():
+    """Cut or refined pieces have the area of the mesh, and integrate each side of a jump exactly."""
+    field = Field(function(1, formula=lambda x: 0 * x[0]))
+    zero = lambda x, y: np.zeros_like(x)  # noqa: E731
+    for pieces in (
+        Pieces.of(field).cut((0.6, 0.8), [0.123, 0.5, 0.777]),
+        Pieces.of(field).refined(lambda middle, radius: middle[:, 0] < -1, 3),
+    ):
+        norm = energy_error(field, pieces, lambda x, y: np.ones_like(x), lambda x, y: (x, y))[1]
+        assert norm == pytest.approx((2 / 3) ** 0.5)
+    pieces = Pieces.of(field).cut((1.0, 0.0), [0.503])
+    norm = energy_error(
+        field, pieces, lambda x, y: np.where(x < 0.503, 7.0, 1.0), lambda x, y: (1 + zero(x, y), zero(x, y))
+    )
+    assert norm[0] == norm[1] == pytest.approx((7 * 0.503 + 0.497) ** 0.5)
+
+
+def test_layers():
+    """Errors of P1: none where the jump is on a line of the mesh, and by hand where a cell is cut at 0.503."""
+    for place, contrast in ((0.5, 10.0), (0.503, 2.0), (0.503, 10.0)):
+        layers = Layers(SQUARE, {}, 0.0, (place,), (contrast, 1.0), 0.0, SPELLINGS[0])
+        error, norm = layers.error(Field(solve(layers.scene(), comm=COMM).u))
+        # the cells between 0.5 and 0.5625 take the tension of their middles: the discrete flux is for a jump at 0.5
+        height = place / contrast + 1 - place
+        flux = height / (0.5 / contrast + 0.5)
+        squares = (0.5 * (1 - flux) ** 2 / contrast + (place - 0.5) * contrast * (1 / contrast - flux) ** 2
+                   + (1 - place) * (1 - flux) ** 2)  # fmt: skip
+        assert norm == pytest.approx(height**0.5)
+        assert error == pytest.approx(squares**0.5, rel=1e-8, abs=1e-11)
+        assert place == 0.5 or error > 0.04 * norm
+    # another direction, with a load: the solution for a fine mesh converges to the truth
+    layers = Layers({**SQUARE, "cells": 32}, {}, pi / 4, (0.5**0.5,), (3.0, 1.0), -2.5, SPELLINGS[1])
+    error, norm = layers.error(Field(solve(layers.scene(), comm=COMM).u))
+    assert error < 0.2 * norm
+
+
+def test_layers_in_contact():
+    """u' of the truth falls from 0 to the obstacle's depth and comes back; on a fine mesh u_h is near to it."""
+    one = LayersInContact({**SQUARE, "cells": 64}, {}, (0.25, 0.75), (3.0, 1.0, 0.5), 4.0, 0.45, 0.8, SPELLINGS[2])
+    depth, begin, end = one.truth()
+    assert 0 < begin < 0.45 < end < 1
+    x = (np.arange(100000) + 0.5) / 100000
+    mu = np.select([x < 0.25, x < 0.75], [3.0, 1.0], 0.5)
+    slope = 4 * (np.minimum(x - begin, 0) + np.maximum(x - end, 0)) / mu
+    u = np.cumsum(slope) / len(x)
+    assert u[len(x) // 2] == pytest.approx(-depth, rel=1e-4)
+    assert u[-1] == pytest.approx(0, abs=1e-4 * depth)
+    error, norm = one.error(Field(solve(one.scene(), comm=COMM).u))
+    assert error < 0.05 * norm
+
+
+@pytest.mark.parametrize("kind", list(WAVES))
+def test_waves(kind):
+    """The norm of the truth: energy = flux times the difference of the ends."""
+    waves = Waves(SQUARE, {}, kind, 1.5, 23.0)
+    x = (np.arange(400000) + 0.5) / 400000
+    flux = 1 / np.mean(1 / WAVES[kind][1](x, 1.5, 23.0))
+    assert waves.error(Field(function(1)))[1] ** 2 == pytest.approx(flux, rel=1e-4)
+
+
+@pytest.mark.parametrize("spelling", CIRCLES)
+def test_inclusion(spelling):
+    """u_h tends to the truth in the norm of the energy; a wrong tension does not."""
+    errors = []
+    for tension in (5.0, 2.0):
+        given = Inclusion({**SQUARE, "cells": 24}, {}, (-0.5, -0.377), 0.3, 5.0, spelling)
+        true = Inclusion(given.mesh, {}, given.corner, given.radius, tension, spelling)
+        error, norm = true.error(Field(solve(given.scene(), comm=COMM).u))
+        errors.append(error / norm)
+    assert errors[0] < 0.19 < 0.2 < errors[1]
+
+
+@pytest.mark.parametrize("corner", [(0.0, 0.0), (-0.5, -0.5), (-0.377, -0.613)])
+def test_pole(corner):
+    """The energy of r^a, a = 1.7, is that by polar coordinates or on a fine grid; u_h tends to it."""
+    pole = Pole({**SQUARE, "cells": 32}, {}, corner, 1.7, 2.0, 1e-12)
+    n = 1500
+    x, y = np.meshgrid(*((np.arange(n) + 0.5) / n + start for start in corner))
+    energy = np.mean(2.0 * 1.7**2 * (x**2 + y**2) ** 0.7)
+    error, norm = pole.error(Field(solve(pole.scene(), comm=COMM).u))
+    assert norm**2 == pytest.approx(energy, rel=1e-4)
+    assert error < 0.05 * norm
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_polynomial(element):
+    """Quadratic u: P2 has no error but round-off, P1 one of order h; load and boundary values are those of u."""
+    u = ((0.0, 1.0, 0.5), (0.25, -1.0, 0.0), (1.0, 0.0, 0.0))
+    one = Polynomial(SQUARE, {"element": element}, u, ((1.0, 2.0), (0.5, 0.0)), False)
+    error, norm = one.error(Field(solve(one.scene(), comm=COMM, element=element).u))
+    # one value of the tension per cell and P2: of second order
+    assert error < (0.1 if element == "P1" else 0.005) * norm
+
+
+def test_drift():
+    """Green's function and a dense solution by finite differences agree, and so do closed form and series on a disk."""
+    strip = Strip("interval", 400, 0.5, "from a point", 8.0, 0.4)
+    x, true = strip.truth()
+    n = 800
+    h, at = 1 / n, np.arange(1, n) / n
+    drift = 8.0 * (at - 0.4)
+    matrix = (np.diag(np.full(n - 1, 2 * 0.5 / h**2)) + np.diag((-0.5 / h**2 + drift / (2 * h))[:-1], 1)
+              + np.diag((-0.5 / h**2 - drift / (2 * h))[1:], -1))  # fmt: skip
+    assert np.interp(at, x, true) == pytest.approx(np.linalg.solve(matrix, np.ones(n - 1)), rel=1e-3)
+    radial = Radial("disk", 16, 0.5, 3.0)
+    phi = 3.0  # strength/(2 tension)
+    terms = [phi**k / k / np.prod(np.arange(1.0, k + 1)) for k in range(1, 60)]  # of (exp(t) - 1)/t
+    assert radial.middle(1.0) == pytest.approx(sum(terms) / 6)
+    assert Radial("disk", 16, 0.5, 1e-9).middle(1.0) == pytest.approx(0.5)
+
+
+def test_film():
+    """Caps and arcs have the curvature of the load; the limit load of a square is between those of disks."""
+    for kind, arc in (("cap", False), ("arc", True)):
+        film = Film(kind, 40, 2.0, 3.0, 0.8, 1.0, "vi", False)
+        reach = film.size / (2 if arc else 1)
+        x = np.linspace(0, reach, 20001)
+        sine = x * film.load / (film.tension * (1 if arc else 2))  # u'/sqrt(1 + u'^2), by the balance of forces
+        slope = sine / np.sqrt(1 - sine**2)
+        height = np.sum((slope[1:] + slope[:-1]) / 2) * reach / 20000
+        assert film.height(reach, arc=arc) == pytest.approx(height, rel=1e-5)
+    square = Film("square", 20, 1.0, 1.0, 1.0, 1.0, "vi", False).load
+    assert 2 / pi**-0.5 < square < 4  # of the disk of the same area, and of the inscribed disk
+    assert Film("cap", 40, 1.0, 1.0, 1.0, 1.0, "vi", False).load == 2
+
+
+def test_torsion():
+    """The series for a square and for a long rectangle."""
+    assert torsion(1.0) == pytest.approx(0.0736713, rel=1e-5)
+    assert torsion(30.0) == pytest.approx(1 / 8, rel=1e-5)
+
+
+def test_strip_that_bears():
+    """A foundation on a strip: closed form and finite differences."""
+    one = Feeble(16, "interval", "strip", 3.0, 2.0, 5.0, 0.3)
+    n = 800
+    h = 1 / n
+    matrix = 2.0 / h**2 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    matrix[0, 0] = matrix[-1, -1] = 2.0 / h**2
+    matrix += np.diag(3.0 * ((np.arange(n) + 0.5) * h < 0.3))
+    u = np.linalg.solve(matrix, np.full(n, 5.0))
+    assert one.truth()[:2] == pytest.approx((u.min(), u.max()), rel=1e-3)
