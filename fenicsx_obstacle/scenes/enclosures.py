@@ -41,7 +41,7 @@ class Cells:
 
     def enclosure(self, formula: Formula) -> Enclosure:
         """Bounds over each cell; where they are infinite, or nearly so, of the parts of a divided cell."""
-        found = self._walked(formula)
+        found = self.once(formula)
         largest = np.inf
         if np.any(found.degree > 0):
             values = np.abs(self.values(formula, 0, np.arange(self.count)))
@@ -55,7 +55,7 @@ class Cells:
         for split in range(1, SPLITS + 1):
             pieces = Cells(self.vocabulary, halved(corners), self.distance)
             owners = np.repeat(owners, pieces.count // len(owners))
-            parts = pieces._walked(formula)
+            parts = pieces.once(formula)
             open_ = _open(parts, largest)
             done = ~open_ | (split == SPLITS or np.count_nonzero(open_) > MAX_PIECES)
             np.minimum.at(lower, owners[done], parts.lower[done])
@@ -71,7 +71,8 @@ class Cells:
         with np.errstate(all="ignore"):
             return TreeWalk(self).condition(formula, formula.tree)
 
-    def _walked(self, formula: Formula) -> Enclosure:
+    def once(self, formula: Formula) -> Enclosure:
+        """Bounds over each cell as it is."""
         with np.errstate(all="ignore"):
             found = TreeWalk(self).number(formula, formula.tree)
         return Enclosure(*(np.broadcast_to(part, self.count) for part in found.parts))
