@@ -239,7 +239,7 @@ def test_units_and_heights_change_nothing():
 
 
 def test_what_it_does_not_know_is_said():
-    """Other effects: an indicator; curved domains: for the polygon; jumps of boundary values, other elements: an error."""
+    """Other effects: an indicator; curved domains: for the polygon; values that jump, other elements: an error."""
     bound = solve(membrane(load=1, upper=0.05, foundation=20), bound=True).bound
     assert not bound.guaranteed and "foundation" in bound.words
     assert bound.algebraic < 1e-8 * bound.total  # its forces are in the balance nevertheless

@@ -109,8 +109,8 @@ class Jumps:
             return
         _, (one, other), place, formula = max(found, key=lambda candidate: candidate[0])
         raise InputError(
-            f"{formula.place} = {formula.text}: the boundary values jump at {self.data.at(place)}, from {one:.6g} to "
-            f"{other:.6g}; no u with such values has a finite energy, so that no error bound and no tolerance is "
+            f"{formula.place} = {formula.text}: the boundary values jump at {self.data.at(place)}, from {one:.9g} to "
+            f"{other:.9g}; no u with such values has a finite energy, so that no error bound and no tolerance is "
             "possible: let the value change continuously"
         )
 
@@ -166,7 +166,8 @@ class Jumps:
     ) -> None:
         """Keep the largest difference that does not vanish as the distance does."""
         small, large = (np.abs(pair[0] - pair[1]) for pair in (close, far))
-        jumps = (small > CONTINUOUS * self.scale) & (small >= KEEPS * large)
+        varies = np.abs(close[0] - far[0]) + np.abs(close[1] - far[1])  # on either side
+        jumps = (small > CONTINUOUS * self.scale) & (small >= KEEPS * large) & (small >= varies)
         jumps |= ~np.isfinite(small)
         if not jumps.any():
             return
