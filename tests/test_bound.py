@@ -67,6 +67,18 @@ def scenes() -> dict[str, Scene]:
     return given
 
 
+SAMPLED = "certified for the sampled "
+BOTH = SAMPLED + "obstacle and boundary value"
+WORDS = {
+    "no contact": SAMPLED + "load", "perturbed": SAMPLED + "load", "free side": SAMPLED + "load",
+    "L-shape": SAMPLED + "boundary value", "full contact": SAMPLED + "obstacle",
+    "full contact, edge too": SAMPLED + "obstacle", "tension that varies": SAMPLED + "load",
+    "jump of tension": SAMPLED + "load and obstacle", "ball": BOTH, "biactive": SAMPLED + "load",
+    "biactive_power": SAMPLED + "load", "cone": BOTH, "disk_flat": SAMPLED + "boundary value",
+    "disk_mu_jump": SAMPLED + "tension and boundary value", "halfplane": SAMPLED + "load and boundary value",
+    "nsv": SAMPLED + "load", "ring_wedge": BOTH, "smooth_square": SAMPLED + "load and obstacle",
+    "torsion_disk": BOTH, "two_obstacle_square": SAMPLED + "load and obstacle",
+}  # fmt: skip
 EPS = ("h", "h^2", "1e-10")
 NAMES = sorted(scenes())[:: COMM.size]  # on several ranks they differ by round-off only
 
@@ -112,7 +124,9 @@ def test_the_flux_is_in_balance():
 def test_no_known_error_is_above_its_bound(name):
     for eps in EPS:
         row = measured(name)[eps]
-        assert row.bound.guaranteed and row.bound.words == "certified"
+        # soft obstacles let u touch beside the boundary, where the obstacle is compared on a lattice
+        soft = BOTH if (name, eps) == ("disk_flat", "h") else WORDS[name]
+        assert row.bound.words in (WORDS[name], soft) and not row.bound.guaranteed
         assert row.error <= row.bound.total
         assert row.error_v <= row.bound.admissible_total
         assert row.bound.total <= row.bound.admissible_total + row.bound.penalty + row.bound.data + ROUND_OFF
@@ -225,15 +239,16 @@ def test_units_and_heights_change_nothing():
 
 
 def test_what_it_does_not_know_is_said():
-    """Other effects, curved domains, jumps of boundary values: an indicator; other elements: an error."""
+    """Other effects: an indicator; curved domains: for the polygon; values that jump, other elements: an error."""
     bound = solve(membrane(load=1, upper=0.05, foundation=20), bound=True).bound
     assert not bound.guaranteed and "foundation" in bound.words
     assert bound.algebraic < 1e-8 * bound.total  # its forces are in the balance nevertheless
     assert 0.5 < bound.discretisation / solve(membrane(load=1, upper=0.05), bound=True).bound.discretisation < 2
     polygon = solve(Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=4), bound=True).bound
-    assert not polygon.guaranteed and "polygon" in polygon.words
+    assert not polygon.guaranteed and polygon.words == "certified on the polygon of the mesh"
     torn = membrane(load=1, boundary=[{"value": 0}, {"on": "top", "value": 1}])
-    assert not solve(torn, bound=True).bound.guaranteed
+    with pytest.raises(InputError, match=r"boundary values jump at \(., 1\), from 0 to 1"):
+        solve(torn, bound=True)
     for mesh in ({"shape": "interval"}, {"shape": "box", "cells": 4}, {"shape": "rectangle", "cell": "quadrilateral"}):
         with pytest.raises(InputError, match="P1 on triangles"):
             solve(Scene(mesh=mesh, tension=1, load=1), bound=True)
@@ -252,7 +267,7 @@ def test_held_curves_inside():
     bench = Workbench(two, level=replace(level, named=named, coarse=None, parents=None, places=None, shape=None))
     both = bench.answer(bound=True).bound
     one = solve(scene, cells=8, bound=True).bound
-    assert both.guaranteed
+    assert both.words == "certified on the polygon of the mesh for the sampled load"
     # Friedrichs' constant alone is that of the whole
     assert np.isclose(both.discretisation, np.sqrt(2) * one.discretisation, rtol=1e-9)
     assert np.isclose(total(COMM, both.indicator), np.sqrt(2) * total(COMM, one.indicator), rtol=1e-9)
@@ -329,7 +344,7 @@ def fixed(problem: Problem) -> np.ndarray:
 
 def check_random(**given) -> None:
     bound, error, error_v = random_case(**given)
-    assert bound.guaranteed, bound.words
+    assert bound.words.startswith("certified"), bound.words
     # a linear solution is found up to round-off: both are a last digit of the norm then
     last = 1e-14 * bound.total / bound.relative if bound.relative else 0.0
     assert error <= bound.total * (1 + 1e-9) + last and error_v <= bound.admissible_total * (1 + 1e-9) + last

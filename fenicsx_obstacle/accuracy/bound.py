@@ -11,11 +11,11 @@ in the inequality and with the equilibrated flux sigma and multiplier of `flux`,
 
 It holds for any eps, any mesh, converged or not; nothing is assumed of angles, contact set or regularity.
 
-What is taken care of: tension and load that vary within cells, obstacles and boundary values between the nodes (all by
-sampling their formulas). What is not, and makes the number an indicator that says so: effects other than tension and
-load (drift, nonlinear tension), the difference between a curved domain and the polygon of the mesh, boundary values
-that jump, u given nowhere, forces out of balance where Friedrichs' constant is not known. Not seen at all are peaks
-narrower than the samples; tension and load are integrated by quadrature.
+`words` says what the bound rests on (`standing`). It is certified where nothing rests on sampling: data that are
+numbers or polynomials on the cells, on a domain that is the polygon of the mesh. Other data are sampled, obstacles and
+boundary values between the nodes, tension and load by quadrature: 'certified for the sampled load'. An indicator is
+what does not bound the error for other reasons: effects other than tension and load, data that may be infinite, u given
+nowhere, forces out of balance where Friedrichs' constant is not known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
@@ -32,11 +32,14 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle.accuracy.contact import TOUCHES
+from fenicsx_obstacle.accuracy.exactness import Known, in_cells
 from fenicsx_obstacle.accuracy.flux import KNOWN, SHARP, Equilibration, Flux
 from fenicsx_obstacle.accuracy.friedrichs import friedrichs
-from fenicsx_obstacle.accuracy.peaks import Peaks, Rim
+from fenicsx_obstacle.accuracy.peaks import Peaks
 from fenicsx_obstacle.accuracy.quadrature import rule
-from fenicsx_obstacle.accuracy.scope import in_words, refuse_no_bound
+from fenicsx_obstacle.accuracy.rim import Rim
+from fenicsx_obstacle.accuracy.scope import refuse_no_bound
+from fenicsx_obstacle.accuracy.standing import Hypotheses
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
@@ -62,8 +65,8 @@ class Bound:
         penalty: What a smaller eps makes smaller: ||mu^(1/2) grad(max(u_h, lower) - u_h)||, nodal maximum.
         algebraic: What further iterations make smaller: Friedrichs' constant times the unbalanced force.
         data: Load, obstacle and boundary values between nodes.
-        guaranteed: Whether all hypotheses hold.
-        words: What is guaranteed, and why not more.
+        guaranteed: Whether all hypotheses hold: the words are 'certified' alone.
+        words: What it rests on.
         indicator: What of the bound goes with each owned cell, to first order; their sum over all ranks is about total.
         admissible: v_h.
     """
@@ -111,6 +114,7 @@ class Estimator:
         self._oscillation = self.triangles.diameter / pi * self.equilibration.oscillation / np.sqrt(self._mu_min)
         self._friedrichs, self._exact_constant = friedrichs(self.triangles, self._held)
         self._least_tension = smallest(level.comm, self._mu_min)
+        self._hypotheses = self._checked(self.equilibration.load_known)
 
     def lend_load(self) -> None:
         """Let the problem have the load by the quadrature used here, which sees where formulas jump (collective)."""
@@ -150,7 +154,8 @@ class Estimator:
         indicator = each * contact
         for times, part in ((slope, squares), (1.0, moved), (1 + slope, covered), (1 + slope, self._rim_energy)):
             indicator += times * part / max(norm(part), 1e-300)
-        doubts, sampled_only = self._doubts(flux, unbalanced, bound, crossing)
+        doubts = self._doubts(flux, unbalanced, bound, crossing)
+        standing = self._hypotheses.standing(doubts, self.peaks, bound)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = v
         between = norm(self._energy(v - nodal)) + eta_p
@@ -158,7 +163,7 @@ class Estimator:
         return Bound(
             total=bound, admissible_total=B, relative=bound / height if height > 0 else None,
             discretisation=norm(of_u), penalty=norm(penetrated), algebraic=algebraic, data=data,
-            guaranteed=not doubts, words=in_words(doubts, sampled_only),
+            guaranteed=standing.guaranteed, words=standing.words,
             indicator=indicator,
             admissible=admissible,
         )  # fmt: skip
@@ -200,7 +205,7 @@ class Estimator:
         across = np.einsum("ci,xci->xc", outward, self._from_middle)
         squares = outward.sum(axis=1) ** 2 * self._spread + across[0] ** 2 + across[1] ** 2
         squares /= 4 * triangles.area * mu
-        for cells, points, weights, tension in self._varying:
+        for cells, points, weights, tension, divisor in self._varying:
             area, x = triangles.area[cells], triangles.x[cells]
             place = points @ x
             sigma = (
@@ -208,7 +213,7 @@ class Estimator:
                 - (np.einsum("ci,cix->cx", flux.normal[cells], x)[:, None])
             )
             difference = tension[..., None] * gradient[:, cells].T[:, None] - sigma / (2 * area)[:, None, None]
-            squares[cells] = area * (np.einsum("cpx,cpx->cp", difference, difference) / tension @ weights)
+            squares[cells] = area * (np.einsum("cpx,cpx->cp", difference, difference) / divisor @ weights)
         return squares
 
     def _energy(self, e: np.ndarray) -> np.ndarray:
@@ -229,41 +234,56 @@ class Estimator:
         triangles = self.triangles
         self._mu_min = self._mu_mean = self._mu_max = mu
         self._varies = np.zeros(len(mu), dtype=bool)
-        self._varying: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._varying: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._tension_known = Known(mu, mu, np.zeros(len(mu), dtype=int))
         value = next(effect.value for effect in self.problem.scene.effects if effect.key == "tension")
         parts: Sequence = list(value.parts.values()) if isinstance(value, Materials) else [value]
         if all(triangles.data.uniform(part) for part in parts):
             return
+        known = self._tension_known = in_cells(triangles, value)
         self._mu_min, self._mu_mean, self._mu_max = mu.copy(), mu.copy(), mu.copy()
         points, weights = rule(2)
         tension = triangles.values(value, points)
         spread = np.ptp(tension, axis=1)
         sharp = spread > SHARP * np.abs(tension).max(axis=1, initial=0.0)
-        smooth = np.flatnonzero((spread > 0) & ~sharp)
-        self._varying.append((smooth, points, weights, tension[smooth]))
+        sampled = ~known.exact | (known.lower <= 0)
+        smooth = np.flatnonzero((spread > 0) & ~sharp & sampled)
+        self._varying.append((smooth, points, weights, tension[smooth], tension[smooth]))
         points, weights = halved_rule(2)
-        cells = np.flatnonzero(sharp)
-        self._varying.append((cells, points, weights, triangles.values(value, points, cells)))
-        for cells, _, weights, tension in self._varying:
-            self._varies[cells] = True
+        cells = np.flatnonzero(sharp & sampled)
+        tension = triangles.values(value, points, cells)
+        self._varying.append((cells, points, weights, tension, tension))
+        for cells, _, weights, tension, _ in self._varying:
             self._mu_min[cells], self._mu_max[cells] = tension.min(axis=1), tension.max(axis=1)
             self._mu_mean[cells] = tension @ weights
+        for degree, cells in known.degrees(1):
+            cells = cells[known.lower[cells] > 0]
+            # with the least tension in place of 1/tension all is polynomial, of fluxes of degree 2 at most
+            points, weights = rule(2, 2 * max(degree + 1, 2))
+            tension = triangles.values(value, points, cells)
+            self._mu_min[cells], self._mu_max[cells] = known.lower[cells], known.upper[cells]
+            self._mu_mean[cells] = tension @ weights
+            self._varying.append((cells, points, weights, tension, known.lower[cells, None]))
+        for cells, *_ in self._varying:
+            self._varies[cells] = True
         if smallest(self.problem.level.comm, self._mu_min) <= 0:
             raise InputError(
                 f"{value.place} = {value.text}: must be positive everywhere, not at midpoints of cells only"
             )
 
-    def _doubts(self, flux: Flux | Flux2, unbalanced: float, bound: float, crossing: float) -> tuple[list[str], bool]:
-        """What the bound does not cover (collective); whether it is the obstacle between the nodes alone."""
+    def _checked(self, load: Known) -> Hypotheses:
+        """What is known of the data without sampling (collective)."""
+        scale = self.triangles.diameter / pi * np.sqrt(self.triangles.area / self._mu_min)
+        unseen = scale * np.where(load.exact, 0.0, load.upper - load.lower) / 2
+        return Hypotheses(self.triangles, self._tension_known, load, unseen, self.rim)
+
+    def _doubts(self, flux: Flux | Flux2, unbalanced: float, bound: float, crossing: float) -> list[str]:
+        """Why the bound is an indicator, as far as it depends on the state and on effects (collective)."""
         level = self.problem.level
         effects = [effect.key for effect in self.problem.scene.effects]
         doubts = [f"it knows tension and load, not {key}" for key in effects if key not in KNOWN]
-        if level.shape is not None and level.shape.project is not None:
-            doubts.append("it is for the polygon of the mesh, not for the curved domain")
         if total(level.comm, np.count_nonzero(self._held)) == 0:
             doubts.append("u is given nowhere")
-        if self.rim.torn > 0:
-            doubts.append(f"boundary values jump by {self.rim.torn:.2g}, so that no u has a finite energy")
         if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
             doubts.append("Friedrichs' constant is not known for such a boundary, and the load is not quite in balance")
         scale = largest(level.comm, np.abs(flux.normal))
@@ -271,8 +291,4 @@ class Estimator:
             doubts.append("cells overlap, or meet at a vertex alone")
         if crossing > 0:
             doubts.append(f"between the nodes the obstacles cross, by {crossing:.2g} at most")
-        others = len(doubts)
-        surprise = max((peaks.surprise for peaks in self.peaks), default=0.0)
-        if surprise > 0:
-            doubts.append(f"its peaks within cells differ by {surprise:.2g} from sample to sample")
-        return doubts, others == 0
+        return doubts

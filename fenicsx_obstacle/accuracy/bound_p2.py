@@ -19,17 +19,20 @@ from dolfinx import fem
 
 from fenicsx_obstacle.accuracy.bound import Bound, Estimator
 from fenicsx_obstacle.accuracy.contact import TOUCHES
+from fenicsx_obstacle.accuracy.exactness import in_cells
 from fenicsx_obstacle.accuracy.flux_p2 import Equilibration2, Flux2
 from fenicsx_obstacle.accuracy.friedrichs import friedrichs
-from fenicsx_obstacle.accuracy.peaks import DENSE, Rim
+from fenicsx_obstacle.accuracy.peaks import DENSE
+from fenicsx_obstacle.accuracy.rim import Rim
 from fenicsx_obstacle.accuracy.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
-from fenicsx_obstacle.accuracy.scope import in_words, refuse_no_bound
+from fenicsx_obstacle.accuracy.scope import refuse_no_bound
 from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.polynomials import coefficients, inner_points, round_off
 
 SPARSE = 4  # parts of an edge where obstacles are looked at first
 NEAR = 0.25  # of the range of a gap over a cell: where it comes so near to 0 the cell is sampled densely
@@ -66,7 +69,9 @@ class _Side:
     def __init__(self, triangles: Triangles, formula: Formula, sign: float):
         self.sign, self.formula, self.triangles = sign, formula, triangles
         self.surprise = 0.0
-        self.sparse = sign * triangles.values(formula, lattice(SPARSE))
+        self._known = in_cells(triangles, formula)
+        self.unbounded = ~np.isfinite(self._known.upper if sign > 0 else self._known.lower)
+        self.sampled = False  # on a lattice u_h and obstacle are compared wherever they may touch
 
     def above(self, u: np.ndarray, pressing: np.ndarray, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
         """Cells where u may be below it or is pressed against it, and there u minus obstacle on the lattice.
@@ -76,11 +81,23 @@ class _Side:
             pressing: Whether a cell has a multiplier.
             rim: What boundary values add to u (collective).
         """
-        gap = self.sign * u @ quadratics(lattice(SPARSE)) - self.sparse
-        near = gap.min(axis=1) <= NEAR * np.ptp(gap, axis=1)
-        cells = np.flatnonzero(near | pressing | (gap.min(axis=1) - rim.dip <= 0))
-        dense = self.sign * (u[cells] @ quadratics(POINTS) + rim.cones(cells, POINTS))
-        return cells, dense - self.sign * self.triangles.values(self.formula, POINTS, cells)
+        near = pressing | ~self._known.exact
+        sampled = np.flatnonzero(~self._known.exact & ~pressing)
+        gap = self._gap(u, lattice(SPARSE), sampled)
+        least = gap.min(axis=1, initial=np.inf)
+        near[sampled] = (least <= NEAR * np.ptp(gap, axis=1)) | (least - rim.dip[sampled] <= 0)
+        for degree, cells in self._known.degrees():
+            degree = max(degree, 2)
+            gap = self._gap(u, inner_points(3, degree), cells)
+            room = round_off(np.abs(u[cells]).max(axis=1, initial=0.0)[:, None] + np.abs(gap), 3, degree)
+            near[cells] |= coefficients(gap, 3, degree).min(axis=1) - rim.dip[cells] < -room
+        cells = np.flatnonzero(near)
+        self.sampled = total(self.triangles.data.level.comm, len(cells) + len(sampled)) > 0
+        return cells, self._gap(u, POINTS, cells) + self.sign * rim.cones(cells, POINTS)
+
+    def _gap(self, u: np.ndarray, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """How far u is from the obstacle at barycentric points, without what boundary values add."""
+        return self.sign * (u[cells] @ quadratics(where) - self.triangles.values(self.formula, where, cells))
 
 
 class Estimator2(Estimator):
@@ -115,6 +132,7 @@ class Estimator2(Estimator):
         self._held = self.equilibration2.held
         self._friedrichs, self._exact_constant = friedrichs(self.triangles, self._held)
         self._least_tension = smallest(level.comm, self._mu_min)
+        self._hypotheses = self._checked(self.equilibration2.load_known)
 
     def lend_load(self) -> None:
         """Let the problem have the load by the quadrature used here (collective)."""
@@ -152,14 +170,15 @@ class Estimator2(Estimator):
         indicator = each * contact
         for times, part in ((slope, squares), (1.0, moved), (1 + slope, self._rim_energy)):
             indicator += times * part / max(norm(part), 1e-300)
-        doubts, sampled_only = self._doubts(flux, algebraic, bound, 0.0)
+        doubts = self._doubts(flux, algebraic, bound, 0.0)
+        standing = self._hypotheses.standing(doubts, self.sides, bound)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = u
         admissible.x.array[equilibration.nodes] += lift
         return Bound(
             total=bound, admissible_total=B, relative=bound / height if height > 0 else None,
             discretisation=norm(of_u), penalty=norm(self._energy2(self._penetration(u))), algebraic=algebraic,
-            data=hypot(norm(oscillation**2), eta_g), guaranteed=not doubts, words=in_words(doubts, sampled_only),
+            data=hypot(norm(oscillation**2), eta_g), guaranteed=standing.guaranteed, words=standing.words,
             indicator=indicator, admissible=admissible,
         )  # fmt: skip
 
@@ -223,7 +242,7 @@ class Estimator2(Estimator):
         triangles, mu = self.triangles, self.equilibration2.mu
         squares = np.einsum("kc,kij,ci,cj->c", self._metric / mu, GRAMS, moments, moments, optimize=True)
         gradient = self.equilibration2.gradients(u)
-        for cells, points, weights, tension in self._varying:
+        for cells, points, weights, tension, divisor in self._varying:
             x = triangles.x[cells]
             J = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=2)
             fields = np.einsum("ipx,ci->cpx", reference_fields(points), flux.moments[cells])
@@ -231,7 +250,7 @@ class Estimator2(Estimator):
             slopes = np.einsum("xck,pk->cpx", gradient[:, cells], points)
             difference = tension[..., None] * slopes - sigma
             squares[cells] = triangles.area[cells] * (
-                np.einsum("cpx,cpx->cp", difference, difference) / tension @ weights
+                np.einsum("cpx,cpx->cp", difference, difference) / divisor @ weights
             )
         return squares
 

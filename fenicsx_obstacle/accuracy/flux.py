@@ -20,8 +20,9 @@ import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.exactness import in_cells, number
 from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.accuracy.quadrature import DEGREE, rule
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous
 from fenicsx_obstacle.discrete.samples import array_of
 from fenicsx_obstacle.effects.effect import Effect, residual
@@ -66,6 +67,7 @@ class Equilibration:
         oscillation: ||f - f_0||_T, shape (cells,).
         mass: int phi_i at owned vertices.
         free: Whether u is not given at an owned vertex.
+        load_known: What is known of the load in the cells.
         missing: Force at owned vertices that the load's formula gives more than what the solver makes of it.
     """
 
@@ -137,18 +139,24 @@ class Equilibration:
         area = triangles.area
         self.moments, self.oscillation = np.zeros((len(area), 3)), np.zeros(len(area))
         self._solver_load = np.zeros(len(area))
+        self.load_known = number(len(area))
         for value in loads:
             self._solver_load = self._per_cell(array_of(triangles.data.cellwise(value)))
             if triangles.data.uniform(value):
                 self.moments = np.repeat((self._solver_load * area / 3)[:, None], 3, axis=1)
                 continue
+            known = self.load_known = in_cells(triangles, value)
             points, weights = rule(2)
             values = triangles.values(value, points)
             self._integrate(values, points, weights, slice(None))
             sizes = np.abs(values).max(axis=1, initial=0.0)
-            sharp = np.flatnonzero(np.ptp(values, axis=1) > SHARP * largest(self.level.comm, sizes))
+            wide = np.ptp(values, axis=1) > SHARP * largest(self.level.comm, sizes)
+            sharp = np.flatnonzero(wide & ~known.exact)
             points, weights = halved_rule(2)
             self._integrate(triangles.values(value, points, sharp), points, weights, sharp)
+            for degree, cells in known.degrees(DEGREE // 2 + 1):
+                points, weights = rule(2, 2 * degree)
+                self._integrate(triangles.values(value, points, cells), points, weights, cells)
 
     def _integrate(
         self, values: np.ndarray, points: np.ndarray, weights: np.ndarray, cells: np.ndarray | slice

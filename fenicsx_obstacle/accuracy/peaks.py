@@ -1,9 +1,8 @@
-"""What nodes do not see: obstacles and boundary values between the nodes.
+"""Obstacles between the nodes.
 
-An obstacle is sampled inside every cell, densely in cells where u may touch it, and its highest point above the nodal
-interpolant is added at the nodes around, with something to spare for what lies between the samples. Boundary values
-are sampled along each edge, and the difference to their nodal interpolant is extended into the cell beside it as a
-cone that vanishes at the opposite vertex.
+The highest point of an obstacle above its nodal interpolant is added at the nodes around. Where the obstacle is a
+polynomial in a cell, its Bernstein coefficients bound that height; elsewhere it is sampled, densely in cells where u
+may touch it, with a margin for what lies between the samples.
 """
 
 from __future__ import annotations
@@ -11,122 +10,19 @@ from __future__ import annotations
 import numpy as np
 from dolfinx import fem
 
+from fenicsx_obstacle.accuracy.exactness import in_cells, number
 from fenicsx_obstacle.accuracy.fans import Fans
 from fenicsx_obstacle.accuracy.quadrature import blocks, rule
+from fenicsx_obstacle.accuracy.rim import Rim
 from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells
 from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.scenes.polynomials import MAX_DEGREE, coefficients, inner_points, round_off
 
 SPARE = 1.5  # times the height that a few points of a cell have found,
 SPARE_DENSE = 1.1  # and that of a dense lattice
 NEAR = 4.0  # times that height: how near u may come before a cell is sampled densely
 DENSE = 8  # parts of an edge
-SEGMENTS = 16  # of an edge where u is given
 ROUND_OFF = 1e-14  # of the heights
-
-
-class Rim:
-    """Boundary values along the edges where u is given (d = g - g_h, zero at the nodes).
-
-    Attributes:
-        twice: Whether a cell has two such edges.
-        torn: Largest jump of the boundary values at a node, where two parts of the boundary disagree.
-        cells: Cells with an edge where d is not zero, once for each edge.
-        opposite: Vertex opposite to that edge.
-        dip: Largest |d|, shape (all owned cells,).
-        volume: Integral of the cones over each cell.
-    """
-
-    def __init__(self, triangles: Triangles, middles: np.ndarray | None = None):
-        """Sample the boundary values (collective).
-
-        Args:
-            triangles: The cells.
-            middles: Of P2 the nodal values at the middle of the edge opposite to each vertex, shape (cells, 3).
-        """
-        self.triangles, data, self._middles = triangles, triangles.data, middles
-        scene, cells = data.scene, len(triangles.area)
-        values = data.fixed[1].x.array
-        part = np.full(max(triangles.facets.max(initial=-1) + 1, 1), -1)
-        for number, facets in enumerate(data.held):
-            part[facets[facets < len(part)]] = number  # of two parts the later one counts
-        self._formulas = [
-            scene.formula(0.0 if table.value is None else table.value, f"[[boundary]] (no. {number + 1}) value")
-            for number, table in enumerate(scene.tables.boundary)
-        ]
-        steps = np.linspace(0.0, 1.0, SEGMENTS + 1)
-        found: list[tuple[np.ndarray, ...]] = []
-        comm = data.level.comm
-        heights = largest(comm, np.abs(values[data.fixed[0]]))
-        self.torn = 0.0
-        for number, formula in enumerate(self._formulas):
-            beside, opposite = np.nonzero(part[triangles.facets] == number)
-            d = triangles.values(formula, _on_edge(opposite, steps), beside)
-            ends = values[triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
-            d = d - self._interpolated(beside, opposite, ends, steps[None])
-            self.torn = max(self.torn, largest(comm, np.abs(d[:, [0, -1]])))
-            d[:, [0, -1]] = 0.0
-            curved = np.abs(d).max(axis=1, initial=0.0) > ROUND_OFF * heights
-            found.append((beside[curved], opposite[curved], np.full(np.count_nonzero(curved), number), d[curved]))
-        self.torn = 0.0 if self.torn <= 1e-9 * heights else self.torn
-        empty = (np.empty(0, int), np.empty(0, int), np.empty(0, int), np.empty((0, SEGMENTS + 1)))
-        self.cells, self.opposite, self._number, self._d = (
-            np.concatenate(parts) for parts in zip(empty, *found, strict=True)
-        )
-        # one cone keeps to the segments between its ends, two in a corner may together leave them
-        self.twice = total(comm, np.count_nonzero(np.bincount(self.cells) > 1)) > 0
-        self.dip, self.volume = np.zeros(cells), np.zeros(cells)
-        np.maximum.at(self.dip, self.cells, np.abs(self._d).max(axis=1, initial=0.0))
-        # (H/3) int d: the cone is (1 - t/H) d
-        means = (self._d[:, :-1] + self._d[:, 1:]).mean(axis=1) / 2
-        np.add.at(self.volume, self.cells, 2 * triangles.area[self.cells] / 3 * means)
-
-    def _interpolated(self, cells: np.ndarray, opposite: np.ndarray, ends: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """The nodal interpolant along the edges opposite to vertices."""
-        linear = (1 - steps) * ends[:, :1] + steps * ends[:, 1:]
-        if self._middles is None:
-            return linear
-        return linear + 4 * steps * (1 - steps) * (self._middles[cells, opposite] - ends.mean(axis=1))[:, None]
-
-    def energy(self, mu: np.ndarray) -> np.ndarray:
-        """||mu^(1/2) grad||^2 of the cones in each cell, mu being the largest tension there."""
-        x, area = self.triangles.x[self.cells], self.triangles.area[self.cells]
-        row = np.arange(len(area))
-        a, b, c = (x[row, (self.opposite + k) % 3] for k in range(3))
-        length = np.linalg.norm(c - b, axis=1)
-        height = 2 * area / length
-        foot = np.einsum("ix,ix->i", a - b, c - b) / length
-        step = (length / SEGMENTS)[:, None]
-        slope = np.diff(self._d, axis=1) / step
-        # d - (s - s_0) d' is constant on each segment, where d is taken to be linear
-        across = (self._d[:, :-1] - slope * (step * np.arange(SEGMENTS) - foot[:, None])) / height[:, None]
-        edges = np.bincount(self.cells, minlength=len(mu))
-        energy = (1 + 1 / SEGMENTS) ** 2 * mu[self.cells] * height / 2 * ((slope**2 + across**2) * step).sum(axis=1)
-        return edges * np.bincount(self.cells, weights=energy, minlength=len(mu))
-
-    def cones(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
-        """Their sum in given cells at barycentric coordinates, shape (points, 3) (collective)."""
-        found = np.zeros((len(cells), len(where)))
-        row = np.full(len(self.triangles.area), -1)
-        row[cells] = np.arange(len(cells))
-        values = self.triangles.data.fixed[1].x.array
-        for number, formula in enumerate(self._formulas):
-            chosen = np.flatnonzero((self._number == number) & (row[self.cells] >= 0))
-            beside, opposite = self.cells[chosen], self.opposite[chosen]
-            share = where[:, (opposite[:, None] + [1, 2]) % 3].transpose(1, 0, 2)
-            width = share.sum(axis=2)
-            step = np.divide(share[..., 1], width, out=np.zeros_like(width), where=width > 0)
-            ends = values[self.triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
-            g = self.triangles.values(formula, _on_edge(opposite, step), beside)
-            np.add.at(found, row[beside], width * (g - self._interpolated(beside, opposite, ends, step)))
-        return found
-
-
-def _on_edge(opposite: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates, shape (edges, points, 3), of points on the edges opposite to vertices."""
-    where = np.zeros((len(opposite), steps.shape[-1], 3))
-    row = np.arange(len(opposite))
-    where[row, :, (opposite + 1) % 3], where[row, :, (opposite + 2) % 3] = 1 - steps, steps
-    return where
 
 
 class Peaks:
@@ -139,6 +35,9 @@ class Peaks:
         cover_volume: Its integral.
         surprise: By how much dense samples found it higher than all the others let expect: it may have peaks narrower
             than either.
+        sampled: Whether the bound rests on samples of it, on any rank: it is no polynomial in some cell, or it is above
+            the state beside the boundary.
+        unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
     def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, side: str):
@@ -153,12 +52,21 @@ class Peaks:
         self._flat = triangles.data.uniform(self._formula)
         points, weights = rule(2)
         self.mean, self._height = np.zeros(cells), np.zeros(cells)
+        self._known = number(cells) if self._flat else in_cells(triangles, self._formula)
+        self.unbounded = ~np.isfinite(self._known.upper if self.sign > 0 else self._known.lower)
+        self.sampled = total(comm, np.count_nonzero(~self._known.exact)) > 0
         if not self._flat:
-            for block in blocks(cells):
-                above = self._above(points, np.arange(block.start, block.stop))
-                self.mean[block] = above @ weights  # of the obstacle above its nodal interpolant
-                self._height[block] = SPARE * self._clean(above.max(axis=1, initial=0.0))
-        self._is_dense = np.zeros(cells, dtype=bool)
+            sampled = np.flatnonzero(~self._known.exact)
+            for block in blocks(len(sampled)):
+                above = self._above(points, sampled[block])
+                self.mean[sampled[block]] = above @ weights  # of the obstacle above its nodal interpolant
+                self._height[sampled[block]] = SPARE * self._clean(above.max(axis=1, initial=0.0))
+            for degree, exact in self._known.degrees():
+                coefficient, room = self._coefficients(max(degree, 1), exact)
+                self.mean[exact] = coefficient.mean(axis=1)
+                highest = coefficient.max(axis=1)
+                self._height[exact] = np.where(highest <= room, 0.0, highest + room)
+        self._is_dense = self._known.exact.copy()
         self.surprise = 0.0
         self.cover_energy, self.cover_volume = np.zeros(cells), np.zeros(cells)
 
@@ -196,7 +104,8 @@ class Peaks:
 
         It is taken to be linear on a lattice, so that cells fit together.
         """
-        triangles, where, cells = self.triangles, lattice(DENSE), np.flatnonzero(beside)
+        triangles, where, cells = self.triangles, lattice(DENSE), self._uncovered(state, np.flatnonzero(beside))
+        self.sampled |= total(triangles.data.level.comm, len(cells)) > 0
         gap = (state - self.nodal)[triangles.dofs[cells]] @ where.T + self.sign * self.rim.cones(cells, where)
         cover = self._clean(np.maximum(self._above(where, cells) - gap, 0.0))
         parts = np.array(lattice_cells(DENSE))
@@ -207,6 +116,26 @@ class Peaks:
         normal = DENSE * triangles.normal[:, cells] / (2 * triangles.area[cells])[:, None]
         gradient = np.einsum("cpi,xci->xcp", cover[:, parts], normal)
         self.cover_energy[cells] = (1 + 1 / DENSE) ** 2 * np.einsum("xcp,xcp->c", gradient, gradient) * share
+
+    def _uncovered(self, state: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Those of some cells where the obstacle may be above the state."""
+        clear = np.zeros(len(cells), dtype=bool)
+        for degree in np.unique(self._known.degree[cells]):
+            if degree <= MAX_DEGREE:
+                own = np.flatnonzero(self._known.degree[cells] == degree)
+                coefficient, room = self._coefficients(max(int(degree), 1), cells[own], state)
+                clear[own] = coefficient.max(axis=1) + self.rim.dip[cells[own]] <= room
+        return cells[~clear]
+
+    def _coefficients(
+        self, degree: int, cells: np.ndarray, state: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bernstein coefficients of the obstacle above a nodal function, by default its own; their round-off."""
+        points = inner_points(3, degree)
+        inside = self.sign * self.triangles.values(self._formula, points, cells)
+        linear = (self.nodal if state is None else state)[self.triangles.dofs[cells]] @ points.T
+        room = round_off(np.maximum(np.abs(inside), np.abs(linear)), 3, degree)
+        return coefficients(inside - linear, 3, degree), room + ROUND_OFF * self._heights
 
     def _at_nodes(self, heights: np.ndarray) -> np.ndarray:
         """The largest value in the cells around each local dof (collective)."""

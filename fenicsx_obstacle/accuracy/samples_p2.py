@@ -6,8 +6,9 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.exactness import in_cells, number
 from fenicsx_obstacle.accuracy.flux import SHARP
-from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.accuracy.quadrature import DEGREE, rule
 from fenicsx_obstacle.accuracy.rt1 import MASS, against_nodes, quadratics
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
 from fenicsx_obstacle.discrete.data import Data
@@ -25,6 +26,7 @@ class Samples2:
         mu: Mean tension of each cell, as the solver has it.
         load: int f psi_j psi_k, shape (cells, 3, 3).
         oscillation: ||f - Pi_1 f||_T.
+        load_known: What is known of the load in the cells.
         missing: Force at owned nodes that the load's formula gives more than what the solver makes of it.
     """
 
@@ -74,6 +76,7 @@ class Samples2:
         self.load, self.oscillation = np.zeros((len(area), 3, 3)), np.zeros(len(area))
         missing = np.zeros((len(area), 3, 3))
         points, weights = rule(2)
+        self.load_known = number(len(area))
         for value in (effect.value for effect in self.data.scene.effects if effect.key == "load"):
             solver = self._in_cells(value, points)
             of_solver = self._products(solver, points, weights, slice(None))
@@ -81,13 +84,20 @@ class Samples2:
                 self.load += of_solver
                 continue
             values = triangles.values(value, points)
+            known = self.load_known = in_cells(triangles, value)
             exact, waves = self._products(values, points, weights, slice(None)), self._wave(values, points, weights)
             sizes = np.abs(values).max(axis=1, initial=0.0)
-            sharp = np.flatnonzero(np.ptp(values, axis=1) > SHARP * largest(self.level.comm, sizes))
+            wide = np.ptp(values, axis=1) > SHARP * largest(self.level.comm, sizes)
+            sharp = np.flatnonzero(wide & ~known.exact)
             dense, shares = halved_rule(2)
             values = triangles.values(value, dense, sharp)
             exact[sharp] = self._products(values, dense, shares, sharp)
             waves[sharp] = self._wave(values, dense, shares)
+            for degree, cells in known.degrees(DEGREE // 2 + 1):
+                dense, shares = rule(2, 2 * degree)
+                values = triangles.values(value, dense, cells)
+                exact[cells] = self._products(values, dense, shares, cells)
+                waves[cells] = self._wave(values, dense, shares)
             self.load += exact
             self.oscillation += np.sqrt(area * waves)
             missing += exact - of_solver

@@ -1,4 +1,4 @@
-"""What there is a bound for, and the words for what it does not cover."""
+"""What there is a bound for."""
 
 from __future__ import annotations
 
@@ -29,10 +29,3 @@ def refuse_no_bound(problem: Problem) -> None:
         raise InputError(f"{scene.source}: the error bound is for plane problems, not for axial symmetry")
     if problem.data.thin:
         raise InputError(f"{scene.source}: the error bound is for obstacles in the domain, not on its boundary")
-
-
-def in_words(doubts: list[str], sampled_only: bool) -> str:
-    """Certified, or an indicator, and why."""
-    if not doubts:
-        return "certified"
-    return ("certified for the sampled obstacle" if sampled_only else "an indicator") + ": " + "; ".join(doubts)

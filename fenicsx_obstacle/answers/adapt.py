@@ -190,9 +190,9 @@ class _Adaptation(Refinement):
         """The first answer whose bound is below the tolerance, or the best that the budget allows (collective)."""
         why: str | None = None
         with closing(self.meshes(self._share, self.budget.unknowns)) as meshes:
-            for bench, answer in meshes:
-                torn = bench.estimator.rim.torn > 0
-                why = "the budget of unknowns" if self.full else self._finished(answer, torn)
+            for finest, answer in meshes:
+                bench = finest
+                why = "the budget of unknowns" if self.full else self._finished(answer)
                 if why is not None:
                     break
             if yardstick:
@@ -219,13 +219,11 @@ class _Adaptation(Refinement):
             raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
         return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
 
-    def _finished(self, answer: Answer, torn: bool) -> str | None:
+    def _finished(self, answer: Answer) -> str | None:
         """None to go on, "" at the tolerance, otherwise what stopped it (collective)."""
         bound, limit = _bound(answer), self._limit(answer)
         if bound.total <= limit:
             return ""
-        if torn:
-            return "boundary values jump, so that the energy is infinite"
         if isinstance(self.scene.tables.solve.eps, float) and self.given and bound.penalty > limit:
             return f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; leave eps to be chosen"
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0

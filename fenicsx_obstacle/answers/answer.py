@@ -159,8 +159,8 @@ class Answer:
             b = r["bound"]
             relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
             parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
-            times = "" if b["effectivity"] is None else f"; {b['effectivity']:.3g} times the true one"
-            most = "at most" if b["guaranteed"] else "about"
+            most = "at most" if b["words"].startswith("certified") else "about"
+            times = self._effectivity()
             lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
         lines += self._enclosure() + self._tolerance()
         if self.report:
@@ -202,6 +202,20 @@ class Answer:
         words = "" if enclosure["guaranteed"] else "; not guaranteed, the stiffness is no M-matrix"
         return [f"  without the penalty u would be at most {enclosure['width']:.3g} farther {side}, at any node{words}"]
 
+    def _effectivity(self) -> str:
+        """Bound over true error, in words; where it is below 1, why."""
+        b = self.record["bound"]
+        if b["effectivity"] is None:
+            return ""
+        times = f"; {b['effectivity']:.3g} times the true one"
+        if b["effectivity"] >= 1 or not b["words"].startswith("certified"):
+            return times
+        if b["guaranteed"]:
+            return times + ", so that [exact] is not the solution of this scene, or both are round-off"
+        what = ["the curved boundary"] if "polygon" in b["words"] else []
+        what += ["what no sample sees"] if "sampled" in b["words"] else []
+        return f"{times}, which includes {' and '.join(what)}: the bound does not"
+
     def _tolerance(self) -> list[str]:
         """Whether the tolerance was reached, in words."""
         adaptive = self.record.get("adaptive")
@@ -210,7 +224,8 @@ class Answer:
         kind = "relative" if adaptive["relative"] else "absolute"
         goal = f"{kind} tolerance {adaptive['tolerance']:g}"
         if adaptive["reached"]:
-            words = "" if self.record["bound"]["guaranteed"] else ", by an indicator only"
+            kind, _, what = self.record["bound"]["words"].partition(":")[0].partition("certified")
+            words = ", by an indicator only" if kind else f",{what}" if what else ""
             where = f"on mesh {len(adaptive['path'])}"
             return [f"  the {goal} is reached{words}, {where}; eps and meshes were chosen for it"]
         return [f"  THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]

@@ -23,8 +23,8 @@ MAX_DEPTH = 150  # nested operations
 LISTED = 40  # known names in a message
 SHOWN = 80  # characters of a formula in a message
 
-_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^", ast.Mod: "%"}
-_COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^", ast.Mod: "%"}
+COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
 _ONE_ARGUMENT = tuple(
     "sin cos tan asin acos atan sinh cosh tanh exp ln log log10 sqrt abs sign floor".split()  # noqa: SIM905
@@ -89,7 +89,7 @@ class Formula:
         """
         self.check_names(values)
         value = _walk(self, self.tree, values, alphabet)
-        return alphabet["where"](value, 1.0, 0.0) if _is_condition(self.tree) else value
+        return alphabet["where"](value, 1.0, 0.0) if is_condition(self.tree) else value
 
     def on_arrays(self, values: Mapping[str, Any]) -> np.ndarray:
         """Value as a float array; not-a-numbers are left for the caller to report."""
@@ -156,11 +156,11 @@ def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str,
             raise InputError(formula.pointing(node, "a number with too many digits"))
         case ast.Constant(value=int() | float()) | ast.Name():
             children = []
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in BINARY:
             children = [left, right]
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() | ast.Not(), operand=operand):
             children = [operand]
-        case ast.Compare(left=left, ops=ops, comparators=rest) if all(type(op) in _COMPARE for op in ops):
+        case ast.Compare(left=left, ops=ops, comparators=rest) if all(type(op) in COMPARE for op in ops):
             children = [left, *rest]
         case ast.BoolOp(values=parts):
             children = parts
@@ -189,22 +189,22 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
     def condition(child: ast.expr) -> Any:
         """Truth value: comparisons as they are, numbers by being different from zero."""
         value = _walk(formula, child, values, do)
-        return value if _is_condition(child) else do["!="](value, 0.0)
+        return value if is_condition(child) else do["!="](value, 0.0)
 
     def number(child: ast.expr) -> Any:
         """Numeric value: a comparison counts 1 or 0."""
         value = _walk(formula, child, values, do)
-        return do["where"](value, 1.0, 0.0) if _is_condition(child) else value
+        return do["where"](value, 1.0, 0.0) if is_condition(child) else value
 
     match node:
         case ast.Constant(value=int() | float() as value):
             return float(value)
         case ast.Name(id=name):
             return values[name]
-        case ast.BinOp(op=op) if _BINARY[type(op)] not in do:
-            raise InputError(formula.pointing(node, f"{_BINARY[type(op)]} cannot be differentiated, so not in [exact]"))
+        case ast.BinOp(op=op) if BINARY[type(op)] not in do:
+            raise InputError(formula.pointing(node, f"{BINARY[type(op)]} cannot be differentiated, so not in [exact]"))
         case ast.BinOp(left=left, op=op, right=right):
-            return do[_BINARY[type(op)]](number(left), number(right))
+            return do[BINARY[type(op)]](number(left), number(right))
         case ast.UnaryOp(op=ast.Not(), operand=operand):
             return do["not"](condition(operand))
         case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -213,7 +213,7 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
             return number(operand)
         case ast.Compare(left=left, ops=ops, comparators=rest):
             sides = [number(side) for side in (left, *rest)]
-            parts = [do[_COMPARE[type(op)]](a, b) for op, a, b in zip(ops, sides[:-1], sides[1:], strict=True)]
+            parts = [do[COMPARE[type(op)]](a, b) for op, a, b in zip(ops, sides[:-1], sides[1:], strict=True)]
             return _fold(do["and"], parts)
         case ast.BoolOp(op=op, values=operands):
             return _fold(do["and" if isinstance(op, ast.And) else "or"], [condition(child) for child in operands])
@@ -227,7 +227,7 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
     raise AssertionError(ast.dump(node))  # _check let nothing else pass
 
 
-def _is_condition(node: ast.expr) -> bool:
+def is_condition(node: ast.expr) -> bool:
     return isinstance(node, ast.Compare | ast.BoolOp) or (
         isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
     )

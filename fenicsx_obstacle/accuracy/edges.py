@@ -1,0 +1,216 @@
+"""The boundary: where a boundary value jumps, and where a part of the boundary ends inside a facet.
+
+No function of finite energy jumps along the boundary. A formula is divided along each edge where a condition in it is
+undecided, until the place is known to round-off; there, and at the ends of each edge, values on both sides are
+compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenicsx_obstacle.accuracy.triangles import Triangles
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.enclosures import Cells
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.parts import part_place
+
+FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
+WIDER = 64  # and so many times farther from it
+KEEPS = 0.9  # of the difference is left between the two if it is a jump; if it is steep, less
+CONTINUOUS = 1e-10  # of the boundary values: a smaller difference is none
+SLIVER = 1e-8  # of the extent of the mesh: a part so short of an edge does not count
+MAX_PIECES = 20_000
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edges of owned cells from one vertex to another.
+
+    Attributes:
+        start: Shape (edges, 2).
+        end: Likewise.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+
+    def at(self, edges: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Points, shape (n, 2): t = 0 at the start, 1 at the end."""
+        t = np.clip(t, 0.0, 1.0)[:, None]
+        return (1 - t) * self.start[edges] + t * self.end[edges]
+
+    def pieces(self, edges: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Corners of parts of edges, shape (n, 2, 2)."""
+        return np.stack([self.at(edges, low), self.at(edges, high)], axis=1)
+
+    @property
+    def corners(self) -> np.ndarray:
+        return np.stack([self.start, self.end], axis=1)
+
+
+def edges_of(triangles: Triangles, cells: np.ndarray, opposite: np.ndarray) -> Edges:
+    """The edges opposite to vertices of cells."""
+    return Edges(*(triangles.x[cells, (opposite + k) % 3] for k in (1, 2)))
+
+
+class Jumps:
+    """The largest jump of boundary values that has been found on this rank."""
+
+    def __init__(self, data: Data, scale: float):
+        """Nothing so far.
+
+        Args:
+            data: Of the scene.
+            scale: Largest boundary value.
+        """
+        self.data, self.scale = data, scale
+        self.worst: tuple[float, tuple[float, float], np.ndarray, Formula] | None = None
+
+    def look(self, formula: Formula, edges: Edges, ends: np.ndarray) -> None:
+        """Compare values on both sides wherever conditions change, and at the ends with the nodal values.
+
+        Args:
+            formula: Of the boundary value.
+            edges: Where it holds.
+            ends: Nodal values at start and end, shape (edges, 2).
+        """
+        count = len(edges.start)
+        every = np.arange(count)
+        if self.data.uniform(formula):
+            value = self._values(formula, edges, every, np.zeros(count))
+            for k in range(2):
+                self._judge(formula, (value, ends[:, k]), (value, ends[:, k]), edges.at(every, np.full(count, k)))
+            return
+        near = self._finest(edges)
+        for k, direction in ((0, 1.0), (1, -1.0)):
+            inside = [self._values(formula, edges, every, k + direction * s * near) for s in (1, WIDER)]
+            places = edges.at(every, np.full(count, k))
+            self._judge(formula, (inside[0], ends[:, k]), (inside[1], ends[:, k]), places)
+        which, low, high = self._changes(formula, edges, near)
+        room = np.maximum(high - low, near[which])
+        close, far = (
+            (self._values(formula, edges, which, low - r), self._values(formula, edges, which, high + r))
+            for r in (room, WIDER * room)
+        )
+        self._judge(formula, close, far, edges.at(which, (low + high) / 2))
+
+    def reject(self) -> None:
+        """Raise where there is a jump (collective).
+
+        Raises:
+            InputError: Naming the place and the two values.
+        """
+        found = [one for one in self.data.level.comm.allgather(self.worst) if one is not None]
+        if not found:
+            return
+        _, (one, other), place, formula = max(found, key=lambda candidate: candidate[0])
+        raise InputError(
+            f"{formula.place} = {formula.text}: the boundary values jump at {self.data.at(place)}, from {one:.9g} to "
+            f"{other:.9g}; no u with such values has a finite energy, so that no error bound and no tolerance is "
+            "possible: let the value change continuously"
+        )
+
+    def _changes(self, formula: Formula, edges: Edges, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where conditions change: edges, and ends of a short part of each."""
+        count = len(edges.start)
+        which, low, high = np.arange(count), np.zeros(count), np.ones(count)
+        cut = self._cut(formula, edges, which, low, high)
+        which, low, high = which[cut], low[cut], high[cut]
+        found = []
+        while 0 < len(which) <= MAX_PIECES:
+            middle = (low + high) / 2
+            halves = [self._cut(formula, edges, which, *ends) for ends in ((low, middle), (middle, high))]
+            ended = ~(halves[0] | halves[1]) | (high - low <= near[which])
+            found.append((which[ended], low[ended], high[ended]))
+            kept = [half & ~ended for half in halves]
+            which = np.concatenate([which[kept[0]], which[kept[1]]])
+            low, high = (
+                np.concatenate([low[kept[0]], middle[kept[1]]]),
+                np.concatenate([middle[kept[0]], high[kept[1]]]),
+            )
+        found.append((which[:0], low[:0], high[:0]))
+        return (
+            np.concatenate([f[0] for f in found]),
+            np.concatenate([f[1] for f in found]),
+            np.concatenate([f[2] for f in found]),
+        )
+
+    def _cut(self, formula: Formula, edges: Edges, which: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Whether a condition is undecided in part of an edge, or a value may be infinite there."""
+        distance = self.data.boundary_distance if "distance" in self.data.scene.needs(formula) else None
+        bounds = Cells(self.data.scene, edges.pieces(which, low, high), distance).once(formula)
+        return ~(bounds.whole & bounds.finite)
+
+    def _finest(self, edges: Edges) -> np.ndarray:
+        """How near to a jump values are compared, in parts of each edge."""
+        size = np.abs(edges.corners).max(axis=(1, 2), initial=0.0)
+        return np.clip(FINEST * size / np.linalg.norm(edges.end - edges.start, axis=1), FINEST, 1e-3)
+
+    def _values(self, formula: Formula, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
+        x = np.zeros((3, len(which)))
+        x[:2] = edges.at(which, t).T
+        scene = self.data.scene
+        known = {"distance": self.data.boundary_distance(x.T)} if "distance" in scene.needs(formula) else {}
+        return scene.at_points(formula, x, known)
+
+    def _judge(
+        self,
+        formula: Formula,
+        close: tuple[np.ndarray, np.ndarray],
+        far: tuple[np.ndarray, np.ndarray],
+        places: np.ndarray,
+    ) -> None:
+        """Keep the largest difference that does not vanish as the distance does."""
+        small, large = (np.abs(pair[0] - pair[1]) for pair in (close, far))
+        varies = np.abs(close[0] - far[0]) + np.abs(close[1] - far[1])  # on either side
+        jumps = (small > CONTINUOUS * self.scale) & (small >= KEEPS * large) & (small >= varies)
+        jumps |= ~np.isfinite(small)
+        if not jumps.any():
+            return
+        first = int(np.argmax(np.where(jumps, np.where(np.isfinite(small), small, np.inf), -1.0)))
+        if self.worst is None or small[first] > self.worst[0]:
+            pair = float(close[0][first]), float(close[1][first])
+            self.worst = (float(small[first]), pair, np.append(places[first], 0.0), formula)
+
+
+def cut_parts(triangles: Triangles) -> list[str]:
+    """The parts with a value whose `where` ends inside an edge, or holds on other edges than those held (collective).
+
+    On meshes that are not the domain itself an edge whose ends are both held is not looked at: the boundary lies beside
+    it.
+
+    Returns:
+        One sentence for each.
+    """
+    data, level, found = triangles.data, triangles.data.level, []
+    extent = data.extent
+    outer = np.zeros(max(triangles.facets.max(initial=-1) + 1, 1), dtype=bool)
+    facets = level.boundary_facets
+    outer[facets[facets < len(outer)]] = True
+    cells, opposite = np.nonzero(outer[triangles.facets])
+    edges = edges_of(triangles, cells, opposite)
+    every = np.arange(len(cells))
+    short = SLIVER * extent / np.linalg.norm(edges.end - edges.start, axis=1)
+    inside = edges.pieces(every, np.minimum(short, 0.25), np.maximum(1 - short, 0.75))
+    for number, part in enumerate(data.scene.tables.boundary):
+        if part.where is None or part.value is None:
+            continue
+        formula = data.scene.formula(part.where, f"{part_place(number)} where")
+        held = np.isin(triangles.facets[cells, opposite], data.held[number])
+        truth = Cells(data.scene, inside).truth(formula)
+        holds, fails = (np.broadcast_to(may, len(cells)) for may in (truth.may_hold, truth.may_fail))
+        wrong = np.where(held, fails, holds)
+        if level.polygonal is not True:
+            wrong &= ~held
+        mine = np.append(edges.at(every[wrong][:1], np.full(1, 0.5))[0], 0.0) if wrong.any() else None
+        at = next((one for one in level.comm.allgather(mine) if one is not None), None)
+        if at is not None:
+            found.append(
+                f"{part_place(number)} where = {formula.text} is not made of whole edges of the mesh, near "
+                f"{data.at(at)}, so that other meshes hold u on another part"
+            )
+    return found

@@ -1,0 +1,299 @@
+"""Interval arithmetic on arrays: bounds of each operation that a formula may use, rounded outward.
+
+An enclosure holds bounds over many cells; numbers that are the same everywhere have arrays of shape (). An infinite
+bound means that nothing finite is known. Single points (lower == upper) are not widened: they are what NumPy computes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import pi
+from typing import Any
+
+import numpy as np
+
+NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
+_ROUND_OFF = 8 * np.finfo(float).eps  # relative; mathematical libraries are right to a few units
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Enclosure:
+    """Bounds of a value over cells.
+
+    Attributes:
+        lower: Lower bound.
+        upper: Upper bound.
+        degree: As a polynomial on the cell where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
+        whole: Whether one expression without conditions gives it on the whole cell.
+        defined: Whether no root or logarithm of a negative number can occur.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    degree: np.ndarray
+    whole: np.ndarray
+    defined: np.ndarray
+
+    @property
+    def parts(self) -> tuple[np.ndarray, ...]:
+        return self.lower, self.upper, self.degree, self.whole, self.defined
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it is one number, the same everywhere."""
+        return self.lower.ndim == 0 and bool(self.lower == self.upper)
+
+    @property
+    def finite(self) -> np.ndarray:
+        """Whether finite bounds are known and the value is defined."""
+        return np.isfinite(self.lower) & np.isfinite(self.upper) & self.defined
+
+    def cut(self, where: np.ndarray) -> Enclosure:
+        """The same, not one expression on some cells."""
+        return replace(self, whole=self.whole & ~where)
+
+    def clipped(self, least: Any, most: Any) -> Enclosure:
+        """The same with bounds that are known otherwise."""
+        return replace(self, lower=np.maximum(self.lower, least), upper=np.minimum(self.upper, most))
+
+    def inheriting(self, other: Enclosure) -> Enclosure:
+        """The same, whole and defined only where another is."""
+        return replace(self, whole=self.whole & other.whole, defined=self.defined & other.defined)
+
+
+def of_bounds(lower: Any, upper: Any, degree: Any) -> Enclosure:
+    """Bounds as they are."""
+    lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+    return Enclosure(lower, upper, np.asarray(degree), np.asarray(True), np.asarray(True))
+
+
+def constant(value: float) -> Enclosure:
+    return of_bounds(value, value, 0)
+
+
+def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, defined: Any = True) -> Enclosure:
+    """Rounded outward; what is not a number bounds nothing."""
+    lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+    point = lower == upper
+    below, above = lower - _ROUND_OFF * np.abs(lower) - _TINY, upper + _ROUND_OFF * np.abs(upper) + _TINY
+    lower = np.where(np.isnan(below), -np.inf, np.where(point, lower, below))
+    upper = np.where(np.isnan(above), np.inf, np.where(point, upper, above))
+    whole = np.logical_and.reduce(np.broadcast_arrays(*(p.whole for p in parents)))
+    known = np.logical_and.reduce(np.broadcast_arrays(*(p.defined for p in parents), np.asarray(defined)))
+    return Enclosure(lower, upper, np.asarray(degree), whole, known)
+
+
+def _degree(*parents: Enclosure) -> np.ndarray:
+    """Of a function that is no polynomial: of numbers it is a number."""
+    numbers = np.logical_and.reduce(np.broadcast_arrays(*(p.degree == 0 for p in parents)))
+    return np.where(numbers, 0, NO_POLYNOMIAL)
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """0 times an infinite bound is 0."""
+    return np.where((a == 0) | (b == 0), 0.0, a * b)
+
+
+def negative(a: Enclosure) -> Enclosure:
+    return replace(a, lower=-a.upper, upper=-a.lower)
+
+
+def add(a: Enclosure, b: Enclosure) -> Enclosure:
+    return _made(a.lower + b.lower, a.upper + b.upper, np.maximum(a.degree, b.degree), a, b)
+
+
+def multiply(a: Enclosure, b: Enclosure) -> Enclosure:
+    ends = [_product(x, y) for x in (a.lower, a.upper) for y in (b.lower, b.upper)]
+    return _made(np.minimum.reduce(ends), np.maximum.reduce(ends), a.degree + b.degree, a, b)
+
+
+def _inverse(b: Enclosure) -> Enclosure:
+    """Infinite where the divisor may be 0."""
+    lower, upper = 1 / b.upper, 1 / b.lower
+    within = (b.lower < 0) & (b.upper > 0)
+    zero = (b.lower == 0) & (b.upper == 0)
+    lower = np.where(within | zero | (b.upper == 0), -np.inf, lower)
+    upper = np.where(within | zero | (b.lower == 0), np.inf, upper)
+    return _made(lower, upper, _degree(b), b)
+
+
+def divide(a: Enclosure, b: Enclosure) -> Enclosure:
+    found = multiply(a, _inverse(b))
+    point = (a.lower == a.upper) & (b.lower == b.upper) & (b.lower != 0)
+    lower = np.where(point, a.lower / b.lower, found.lower)  # as NumPy divides
+    return replace(found, lower=lower, upper=np.where(point, lower, found.upper))
+
+
+def power(a: Enclosure, n: int) -> Enclosure:
+    """A whole power, n >= 0."""
+    if n == 0:
+        return of_bounds(np.ones_like(a.lower), np.ones_like(a.lower), 0).inheriting(a)
+    low, high = a.lower**n, a.upper**n
+    if n % 2 == 0:
+        low, high = np.minimum(low, high), np.maximum(low, high)
+        low = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, low)
+    return _made(low, high, a.degree * n, a)
+
+
+def raised(a: Enclosure, b: Enclosure) -> Enclosure:
+    """a^b."""
+    if not b.is_number:
+        return exp(multiply(b, log(a)))
+    exponent = float(b.lower)
+    if exponent == round(exponent) and abs(exponent) <= 1e6:
+        n = int(exponent)
+        return power(a, n) if n >= 0 else _inverse(power(a, -n))
+    defined = a.lower >= _least(a)
+    low, high = (np.maximum(end, 0.0) ** abs(exponent) for end in (a.lower, a.upper))
+    found = _made(low, high, _degree(a), a, defined=defined)
+    return found if exponent > 0 else _inverse(found)
+
+
+def _least(a: Enclosure) -> np.ndarray:
+    """What counts as 0 at the lower end of an argument that must not be negative."""
+    return -1e-12 * np.where(np.isfinite(a.upper), np.abs(a.upper), 1.0)
+
+
+def _monotone(f: Callable[[np.ndarray], np.ndarray]) -> Callable[[Enclosure], Enclosure]:
+    return lambda a: _made(f(a.lower), f(a.upper), _degree(a), a)
+
+
+def sqrt(a: Enclosure) -> Enclosure:
+    low, high = (np.sqrt(np.maximum(end, 0.0)) for end in (a.lower, a.upper))
+    return _made(low, high, _degree(a), a, defined=a.lower >= _least(a))
+
+
+def log(a: Enclosure) -> Enclosure:
+    low, high = (np.log(np.maximum(end, 0.0)) for end in (a.lower, a.upper))
+    return _made(low, high, _degree(a), a, defined=a.lower >= _least(a))
+
+
+def log10(a: Enclosure) -> Enclosure:
+    return divide(log(a), constant(float(np.log(10.0))))
+
+
+exp, sinh, tanh, atan = (_monotone(f) for f in (np.exp, np.sinh, np.tanh, np.arctan))
+
+
+def cosh(a: Enclosure) -> Enclosure:
+    low, high = np.cosh(a.lower), np.cosh(a.upper)
+    least = np.where((a.lower <= 0) & (a.upper >= 0), 1.0, np.minimum(low, high))
+    return _made(least, np.maximum(low, high), _degree(a), a)
+
+
+def cos(a: Enclosure) -> Enclosure:
+    """Its extrema are at multiples of pi."""
+    low, high = np.cos(a.lower), np.cos(a.upper)
+    margin = 1e-15 * np.maximum(np.abs(a.lower), np.abs(a.upper)) + 1e-15
+    start, end = (a.lower - margin) / pi, (a.upper + margin) / pi
+    point = a.lower == a.upper
+    large = ~(np.maximum(np.abs(start), np.abs(end)) < 1e14)
+    even = (2 * np.floor(end / 2) >= start) | large
+    odd = (2 * np.floor((end - 1) / 2) + 1 >= start) | large
+    least = np.where(odd & ~point, -1.0, np.minimum(low, high))
+    most = np.where(even & ~point, 1.0, np.maximum(low, high))
+    return _made(least, most, _degree(a), a).clipped(-1.0, 1.0)
+
+
+def sin(a: Enclosure) -> Enclosure:
+    point = a.lower == a.upper
+    found = cos(of_bounds(a.lower - pi / 2, a.upper - pi / 2, a.degree).inheriting(a))
+    pad = 4e-16 * (np.abs(a.lower) + np.abs(a.upper) + 2)  # of the shift
+    lower = np.where(point, np.sin(a.lower), np.maximum(found.lower - pad, -1.0))
+    upper = np.where(point, lower, np.minimum(found.upper + pad, 1.0))
+    return replace(found, lower=lower, upper=upper)
+
+
+def tan(a: Enclosure) -> Enclosure:
+    turns = [np.floor(end / pi + 0.5) for end in (a.lower, a.upper)]
+    margin = 1e-14 * (1 + np.maximum(np.abs(a.lower), np.abs(a.upper)))
+    away = [np.abs(end / pi + 0.5 - np.round(end / pi + 0.5)) * pi > margin for end in (a.lower, a.upper)]
+    regular = (turns[0] == turns[1]) & away[0] & away[1]
+    lower, upper = np.where(regular, np.tan(a.lower), -np.inf), np.where(regular, np.tan(a.upper), np.inf)
+    return _made(lower, upper, _degree(a), a)
+
+
+def _inside(a: Enclosure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arguments of asin and acos."""
+    defined = (a.lower >= -1 - 1e-12) & (a.upper <= 1 + 1e-12)
+    return np.clip(a.lower, -1, 1), np.clip(a.upper, -1, 1), defined
+
+
+def asin(a: Enclosure) -> Enclosure:
+    low, high, defined = _inside(a)
+    return _made(np.arcsin(low), np.arcsin(high), _degree(a), a, defined=defined)
+
+
+def acos(a: Enclosure) -> Enclosure:
+    low, high, defined = _inside(a)
+    return _made(np.arccos(high), np.arccos(low), _degree(a), a, defined=defined)
+
+
+def hypot(a: Enclosure, b: Enclosure) -> Enclosure:
+    return sqrt(add(power(a, 2), power(b, 2)))
+
+
+def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
+    """It jumps across the negative x-axis, which counts as a condition; on one side of it, the axis included, it does
+    not."""
+    corners = [(v, u) for v in (y.lower, y.upper) for u in (x.lower, x.upper)]
+    margin = 1e-12 * np.maximum(np.abs(x.lower), np.abs(y.upper - y.lower))
+    across = (x.lower < 0) & (y.lower < -margin) & (y.upper > margin)
+    below = (x.lower < 0) & (y.lower < -margin) & ~across
+    angles = []
+    for v, u in corners:
+        v = np.where(below, np.minimum(v, -0.0), v)
+        angle = np.arctan2(v, u)
+        angles.append(np.where(below & (angle == pi), -pi, angle))
+    origin = (x.lower <= 0) & (x.upper >= 0) & (y.lower <= 0) & (y.upper >= 0)
+    low, high = np.minimum.reduce(angles), np.maximum.reduce(angles)
+    low = np.where(across | origin, np.where(y.lower >= -margin, 0.0, -pi), low)
+    high = np.where(across | origin, np.where(y.upper <= margin, 0.0, pi), high)
+    return _made(low, high, _degree(y, x), y, x).cut(across)
+
+
+def absolute(a: Enclosure, up: np.ndarray, down: np.ndarray) -> Enclosure:
+    """|a|.
+
+    Args:
+        a: The argument.
+        up: Whether it may be positive.
+        down: Whether it may be negative.
+    """
+    low = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
+    high = np.maximum(np.abs(a.lower), np.abs(a.upper))
+    return Enclosure(low, high, a.degree, a.whole, a.defined).cut(up & down)
+
+
+def extreme(name: str, a: Enclosure, b: Enclosure, above: np.ndarray, below: np.ndarray) -> Enclosure:
+    """Minimum or maximum of two values.
+
+    Args:
+        name: min or max.
+        a: The first.
+        b: The second.
+        above: Whether a may be above b.
+        below: Whether a may be below b.
+    """
+    of = np.minimum if name == "min" else np.maximum
+    first, second = (below, above) if name == "min" else (above, below)  # where a, and where b, may be the result
+    picked = chosen(first | ~second, second, a, b)
+    return replace(picked, lower=of(a.lower, b.lower), upper=of(a.upper, b.upper))
+
+
+def chosen(may_hold: np.ndarray, may_fail: np.ndarray, yes: Enclosure, no: Enclosure) -> Enclosure:
+    """`yes` where a condition holds, `no` where it fails, the hull where it may do both."""
+    both = may_hold & may_fail
+    shared = [np.where(may_hold, a, b) for a, b in zip(yes.parts, no.parts, strict=True)]
+    lower = np.where(both, np.minimum(yes.lower, no.lower), shared[0])
+    upper = np.where(both, np.maximum(yes.upper, no.upper), shared[1])
+    # a condition that is undecided guards its branches against roots of negative numbers
+    return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, shared[4].astype(bool) | both)
+
+
+FUNCTIONS: dict[str, Callable[..., Enclosure]] = {
+    "sin": sin, "cos": cos, "tan": tan, "asin": asin, "acos": acos, "atan": atan, "atan2": atan2, "sinh": sinh,
+    "cosh": cosh, "tanh": tanh, "exp": exp, "ln": log, "log": log, "log10": log10, "sqrt": sqrt, "hypot": hypot,
+}  # fmt: skip

@@ -1,0 +1,260 @@
+"""A formula's tree evaluated in interval arithmetic on many cells together.
+
+Each value is a pair of arrays, its bounds over the bounding box of each cell, rounded outward. Beside the bounds each
+node carries its degree as a polynomial, whether it is one expression on the whole cell (no condition in it changes
+there), and whether it is defined.
+
+A condition that changes on the boundary of a cell alone, up to 1e-12 of the numbers that are compared, counts as
+decided. Where intervals do not decide and the numbers compared are polynomials, their Bernstein coefficients may.
+"""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fenicsx_obstacle.scenes import intervals, polynomials
+from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
+from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure
+from fenicsx_obstacle.scenes.vocabulary import CONSTANTS
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.scenes.enclosures import Cells
+
+TOUCHING = 1e-12  # of the numbers compared
+
+
+@dataclass(frozen=True)
+class Sign:
+    """What the sign of a value may be on each cell, except on a set of measure zero."""
+
+    up: np.ndarray
+    down: np.ndarray
+    zero: np.ndarray
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a condition may be on each cell, except on a set of measure zero."""
+
+    may_hold: np.ndarray
+    may_fail: np.ndarray
+
+
+class TreeWalk:
+    """One evaluation of a formula and of the definitions it uses."""
+
+    def __init__(self, cells: Cells):
+        self.cells, self.known = cells, dict[str, Enclosure]()
+
+    def name(self, name: str) -> Enclosure:
+        if name not in self.known:
+            self.known[name] = self._new(name)
+        return self.known[name]
+
+    def _new(self, name: str) -> Enclosure:
+        corners = self.cells.corners
+        if name in CONSTANTS:
+            return intervals.constant(CONSTANTS[name])
+        if name in "xyz":
+            axis = "xyz".index(name)
+            if axis >= corners.shape[2]:
+                return intervals.constant(0.0)
+            x = corners[:, :, axis]
+            low, high = x.min(axis=1), x.max(axis=1)
+            return intervals.of_bounds(low, high, np.where(low == high, 0, 1))
+        if name == "r":
+            return intervals.sqrt(self._squares())
+        if name == "theta":
+            return intervals.atan2(self.name("y"), self.name("x"))
+        if name == "distance":
+            assert self.cells.distance is not None
+            middle = np.zeros((len(corners), 3))
+            middle[:, : corners.shape[2]] = corners.mean(axis=1)
+            reach = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+            far = self.cells.distance(middle)
+            found = intervals.of_bounds(np.maximum(far - reach, 0.0), far + reach, NO_POLYNOMIAL)
+            return found.cut(np.ones(len(corners), dtype=bool))
+        defined = self.cells.vocabulary.define[name]
+        return self.number(defined, defined.tree)
+
+    def _squares(self) -> Enclosure:
+        return intervals.add(
+            intervals.add(intervals.power(self.name("x"), 2), intervals.power(self.name("y"), 2)),
+            intervals.power(self.name("z"), 2),
+        )
+
+    def number(self, formula: Formula, node: ast.expr) -> Enclosure:
+        """Bounds of a node; a condition counts 1 or 0."""
+        if is_condition(node):
+            truth = self.condition(formula, node)
+            return _chosen(truth, intervals.constant(1.0), intervals.constant(0.0))
+        match node:
+            case ast.Constant(value=int() | float() as value):
+                return intervals.constant(float(value))
+            case ast.Name(id=name):
+                return self.name(name)
+            case ast.BinOp(left=ast.Name(id="r"), op=ast.Pow(), right=right) if n := self._even(formula, right):
+                return intervals.power(self._squares(), n // 2)
+            case ast.BinOp(left=left, op=op, right=right):
+                return self._operation(formula, node, BINARY[type(op)], left, right)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return intervals.negative(self.number(formula, operand))
+            case ast.UnaryOp(operand=operand):
+                return self.number(formula, operand)
+            case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
+                branches = self.number(formula, yes), self.number(formula, no)
+                return _chosen(self.condition(formula, test), *branches)
+            case ast.Call(func=ast.Name(id=name), args=args):
+                return self._call(formula, name, args)
+        raise AssertionError(ast.dump(node))
+
+    def _even(self, formula: Formula, node: ast.expr) -> int:
+        """An exponent that is an even whole number >= 2, or 0 if it is none."""
+        exponent = self.number(formula, node)
+        n = float(exponent.lower.flat[0]) if exponent.is_number else 0.0
+        return int(n) if n in range(2, 2 * polynomials.MAX_DEGREE + 1, 2) else 0
+
+    def _operation(self, formula: Formula, node: ast.BinOp, sign: str, left: ast.expr, right: ast.expr) -> Enclosure:
+        a, b = self.number(formula, left), self.number(formula, right)
+        match sign:
+            case "+":
+                return intervals.add(a, b)
+            case "-":
+                return intervals.add(a, intervals.negative(b))
+            case "*":
+                return intervals.power(a, 2) if ast.dump(left) == ast.dump(right) else intervals.multiply(a, b)
+            case "/":
+                return intervals.divide(a, b)
+            case "^":
+                return intervals.raised(a, b)
+        turns = self._floor(intervals.divide(a, b))
+        remainder = intervals.add(a, intervals.negative(intervals.multiply(b, turns)))
+        least, most = np.minimum(b.lower, 0.0), np.maximum(b.upper, 0.0)
+        return remainder.clipped(least, most)
+
+    def _call(self, formula: Formula, name: str, args: list[ast.expr]) -> Enclosure:
+        parts = [self.number(formula, arg) for arg in args]
+        a = parts[0]
+        match name:
+            case "abs":
+                sign = self._sign(formula, args[0], a)
+                return intervals.absolute(a, sign.up, sign.down)
+            case "sign":
+                sign = self._sign(formula, args[0], a)
+                found = _chosen(Truth(sign.up, sign.down), intervals.constant(1.0), intervals.constant(-1.0))
+                found = _chosen(Truth(sign.zero, sign.up | sign.down), intervals.constant(0.0), found)
+                return found.inheriting(a)
+            case "floor":
+                return self._floor(a)
+            case "min" | "max":
+                found, node = a, args[0]
+                for other, arg in zip(parts[1:], args[1:], strict=True):
+                    difference = ast.BinOp(left=node, op=ast.Sub(), right=arg)
+                    gap = intervals.add(found, intervals.negative(other))
+                    sign = self._sign(formula, difference, gap, [found, other])
+                    found = intervals.extreme(name, found, other, sign.up, sign.down)
+                    node = ast.Call(func=ast.Name(id=name), args=[node, arg], keywords=[])
+                return found
+        return intervals.FUNCTIONS[name](*parts)
+
+    def _floor(self, a: Enclosure) -> Enclosure:
+        """Decided where it is one number inside the cell."""
+        margin = TOUCHING * np.maximum(np.abs(a.lower), np.abs(a.upper))
+        varies = a.upper - a.lower > 4 * margin
+        low = np.floor(np.where(varies & a.whole, a.lower + margin, a.lower))
+        high = np.where(varies & a.whole, np.ceil(a.upper - margin) - 1, np.floor(a.upper))
+        one = (high <= low) & a.whole
+        found = intervals.of_bounds(np.floor(a.lower), np.floor(a.upper), NO_POLYNOMIAL).cut(~one)
+        number = intervals.of_bounds(low, low, 0)
+        return _chosen(Truth(one, ~one), number, found).inheriting(a)
+
+    def condition(self, formula: Formula, node: ast.expr) -> Truth:
+        """What a node may be as a condition; numbers are true where they are not 0."""
+        match node:
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                truth = self.condition(formula, operand)
+                return Truth(truth.may_fail, truth.may_hold)
+            case ast.BoolOp(op=op, values=operands):
+                truths = [self.condition(formula, child) for child in operands]
+                holds, fails = [t.may_hold for t in truths], [t.may_fail for t in truths]
+                if isinstance(op, ast.And):
+                    return Truth(np.logical_and.reduce(holds), np.logical_or.reduce(fails))
+                return Truth(np.logical_or.reduce(holds), np.logical_and.reduce(fails))
+            case ast.Compare(left=left, ops=ops, comparators=rest):
+                sides = [left, *rest]
+                found = [self._compared(formula, COMPARE[type(op)], sides[k], sides[k + 1]) for k, op in enumerate(ops)]
+                holds, fails = [t.may_hold for t in found], [t.may_fail for t in found]
+                return Truth(np.logical_and.reduce(holds), np.logical_or.reduce(fails))
+        return self._compared(formula, "!=", node, ast.Constant(0.0))
+
+    def _compared(self, formula: Formula, sign: str, left: ast.expr, right: ast.expr) -> Truth:
+        a, b = self.number(formula, left), self.number(formula, right)
+        difference = ast.BinOp(left=left, op=ast.Sub(), right=right)
+        found = self._sign(formula, difference, intervals.add(a, intervals.negative(b)), [a, b])
+        up, down, zero = found.up, found.down, found.zero
+        match sign:
+            case ">":
+                return Truth(up, down | zero)
+            case "<=":
+                return Truth(down | zero, up)
+            case "<":
+                return Truth(down, up | zero)
+            case ">=":
+                return Truth(up | zero, down)
+            case "==":
+                return Truth(zero, up | down)
+        return Truth(up | down, zero)
+
+    def _sign(self, formula: Formula, node: ast.expr, a: Enclosure, compared: list[Enclosure] | None = None) -> Sign:
+        """Sign of a node.
+
+        Args:
+            formula: Where the node is from.
+            node: A number.
+            a: Its bounds.
+            compared: Of a difference, the bounds of the two numbers: their size tells what round-off is.
+        """
+        count = self.cells.count
+        low, high, whole, degree, scale = (
+            np.array(np.broadcast_to(part, count))
+            for part in (a.lower, a.upper, a.whole, a.degree, _size(compared or [a]))
+        )
+        up, down, zero = high > 0, low < 0, (low <= 0) & (high >= 0)
+        open_ = np.flatnonzero(zero & (low < high) & whole)
+        if len(open_) and self._can_sample(formula, node):
+            part, corners = formula.part(node), self.cells.corners.shape[1]
+            for d in np.unique(degree[open_]):
+                cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
+                values = self.cells.values(part, int(d) if polynomial else 1, cells)
+                room = TOUCHING * scale[cells]
+                if polynomial:
+                    least, most = polynomials.bounds(values, corners, int(d))
+                    low[cells], high[cells] = np.maximum(low[cells], least), np.minimum(high[cells], most)
+                    room = np.maximum(room, 2 * polynomials.round_off(values, corners, int(d)))
+                # an expression without conditions that is not 0 at one place is 0 almost nowhere
+                nothing = np.abs(values).max(axis=1) <= room
+                above, below = high[cells] > room, low[cells] < -room
+                unclear = (nothing & (not polynomial)) | ~(nothing | above | below)
+                up[cells] = (above & ~nothing) | unclear
+                down[cells] = (below & ~nothing) | unclear
+                zero[cells] = nothing | unclear
+        return Sign(up, down, zero)
+
+    def _can_sample(self, formula: Formula, node: ast.expr) -> bool:
+        return "distance" not in self.cells.vocabulary.needs(formula.part(node)) or self.cells.distance is not None
+
+
+def _size(enclosures: list[Enclosure]) -> np.ndarray:
+    """Largest absolute value of numbers that are compared."""
+    sizes = [np.maximum(np.abs(part.lower), np.abs(part.upper)) for part in enclosures]
+    largest = np.maximum.reduce(np.broadcast_arrays(*sizes))
+    return np.where(np.isfinite(largest), largest, 0.0)
+
+
+def _chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
+    """One of two values where the condition is decided, the hull of both elsewhere."""
+    return intervals.chosen(truth.may_hold, truth.may_fail, yes, no)

@@ -1,0 +1,236 @@
+"""What the word 'certified' stands for: alone where no datum is sampled, with the sampled data or the polygon named."""
+
+import re
+from contextlib import closing
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+from mpi4py import MPI
+from test_bound import distance
+
+from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.accuracy.standing import Standing
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.discrete.points import values_at
+
+SQUARE = {"shape": "rectangle", "cells": 8}
+AROUND = {"shape": "rectangle", "x": [-1, 1], "y": [-1, 1], "cells": 8}
+DISK = {"shape": "disk", "cells": 8}
+SIDES = ({"on": "left", "value": 0}, {"on": "right", "value": 1})
+
+
+def bounded(element="P1", **data):
+    scene = Scene(**{"mesh": SQUARE, "tension": 1, **data})
+    return solve(scene.change({"solve.element": element}), bound=True)
+
+
+def one_dimensional_error(tension, answer):
+    """Energy error where u depends on x alone, 0 and 1 being given at the ends: tension u' is one number c."""
+    edges = np.linspace(0, 1, 20_001)
+    x, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    mu = tension(x)
+    c = 1 / np.sum(width / mu)
+    u = answer.at(np.column_stack([edges, np.full_like(edges, 0.47)]))
+    return np.sqrt(np.sum(width * mu * (c / mu - np.diff(u) / width) ** 2))
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("contrast", [2, 1e3, 1e6])
+@pytest.mark.parametrize("place", [0.503, 0.6251])
+def test_a_jump_of_tension_between_samples(element, contrast, place):
+    """No sample sees it, the error is far above the bound: the words name the tension; on a mesh line it is exact."""
+    where = f"where(x < {place}, {contrast}, 1)"
+    answer = bounded(element, tension=where, boundary=SIDES)
+    error = one_dimensional_error(lambda x: np.where(x < place, contrast, 1.0), answer)
+    assert answer.bound.total < error
+    assert answer.bound.words == "certified for the sampled tension" and not answer.bound.guaranteed
+    text = answer.summary()
+    assert "energy error at most" in text and "certified for the sampled tension" in text
+    aligned = bounded(element, tension=where.replace(str(place), "0.625"), boundary=SIDES)
+    error = one_dimensional_error(lambda x: np.where(x < 0.625, contrast, 1.0), aligned)
+    assert aligned.bound.guaranteed and aligned.bound.words == "certified"
+    assert error <= aligned.bound.total + 1e-9 * np.sqrt(contrast)
+
+
+@pytest.mark.parametrize(
+    "tension", ["where(r < 0.517, 1e6, 1)", "1/(1.01 + sin(150*x))", "exp(x)", "1 + max(x, y)/9 + r"]
+)
+def test_tensions_that_are_no_polynomials(tension):
+    """A curve, waves, smooth formulas: for the sampled tension."""
+    assert bounded(tension=tension, boundary=SIDES).bound.words == "certified for the sampled tension"
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"load": 1}, {"load": "x^4*y^4*100"}, {"load": "where(y < x, 5, -1)"}, {"load": "floor(4*x) % 2"},
+        {"load": "abs(x - 0.5) + abs(x - y)"}, {"load": "r^2", "mesh": AROUND},
+        {"tension": "1 + 4*x*(1 - x)*y", "load": 1},
+        {"tension": "where(y < 0.25, 1000, 0.01)", "load": 1},
+        {"load": "x^3", "tension": "1 + x", "mesh": {**SQUARE, "perturb": 0.3}},
+        {"load": 1, "mesh": {"shape": "l-shape", "x": [-1, 1], "y": [-1, 1], "cells": 8}},
+        {"load": 1, "boundary": [{"where": "x == 0 and y <= 0.5", "value": 0}]},
+    ],
+)  # fmt: skip
+def test_exact_data_are_certified(element, data):
+    """Numbers and polynomials on the cells: certified alone, and no error is above the bound.
+
+    Where nothing touches and u = 0 is given, the squared error is twice the difference of the energies.
+    """
+    answer = bounded(element, **data)
+    assert answer.bound.guaranteed and answer.bound.words == "certified"
+    mesh = {**data.get("mesh", SQUARE), "cells": 32, "perturb": 0} if "perturb" in data.get("mesh", {}) else None
+    scene = Scene(**{"tension": 1, **data, "mesh": mesh or {**data.get("mesh", SQUARE), "cells": 32}})
+    fine = solve(scene.change({"solve.element": "P2"})).record["energy"]
+    error = np.sqrt(max(2 * (answer.record["energy"] - fine), 0))
+    assert error <= answer.bound.total <= 2 * error
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize(
+    ("harmonic", "words"),
+    [
+        ("x^2 - y^2", "certified"), ("x^5 - 10*x^3*y^2 + 5*x*y^4", "certified"),
+        ("exp(3*x)*sin(3*y)", "certified for the sampled boundary value"),
+    ],
+)  # fmt: skip
+def test_boundary_values_between_nodes(element, harmonic, words):
+    """Polynomials along the edges are integrated exactly, other boundary values are sampled; both bound the error."""
+    answer = bounded(element, boundary=[{"value": harmonic}], exact=harmonic)
+    error = answer.record["errors"]["energy"]
+    assert (
+        answer.bound.words == words and error <= answer.bound.total + 1e-10 and answer.bound.total <= 5 * error + 1e-10
+    )
+
+
+@pytest.mark.parametrize(
+    ("data", "one", "two"),
+    [
+        ({"load": -10, "lower": -0.1}, True, False),
+        ({"load": "200*(x - 1/2)", "lower": "-0.3 - x*(1 - x)", "upper": "0.3 + y^2"}, True, False),
+        ({"load": "200*(x - 1/2)", "lower": "-0.3 - 0.1*sin(x)"}, False, False),
+        ({"load": 1, "lower": "-1 - x^2"}, True, True),
+        ({"load": -20, "lower": "-0.2*(1 + x^2)*y"}, False, False),  # it touches beside the boundary
+    ],
+)
+def test_obstacles(data, one, two):
+    """Polynomials are exact with P1 unless u touches beside the boundary; with P2 only where u does not touch."""
+    for element, exact in (("P1", one), ("P2", two)):
+        bound = bounded(element, **data).bound
+        assert bound.words == ("certified" if exact else "certified for the sampled obstacle"), element
+    scene = Scene(**{"mesh": SQUARE, "tension": 1, **data}).change({"solve.eps": 1e-9})
+    coarse = solve(scene, comm=MPI.COMM_SELF, bound=True)
+    with closing(Workbench(scene.change({"mesh.cells": 64}), MPI.COMM_SELF)) as fine:
+        u = fine.answer().u.x.array
+        error = distance(fine.problem, u - values_at(coarse.level, coarse.u, fine.problem.level.points.T))
+    assert error <= coarse.bound.total <= 5 * error
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        ({"load": "-0.01*max(r, 1e-12)^(-1.9)", "mesh": AROUND}, "the load may be much larger"),
+        ({"load": "1/(x - 0.503)"}, "the load may be infinite"),
+        ({"load": 1, "tension": "abs(x - 0.503)"}, "the tension may be 0"),
+        ({"load": 1, "tension": "1/(y - 0.503)^2"}, "the tension may be 0, negative, infinite"),
+        (
+            {"load": -1, "boundary": [{"where": "x == 0 and y < 0.311", "value": 0}]},
+            r"near \(0, 0.2812|near \(0, 0.3125",
+        ),
+        ({"load": -1, "boundary": [{"where": "x == 0 and y < 0.375", "value": 0}]}, "not made of whole edges"),
+        ({"load": -1, "boundary": [{"where": "x > 0.3", "value": 0}], "mesh": DISK}, "not made of whole edges"),
+        (
+            {"load": -1, "boundary": [{"where": "x == 0 or abs(y - 0.503) < 1e-3", "value": 0}]},
+            "not made of whole edges",
+        ),
+    ],
+)
+def test_indicators(element, data, reason):
+    """Poles, and parts of the boundary that end inside an edge: an indicator that says where."""
+    bound = bounded(element, **data).bound
+    assert bound.words.startswith("an indicator: ") and not bound.guaranteed
+    assert re.search(reason, bound.words), bound.words
+
+
+def test_polygons():
+    """Curved domains: for the polygon, and sampled data; a true error above the bound is explained."""
+    exact = solve(Scene(mesh=DISK, tension=1, load=4, exact="1 - r^2"), bound=True)
+    assert exact.bound.words == "certified on the polygon of the mesh" and not exact.bound.guaranteed
+    assert bounded(mesh=DISK, load="exp(x)").bound.words == "certified on the polygon of the mesh for the sampled load"
+    record = dict(exact.record)
+    record["bound"] = {**record["bound"], "effectivity": 0.579}
+    text = exact.__class__(**{**vars(exact), "record": record}).summary()
+    assert "0.579 times the true one, which includes the curved boundary: the bound does not" in text
+    both = Standing((), ("load", "obstacle", "boundary value"), True)
+    assert both.words == "certified on the polygon of the mesh for the sampled load, obstacle and boundary value"
+
+
+JUMPS = {
+    "where(x < 0.503, 0, 1)": "(0.503, ", "where(x < 0.5, 0, 1)": "(0.5, ", "sign(x - 0.3)": "(0.3, ",
+    "floor(3*y)": "", "(x + y) % 0.7": "", "where(abs(x - 0.503) < 1e-7, 1, 0)": "(0.503, ",
+    "1/(x - 0.503)": "(0.503, ", "1000 + where(x < 0.61, 0, 1)": "(0.61, ", "where(x == 0.5, 5, 0)": "(0.5, ",
+    "where(x > .2, where(y < .4, 0, where(x < .7, 1, 2)), 0)": "", "where(r < 1.1, 0, 1)": "", "2*s": "(0.61, ",
+    "theta*(x - 3)": "",
+}  # fmt: skip
+CONTINUOUS = (
+    "where(x < 0.5, x, 1 - x)", "where(x < 0.503, x, 1.006 - x)", "abs((3*x) % 1 - 0.5)", "sqrt(abs(x - 0.503))",
+    "x^0.1", "tanh(1e5*(x - 0.503))", "where(x < 0.503, x, x + 1e-12)", "max(r - 1.1, 0)", "c", "distance",
+    "abs(y)^0.3",
+)  # fmt: skip
+DEFINED = {"s": "where(x < 0.61, 0, 5)", "c": "where(x < 0.61, 0, x - 0.61)"}
+
+
+@pytest.mark.parametrize("value", JUMPS)
+def test_boundary_values_that_jump_are_rejected(value):
+    """Inside an edge, at a vertex, in definitions: with a bound or a tolerance rejected, place and values named."""
+    mesh = AROUND if "theta" in value else SQUARE
+    scene = Scene(mesh=mesh, tension=1, define=DEFINED, boundary=[{"value": value}])
+    assert solve(scene).record["converged"]
+    for options in ({"bound": True}, {"tol": 0.1}, {"bound": True, "element": "P2"}):
+        with pytest.raises(
+            InputError, match=r"\(no. 1\) value = .*: the boundary values jump at \(.*\), from"
+        ) as error:
+            solve(scene, **options)
+        assert f"jump at {JUMPS[value]}" in str(error.value)
+
+
+@pytest.mark.parametrize("value", CONTINUOUS)
+def test_continuous_boundary_values_pass(value):
+    """Kinks, roots, steep slopes and differences of round-off are no jumps."""
+    answer = bounded(define=DEFINED, boundary=[{"value": value}])
+    assert answer.bound.words.startswith("certified")
+
+
+def test_parts_that_meet():
+    """Two parts with different values at their common node: rejected; with the same, or apart: not."""
+    for other, jumps in (("0", False), ("x*(1 - x)", False), ("1", True), ("1 + x", True)):
+        scene = membrane(load=1, boundary=[{"value": 0}, {"on": "top", "value": other}])
+        if jumps:
+            with pytest.raises(InputError, match=r"jump at \([01], 1\), from 0 to"):
+                solve(scene, bound=True)
+        else:
+            assert solve(scene, bound=True).bound.guaranteed
+    assert bounded(boundary=SIDES).bound.guaranteed
+
+
+def test_tolerances_say_what_they_rest_on():
+    """The line on the tolerance: nothing more for exact data, the sampled data, or 'by an indicator only'."""
+    for data, words in (
+        ({"load": 1}, "tolerance 0.3 is reached, on mesh"),
+        ({"load": "exp(x)"}, "tolerance 0.3 is reached, for the sampled load, on mesh"),
+        ({"load": "exp(x)", "mesh": DISK}, "reached, on the polygon of the mesh for the sampled load, on mesh"),
+        ({"load": 1, "foundation": 1}, "tolerance 0.3 is reached, by an indicator only, on mesh"),
+    ):
+        assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()
+
+
+def test_words_are_the_same_on_any_number_of_ranks():
+    """All ranks say the same, and the same as one."""
+    for data in ({"load": "where(x < 0.51, 1, 2)"}, {"load": "1/(x - 0.503)"}, {"load": "exp(x)", "mesh": DISK}):
+        scene = Scene(**{"mesh": SQUARE, "tension": 1, **data})
+        together, alone = (solve(scene, comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
+        assert set(COMM.allgather(together.words)) == {together.words}
+        assert together.words.partition(" near")[0] == alone.words.partition(" near")[0]

@@ -1,0 +1,128 @@
+"""Bounds of formulas on whole cells: no value outside them, and what they decide without sampling."""
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fenicsx_obstacle import Scene
+from fenicsx_obstacle.scenes import polynomials
+from fenicsx_obstacle.scenes.enclosures import Cells
+
+SCENE = membrane(load=1).change({"mesh.cells": 1})
+NUMBERS = st.sampled_from(["0", "1", "2", "0.25", "-1.5", "1e-3", "pi"])
+LEAVES = st.one_of(NUMBERS, st.sampled_from(["x", "y", "r", "theta"]))
+
+
+def _larger(inner):
+    one = st.sampled_from(["sin", "cos", "tan", "atan", "exp", "ln", "sqrt", "abs", "sign", "floor", "tanh", "cosh"])
+    return st.one_of(
+        st.tuples(inner, st.sampled_from("+-*/%"), inner).map(lambda p: f"({p[0]} {p[1]} {p[2]})"),
+        st.tuples(one, inner).map(lambda p: f"{p[0]}({p[1]})"),
+        st.tuples(inner, st.sampled_from(["2", "3", "(-1)", "0.5", "(-0.5)"])).map(lambda p: f"({p[0]})^{p[1]}"),
+        st.tuples(st.sampled_from(["min", "max", "hypot", "atan2"]), inner, inner).map(
+            lambda p: f"{p[0]}({p[1]}, {p[2]})"
+        ),
+        st.tuples(inner, st.sampled_from(["<", "<=", "==", "!="]), inner, inner, inner).map(
+            lambda p: f"where({p[0]} {p[1]} {p[2]}, {p[3]}, {p[4]})"
+        ),
+        st.tuples(inner, inner, inner, inner).map(lambda p: f"where({p[0]} > 0 and not {p[1]} > 1, {p[2]}, {p[3]})"),
+    )
+
+
+FORMULAS = st.recursive(LEAVES, _larger, max_leaves=8)
+CORNERS = st.lists(st.floats(-2, 2).map(lambda v: round(v, 3)), min_size=6, max_size=6).map(
+    lambda values: np.array(values).reshape(3, 2)
+)
+
+
+def enclosed(text, corners, scene=SCENE):
+    return Cells(scene, np.asarray(corners, dtype=float)).enclosure(scene.formula(text, "here"))
+
+
+def area(x):
+    return abs(np.linalg.det(np.array([x[1] - x[0], x[2] - x[0]]))) / 2
+
+
+def check(text, x, seed):
+    """Values at random points are within the bounds; a polynomial is what its values at few points say."""
+    found = enclosed(text, x[None])
+    weights = np.random.default_rng(seed).dirichlet(np.ones(3), 200)
+    points = np.zeros((3, 200))
+    points[:2] = (weights @ x).T
+    values = SCENE.at_points(SCENE.formula(text, "here"), points)
+    low, high = found.lower[0], found.upper[0]
+    slack = 1e-9 * (1 + np.nanmax(np.abs(values[np.isfinite(values)]), initial=0.0))
+    inside = np.isfinite(values)
+    if found.defined[0]:
+        assert (values[inside] >= low - slack).all() and (values[inside] <= high + slack).all(), (text, low, high)
+        assert np.isfinite(low) + np.isfinite(high) < 2 or inside.all(), text
+    degree = int(found.degree[0])
+    if found.whole[0] and found.defined[0] and degree <= 6 and inside.all() and np.abs(values).max() < 1e6:
+        at = np.zeros((3, len(polynomials.inner_points(3, degree))))
+        at[:2] = (polynomials.inner_points(3, degree) @ x).T
+        samples = SCENE.at_points(SCENE.formula(text, "here"), at)
+        fitted = polynomials.evaluate(polynomials.coefficients(samples[None], 3, degree), weights, degree)[0]
+        assert np.abs(fitted - values).max() <= 1e-7 * (1 + np.abs(values).max()), (text, degree)
+
+
+@pytest.mark.serial
+@settings(max_examples=400, deadline=None, derandomize=True, database=None)
+@given(text=FORMULAS, x=CORNERS, seed=st.integers(0, 1000))
+def test_no_value_is_outside_its_bounds(text, x, seed):
+    """Any formula, any triangle: values at random points are between the bounds, polynomials have the degree found."""
+    if area(x) > 1e-3:
+        check(text, x, seed)
+
+
+SQUARE = np.array([[[0.25, 0.25], [0.5, 0.25], [0.5, 0.5]], [[0.5, 0.25], [0.75, 0.25], [0.75, 0.5]]])
+
+
+@pytest.mark.parametrize(
+    ("text", "whole", "degree"),
+    [
+        ("where(x < 0.5, 2, 1)", True, 0), ("where(x <= 1/2, x, y^2)", True, [1, 2]),
+        ("where(x < 0.503, 2, 1)", [True, False], 0), ("sqrt(x)", True, 1000),
+        ("floor(4*x)", True, 0), ("(4*x) % 1", True, 1), ("abs(x - 1/2)*y", True, 2), ("sign(x - 0.5)", True, 0),
+        ("max(x, 0.5)^2", True, [0, 2]), ("where(y <= x, 1, 2)", True, 0), ("r^2 + r^4", True, 4),
+        ("where(r^2 - x^2 - y^2 == 0, 3, 4)", True, 0), ("where(x == 0.3, 1e9, 1)", True, 0),
+        ("where(x - y - 0.25 <= 0, 1, x)", True, [0, 1]), ("where(x + y < 0.8, 1, 2)", False, 0),
+    ],
+)  # fmt: skip
+def test_what_is_decided(text, whole, degree):
+    """Conditions that change on mesh lines only are decided on each cell, others are not; degrees follow."""
+    found = enclosed(text, SQUARE)
+    whole, degree = np.broadcast_to(whole, 2), np.broadcast_to(degree, 2)
+    assert np.array_equal(found.whole, whole) and np.array_equal(found.degree[whole], degree[whole])
+
+
+def test_definitions_and_poles():
+    """Conditions in [define] count; a pole gives an infinite bound, one that a condition keeps away does not."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 1}, tension=1, define={"s": 0.3, "cut": "where(x < s, 0, 1)"})
+    assert not enclosed("2*cut", SQUARE, scene).whole[0]
+    around = np.array([[[-0.1, -0.1], [0.2, -0.1], [0.05, 0.3]]])
+    for text in ("1/r", "ln(r)", "max(r, 1e-12)^(-1.9)", "1/(x^2 + y^2)", "tan(pi/2 + x)", "x/y"):
+        found = enclosed(text, around)
+        assert not np.abs([found.lower[0], found.upper[0]]).max() < 1e20, text
+    for text in ("where(r > 0.05, 1/r, 7)", "where(x^2 + y^2 > 0.01, 1/(x^2 + y^2), 3)", "1/(1.01 + sin(150*x))",
+                 "where(r < 0.2, sqrt(0.2^2 - r^2), 0)", "ln(1.01 + r)"):  # fmt: skip
+        found = enclosed(text, around)
+        assert found.finite[0] and np.abs([found.lower[0], found.upper[0]]).max() < 1e4, text
+    assert not enclosed("sqrt(x)", around).defined[0]
+
+
+def test_bernstein_coefficients_bound_polynomials():
+    """On triangles and edges, sharp at vertices: affine functions exactly."""
+    generator = np.random.default_rng(COMM.rank)
+    for corners in (2, 3):
+        for degree in range(1, 9):
+            points = polynomials.inner_points(corners, degree)
+            values = generator.standard_normal((5, len(points)))
+            low, high = polynomials.bounds(values, corners, degree)
+            weights = generator.dirichlet(np.ones(corners), 300)
+            found = polynomials.evaluate(polynomials.coefficients(values, corners, degree), weights, degree)
+            assert (found >= low[:, None]).all() and (found <= high[:, None]).all()
+        at_vertices = polynomials.inner_points(corners, 1) @ np.arange(corners)
+        low, high = polynomials.bounds(at_vertices[None], corners, 1)
+        assert abs(low[0]) < 1e-13 and abs(high[0] - (corners - 1)) < 1e-13
