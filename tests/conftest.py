@@ -20,6 +20,7 @@ from fenicsx_obstacle import Scene
 COMM = MPI.COMM_WORLD
 HOOKS = COMM.Dup()  # the tests' own collective calls must not meet those of the hooks
 PATIENCE = 30  # seconds
+ALL_SERIAL = pytest.StashKey[bool]()
 DEMOS = Path(__file__).parent.parent / "demos"
 BENCHMARKS = DEMOS.parent / "benchmarks"
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -29,7 +30,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "serial: starts processes of its own, so it runs in the session on one rank")
+    config.addinivalue_line("markers", "serial: starts processes of its own or has no mesh, so it runs on one rank only")
+    config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
 
 
 @pytest.hookimpl(trylast=True)
@@ -43,7 +45,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if COMM.size > 1:
         kept = [item for item in items if "serial" not in item.keywords]
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        config.stash[ALL_SERIAL] = bool(items) and not kept
         items[:] = kept
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Tests that are all serial are no mistake on several ranks."""
+    if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED and session.config.stash.get(ALL_SERIAL, False):
+        session.exitstatus = pytest.ExitCode.OK
+
+
+def pytest_collection_finish() -> None:
+    """What all tests have imported stays: the garbage collection after each test need not search it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -100,7 +100,7 @@ for release in "${releases[@]}"; do
   row="| $release | $(within "$release" .venv/bin/python -c "$versions" 2>/dev/null)"
   for ranks in 1 2 3; do
     echo "$release, $ranks rank$([ "$ranks" = 1 ] || echo s)" >&2
-    within "$release" ./obstacle --ranks "$ranks" test "$@" 2>&1 | tee "$log" >&2 || status=1
+    within "$release" ./obstacle --ranks "$ranks" test --all "$@" 2>&1 | tee "$log" >&2 || status=1
     # pytest's last line, without what was not asked of this number of ranks
     outcome=$(grep -E '^[0-9]+ [a-z]+.* in [0-9.]+s' "$log" | tail -n 1 | sed -E 's/, [0-9]+ (deselected|warnings?)//g; s/ in /, /; s/ \(.*//')
     row+=" | ${outcome:-broken off}"
