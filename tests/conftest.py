@@ -30,7 +30,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "serial: starts processes of its own or has no mesh, so it runs on one rank only")
+    config.addinivalue_line(
+        "markers", "serial: starts processes of its own or has no mesh, so it runs on one rank only"
+    )
     config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
 
 
