@@ -47,6 +47,9 @@ def _inner(table: Any, step: str, key: str, source: str) -> Any:
         if number == len(table):
             table.append({})
         inner = table[number]
+    if isinstance(inner, tuple):
+        inner = list(inner)
+        table[step if isinstance(table, dict) else int(step)] = inner
     if not isinstance(inner, dict | list):
         raise InputError(f"{source}: {key}: not a key that can be set: {step} is no table")
     return inner

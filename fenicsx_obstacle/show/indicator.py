@@ -33,7 +33,7 @@ def draw_bound(bound: Bound, arrays: dict[str, np.ndarray], comm: MPI.Comm, path
 
 
 def _draw(indicator: np.ndarray, arrays: dict[str, np.ndarray], bound: Bound, path: Path) -> str:
-    shares = np.sort(indicator)[::-1].cumsum() / max(indicator.sum(), 1e-300)
+    shares = np.sort(_shares(indicator))[::-1].cumsum()
     words = f"{(np.searchsorted(shares, MOST) + 1) / len(shares):.1%} of the cells carry half of the bound"
     page, axes = figure(6.4, 5.2)
     _cells(page, axes, indicator, arrays)
@@ -43,11 +43,17 @@ def _draw(indicator: np.ndarray, arrays: dict[str, np.ndarray], bound: Bound, pa
     return f"{path}: {words}"
 
 
+def _shares(indicator: np.ndarray) -> np.ndarray:
+    """The share of each cell in the bound; of a bound that is 0 all have the same."""
+    whole = indicator.sum()
+    return indicator / whole if whole > 0 else np.full(len(indicator), 1 / len(indicator))
+
+
 def _cells(page: Any, axes: Any, indicator: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
     from matplotlib.colors import LogNorm
 
-    shares = indicator / max(indicator.sum(), 1e-300)
-    top = max(shares.max(), 1e-300)
+    shares = _shares(indicator)
+    top = shares.max()
     low = top / 10**DECADES
     x, y, _ = arrays["points"].T
     norm = LogNorm(low, top)

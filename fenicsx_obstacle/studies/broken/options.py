@@ -21,13 +21,28 @@ _WRONG = {
     "--tol-absolute": ["0", "-1", "nan", "x"],
     "--set": ["", "cells", "cells=", "nope.c=1", "define.nope=1", "define.c=sine(x)", "mesh.cells=many", "mesh=1",
               "title.a=1", "mesh.cells.a=1", "=1", "define.c=__import__('os')", "mesh.x=[0, nan]",
-              "effects.load={a = {b = 1}}", "boundary=1"],
+              "effects.load={a = {b = 1}}", "boundary=1", "boundary.7.value=1", "boundary.x.value=1",
+              "mesh.x.2=1", "effects.load.steel.a=1", ".=1", "effects={}"],
     "--log": ["LOUD", ""],
     "--nonsense": ["1"],
 }  # fmt: skip
 _VARIED = ["", "cells", "cells=", "cells=1,x", "cells=0..4", "cells=a..b", "cells=4..8:0", "cells=4..8:x", "cels=1,2",
            "=1,2", "cells=1..2..3", "cells=-4..4", "eps=0,1", "eps=1..nan", "eps=inf..1", "cells=1..9:1000000000",
            "method=penalty,newton", "define.nope=1,2", "cells=1,,2", "define.c=1e308..1e-308:2000000"]  # fmt: skip
+
+
+_LATER = b"""[mesh]
+shape = "interval"
+[effects]
+tension = 1
+[obstacle]
+upper = "0.5 - t"
+[[boundary]]
+value = 0
+[time]
+end = 1
+steps = 4
+"""
 
 
 def broken_options() -> Iterator[Broken]:
@@ -41,6 +56,8 @@ def broken_options() -> Iterator[Broken]:
     for value in _VARIED:
         # the complaint is about the option, or about the key that it sets
         yield Broken(f"--vary {value!r}", [], ("study", SCENE, "--vary", value), files)
+    yield Broken("an obstacle that meets a boundary value later", [SCENE, "[[boundary]]", "at t = 0.75"],
+                 ("solve", SCENE, "--output", "out"), {SCENE: _LATER})  # fmt: skip
     budget = ("--tol", "0.1", "--budget")
     for value in ("", "x", "60", "nans", "-1s", "0s", "1 TB", "1..2s", "1e999s"):
         yield Broken(f"--budget {value!r}", ["--budget"], ("solve", SCENE, *budget, value), files)

@@ -1,0 +1,265 @@
+"""Odd but legal input, full disks, signals: an answer or one clear message, a documented status, nothing left."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import COMM, DEMOS, membrane
+from petsc4py import PETSc
+
+from fenicsx_obstacle import InputError, NotConverged, Scene, solve
+from fenicsx_obstacle.answers.changes import read
+from fenicsx_obstacle.errors import NOT_REACHED
+from fenicsx_obstacle.outlets import tolerance_status
+from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.show.figures import heading
+from fenicsx_obstacle.show.report import report_answer
+from fenicsx_obstacle.studies.faults.kill import _session
+from fenicsx_obstacle.studies.hard.suite import reason
+from fenicsx_obstacle.studies.processes import DEFAULTS, FIXED, OF_ROOT, clean
+from fenicsx_obstacle.words import one_line
+
+LAUNCHER = DEMOS.parent / "obstacle"
+HELD = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "boundary": []}
+
+
+@pytest.mark.parametrize("level", [1.0, 0.0, -300.0])
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+def test_a_membrane_that_lies_on_a_flat_obstacle(level, element):
+    """Held by its obstacle alone u is constant: its range is 0, and the summary says what penetration is against it."""
+    mesh = {**HELD["mesh"], "cell": "quadrilateral" if element == "Q1" else "triangle"}
+    answer = solve(Scene(**{**HELD, "mesh": mesh}, load=1, upper=level).change({"solve.element": element}))
+    assert answer.record["contact"]["upper"]["force"] == pytest.approx(1)
+    assert "penetration is more than the range of u" in answer.summary() or answer.record["u_range"] > 0
+
+
+TITLES = {
+    "3000 characters": "word " * 600,
+    "3000 characters without a space": "w" * 3000,
+    "a dollar": "a $ b",
+    "an open formula": r"$\frac{1}{",
+    "braces": "{}{0}{x} %s",
+    "signs that no font has": "\U0001f9ff中文",
+    "from right to left": "\u202eאבג",
+    "markup": "<b>bold</b><script>alert(1)</script>",
+    "lines": "one\ntwo\n\n\tthree",
+    "control characters": "\x1b[31mred\x07",
+    "nothing but spaces": "   ",
+}
+
+
+@pytest.mark.parametrize("title", TITLES.values(), ids=TITLES)
+def test_titles_are_drawn_and_printed_in_one_line(title, folder):
+    """Any title and name of u: a picture, a page without its markup, a first line without control characters."""
+    scene = Scene(mesh={"shape": "interval", "cells": 4}, tension=1, load=-1, lower=-0.05, title=title, u=title)
+    answer = solve(scene)
+    answer.save(folder)
+    report_answer(answer, folder, picture=True)
+    assert (folder / "answer.png").stat().st_size > 10000
+    assert "<script" not in (folder / "report.html").read_text(encoding="utf-8")
+    first = answer.summary().splitlines()[0]
+    assert 0 < len(first) <= 160
+    assert first.isprintable()
+
+
+def test_headings():
+    """Two lines at most, without formulas."""
+    assert heading("a $ b") == r"a \$ b"
+    assert heading("word " * 600).count("\n") == 1
+    assert len(heading("w" * 3000)) <= 2 * 64 + 1
+    assert one_line("a\n b\u202e\x00c") == "a b c"
+
+
+def test_errors_name_the_method_that_was_asked_for():
+    """Whatever a method begins with or is made of, its failure is its own."""
+    options = PETSc.Options()
+    for method, element, says in [("vi", "P1", "vi did"), ("successive", "P1", "successive did"),
+                                  ("penalty", "P1", "penalty did"), ("vi", "Q1-gauss", "vi did")]:  # fmt: skip
+        mesh = {"shape": "rectangle", "cells": 4, "cell": "quadrilateral" if element == "Q1-gauss" else None}
+        scene = membrane(mesh={key: value for key, value in mesh.items() if value}, load=-9, lower=-0.05)
+        options["penalty_snes_max_it"] = options["vi_snes_max_it"] = 0
+        try:
+            with pytest.raises(NotConverged, match=says) as error:
+                solve(scene, method=method, element=element, start="cold")
+        finally:
+            for key in ("penalty_snes_max_it", "vi_snes_max_it"):
+                options.delValue(key)
+        assert error.value.solver == method
+        assert f"--method {method}" not in str(error.value)
+
+
+MOVING = {"mesh": {"shape": "interval", "cells": 8}, "tension": 1, "load": -1, "upper": "0.5 - t"}
+
+
+def test_data_that_contradict_later_say_when(folder):
+    """An obstacle that meets a boundary value at t = 0.75: the message has the time, and there is no folder."""
+    place = folder / "out"
+    with pytest.raises(InputError, match=r"lies above the upper obstacle.*at t = 0\.75$"):
+        solve(Scene(**MOVING, time={"end": 1, "steps": 4}), keep=place)
+    with pytest.raises(InputError, match=r"at tau, s = 0\.6$"):
+        solve(Scene(**MOVING, rate=1, time={"end": 1, "steps": 5, "start": 0, "name": "tau,\ns"}), keep=place)
+    COMM.barrier()
+    assert not place.exists()
+
+
+def test_the_first_moment_is_named():
+    """A sequence of equilibria whose first one is not found says t = 0."""
+    options = PETSc.Options()
+    options["penalty_snes_max_it"] = 0
+    try:
+        with pytest.raises(NotConverged, match=r"at t = 0,"):
+            solve(Scene(**{**MOVING, "load": 20, "upper": 0.1}, time={"end": 1, "steps": 4}), start="cold")
+    finally:
+        options.delValue("penalty_snes_max_it")
+
+
+INCOMPLETE = '[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\nload = "2*q"\n'
+
+
+def test_options_give_what_a_scene_lacks(folder):
+    """Tables, keys, names of [define] and parts of the boundary that a file does not have; it is checked then."""
+    file = folder / "scene.toml"
+    on_root(COMM, write_text, file, INCOMPLETE)
+    given = {"effects.tension": 1, "define.q": 3}
+    scene = read(str(file), {**given, "boundary.0.value": 0.1, "boundary.1.flux": 2, "boundary.1.on": "left"})
+    assert scene.tables.boundary[0].value == 0.1
+    assert scene.tables.boundary[1].flux == 2
+    assert read(str(file), {**given, "obstacle.lower": -1, "cells": 2, "report.f": "integral(u)"}).sides == ["lower"]
+    changed = Scene.read(DEMOS / "disk.toml").change({"boundary.0.value": 0.0})
+    assert changed.tables.boundary[0].value == 0.0
+    assert changed.change({"mesh.x.1": 2}).tables.mesh.x == ("-sqrt(0.5)", 2)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"define.q": 3}, "names no stiffness"),
+        ({"effects.tension": 1, "define.q": 1, "define.other": 2}, "no 'other', and no formula uses it"),
+        ({"effects.tensoin": 1, "define.q": 1}, "did you mean 'tension'"),
+        ({"boundary.3.value": 1}, "'3' is no item of the list; take a number from 0 to 0"),
+        ({"boundary.first.value": 1}, "'first' is no item of the list"),
+        ({"boundary.0": 1}, "is no item of the list, which is empty"),
+        ({"effects.load.a": 1}, "load is no table"),
+        ({"effects": 3, "effects.tension": 1}, "effects is no table"),
+    ],
+)
+def test_options_that_fit_nowhere(options, says, folder):
+    """A message with the key."""
+    file = folder / "scene.toml"
+    on_root(COMM, write_text, file, INCOMPLETE)
+    with pytest.raises(InputError, match=re.escape(says)):
+        read(str(file), options)
+
+
+def test_a_tolerance_that_the_budget_does_not_allow():
+    """The answer comes back from Python, and the command line has a status of its own for it."""
+    scene = membrane(load=-9, lower=-0.1)
+    answer = solve(scene, tol=1e-3, budget="300 unknowns")
+    assert answer.record["adaptive"]["reached"] is False
+    assert tolerance_status(answer.record, Path("out")) == NOT_REACHED == 4
+    assert tolerance_status(solve(scene, tol=0.5).record, Path("out")) == 0
+    assert tolerance_status(solve(scene).record, Path("out")) == 0
+
+
+def launched(ranks, *arguments, **options):
+    ranked = [] if ranks == 1 else ["--ranks", str(ranks)]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": clean(), "timeout": 60, **options}
+    return subprocess.run([LAUNCHER, *ranked, *map(str, arguments)], text=True, check=False, **options)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_status_4_reaches_the_shell(ranks, tmp_path):
+    """On any number of ranks, with one line on standard error and the answer in its folder."""
+    done = launched(
+        ranks, "solve", "ball", "--tol", "0.01", "--budget", "400 unknowns", "--quiet", "--output", tmp_path
+    )
+    assert done.returncode == 4, done.stderr
+    assert done.stderr.startswith("Error: the relative tolerance 0.01 is not reached: the budget of unknowns")
+    assert done.stderr.count("\n") == 1
+    assert json.loads((tmp_path / "answer.json").read_text())["adaptive"]["reached"] is False
+
+
+@pytest.mark.serial
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("json_too", [False, True])
+def test_a_full_standard_output_is_told_at_the_end(ranks, json_too, tmp_path):
+    """Files are complete; one line and status 1."""
+    arguments = ["solve", "ball", "--cells", 8, "--output", tmp_path, *(["--json", "-"] if json_too else [])]
+    with Path("/dev/full").open("w") as full:
+        done = launched(ranks, *arguments, stdout=full)
+    assert done.returncode == 1
+    assert done.stderr.startswith("Error: standard output: ")
+    assert done.stderr.count("\n") == 1
+    for name in ("answer.json", "fields.h5", "report.html", "free_boundary.csv"):
+        assert (tmp_path / name).exists()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("arguments", [["--help"], ["scenes"], ["solve", "ball", "--cells", "4"]])
+@pytest.mark.parametrize("how", ["full", "closed pipe", "none"])
+def test_output_that_cannot_be_written(arguments, how, tmp_path):
+    """A full device and a closed pipe are told in one line; a stream that is closed is nobody's loss."""
+    command = [sys.executable, "-m", "fenicsx_obstacle", *arguments]
+    reading, writing = os.pipe()
+    os.close(reading)
+    outlet = {"full": "/dev/full", "closed pipe": f"/dev/fd/{writing}", "none": "&-"}[how]
+    shell = f'exec "$@" >{outlet}' if how != "closed pipe" else f'exec "$@" >&{writing}'
+    done = subprocess.run(["bash", "-c", shell, "bash", *command], stderr=subprocess.PIPE, text=True, env=clean(),
+                          cwd=tmp_path, pass_fds=[writing], timeout=60, check=False)  # fmt: skip
+    os.close(writing)
+    assert done.returncode == (0 if how == "none" else 1), done.stderr
+    assert done.stderr.count("\n") == (how != "none"), done.stderr
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_signals_end_all_processes(ranks, number, tmp_path):
+    """SIGTERM and SIGHUP to the launcher alone: 128 + number, rows are kept, no process is left."""
+    study = ["study", "disk_flat", "--vary", "cells=4,6,400", "--method", "vi", "--output", str(tmp_path)]
+    process = subprocess.Popen([LAUNCHER, "--ranks", str(ranks), *study], stdout=subprocess.DEVNULL, env=clean(),
+                               stderr=subprocess.PIPE, text=True, start_new_session=True)  # fmt: skip
+    rows = tmp_path / "rows.jsonl"
+    deadline = time.monotonic() + 60
+    while (not rows.exists() or rows.read_text().count("\n") < 2) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, number)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 128 + number, said
+    assert said.strip() == "terminated; finished rows are kept, the same command goes on from them"
+    assert rows.read_text().count("\n") == 2
+    while _session(process.pid) and time.monotonic() < deadline:  # helpers of mpirun end a moment later
+        time.sleep(0.05)
+    assert not _session(process.pid)
+
+
+@pytest.mark.serial
+def test_processes_have_the_environment_of_the_launcher():
+    """What `obstacle` exports before it starts mpirun is what `hard` gives its own processes."""
+    fixed, defaults = {}, {}
+    for line in re.findall(r"^\s*export (.*)$", LAUNCHER.read_text(), re.MULTILINE):
+        for key, default, quoted, plain in re.findall(r'(\w+)=(?:"\$\{\w+:-([^}]*)\}"|"([^"]*)"|(\S+))', line):
+            if default:
+                defaults[key] = default
+            else:
+                fixed[key] = quoted or plain
+    fixed.pop("DEBIAN_FRONTEND")
+    assert defaults == DEFAULTS
+    assert fixed == {**FIXED, **OF_ROOT}
+
+
+@pytest.mark.serial
+def test_a_lost_process_says_why():
+    """mpirun's refusal of root names no error: its first words are the reason."""
+    said = "-" * 60 + "\nmpirun has detected an attempt to run as root.\n\nRunning as root is strongly discouraged\n"
+    assert reason(said).startswith("mpirun has detected an attempt to run as root. Running as root")
+    assert reason("noise\nValueError: no\nmore") == "ValueError: no"
+    assert len(reason("word " * 1000)) <= 300
