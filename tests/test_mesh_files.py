@@ -289,3 +289,33 @@ def test_a_mesh_says_nothing_of_its_geometry(folder):
 
     assert level_of(file_of(folder, shape(2))).polygonal is None
     assert build(Scene(mesh=dmesh.create_unit_square(COMM, 2, 2), tension=1), COMM).polygonal is None
+
+
+def with_a_curve_inside(model):
+    """Two squares with the curve 'middle' between them and the named sides 'left', 'right' and 'floor'."""
+    two_squares(model)
+    curves = {tuple(np.round(model.occ.getCenterOfMass(1, tag)[:2], 9)): tag for _, tag in model.getEntities(1)}
+    for name, place in {"middle": (1, 0.5), "left": (0, 0.5), "right": (2, 0.5), "floor": (0.5, 0)}.items():
+        model.setPhysicalName(1, model.addPhysicalGroup(1, [curves[place]]), name)
+    for number, name in enumerate(("west", "east"), 1):
+        model.setPhysicalName(2, model.addPhysicalGroup(2, [number]), name)
+
+
+def test_normal_flux_on_a_curve_inside(folder):
+    """Where u is given it is the force that holds the curve; where u is free it would be 0, and is rejected."""
+    path = file_of(folder, with_a_curve_inside)
+    ends = [{"on": "left", "value": 0}, {"on": "right", "value": 0}]
+    roof = Scene(mesh={"file": str(path)}, tension=1, boundary=[*ends, {"on": "middle", "value": 1}],
+                 report={"F": "integral(normal_flux, 'middle')", "free": "integral(normal_flux, 'floor')"})  # fmt: skip
+    report = solve(roof).report
+    assert np.isclose(report["F"], 2) and report["free"] == 0
+    words = "'middle' is inside the domain and u is not given on it.* integrate load and p over the part of the domain"
+    for boundary in (ends, [*ends, {"on": "floor", "value": 0}]):
+        with pytest.raises(InputError, match=words):
+            solve(roof.change({"boundary": boundary}))
+    with pytest.raises(InputError, match="what .*boundary.* gives"):
+        solve(roof.change({"boundary": [*ends, {"on": "middle", "flux": 1}]}))
+    # what the message advises: the flux out of one part is minus its load, less what leaves by its other sides
+    loaded = roof.change({"boundary": ends, "effects.load": {"west": 1, "east": 3}, "report": {
+        "through": "-integral(1, 'west') - integral(normal_flux, 'left')"}})  # fmt: skip
+    assert np.isclose(solve(loaded).report["through"], 0.5)
