@@ -313,7 +313,7 @@ def test_normal_flux_on_a_curve_inside(folder):
     for boundary in (ends, [*ends, {"on": "floor", "value": 0}]):
         with pytest.raises(InputError, match=words):
             solve(roof.change({"boundary": boundary}))
-    with pytest.raises(InputError, match="what .*boundary.* gives"):
+    with pytest.raises(InputError, match=r"what .*boundary.* gives"):
         solve(roof.change({"boundary": [*ends, {"on": "middle", "flux": 1}]}))
     # what the message advises: the flux out of one part is minus its load, less what leaves by its other sides
     loaded = roof.change({"boundary": ends, "effects.load": {"west": 1, "east": 3}, "report": {
