@@ -9,7 +9,7 @@ from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, Scene, releases, solve_form
+from fenicsx_obstacle import InputError, Scene, releases, solve, solve_form
 from fenicsx_obstacle.discrete.components import components
 from fenicsx_obstacle.discrete.levels import coarsest
 from fenicsx_obstacle.parallel import total
@@ -121,6 +121,14 @@ def test_corner_node_that_two_parts_share():
     V = releases.functionspace(mesh, "Lagrange", 1)
     owned = V.dofmap.index_map.size_local
     assert total(COMM, found.of_dofs(V)[:owned]) == 3
+
+
+def test_two_parts_are_solved_and_counted():
+    """Two squares apart, each held: the solution of one twice, and the answer says that there are two."""
+    one, two = (solve(Scene(mesh=union(*bodies), tension=1, load=-1)) for bodies in ((LEFT,), APART["a gap"]))
+    assert np.isclose(two.record["energy"], 2 * one.record["energy"], rtol=1e-12)
+    assert "mesh_remarks" not in one.record
+    assert "\n  mesh: 2 parts that are not connected: u must be held in each" in two.summary()
 
 
 def test_many_components_have_the_same_numbers_on_any_number_of_ranks():

@@ -197,13 +197,26 @@ class Report:
             raise InputError(formula.pointing(node, message))
         if name in groups and NORMAL_FLUX in expression.names:
             raise InputError(formula.pointing(node, f"'{name}' is a part of the domain: it has no {NORMAL_FLUX}"))
-        if NORMAL_FLUX in expression.names:
-            parts = zip(self.scene.tables.boundary, self.data.facets, strict=True)
-            acting = [facets for part, facets in parts if part.value is None]
-            common = sum(np.count_nonzero(np.isin(there, facets[name])) for there in acting)
-            if total(self.level.comm, common) > 0:
-                message = f"on '{name}' the {NORMAL_FLUX} is what [[boundary]] gives: flux - spring*u; integrate that"
-                raise InputError(formula.pointing(node, message))
+        if NORMAL_FLUX in self.scene.needs(expression):
+            self._check_normal_flux(formula, node, name)
+
+    def _check_normal_flux(self, formula: Formula, node: ast.expr, name: str) -> None:
+        """Refuse the normal flux where it is not the force by which u is held (collective)."""
+        mesh, comm = self.level.mesh, self.level.comm
+        facets = self.level.facets[name]
+        facets = facets[facets < mesh.topology.index_map(mesh.topology.dim - 1).size_local]
+        parts = zip(self.scene.tables.boundary, self.data.facets, strict=True)
+        acting = np.concatenate([np.empty(0, np.int32), *(there for part, there in parts if part.value is None)])
+        if total(comm, np.count_nonzero(np.isin(facets, acting))) > 0:
+            message = f"on '{name}' the {NORMAL_FLUX} is what [[boundary]] gives: flux - spring*u; integrate that"
+            raise InputError(formula.pointing(node, message))
+        held = np.concatenate([self.level.boundary_facets, *self.data.held])
+        if total(comm, np.count_nonzero(~np.isin(facets, held))) > 0:
+            message = (
+                f"'{name}' is inside the domain and u is not given on it: the {NORMAL_FLUX} of both sides adds up to 0 "
+                "there; for the flux through it integrate load and p over the part of the domain on one side of it"
+            )
+            raise InputError(formula.pointing(node, message))
 
 
 class _Inner(ast.NodeTransformer):

@@ -147,6 +147,7 @@ class Answer:
             f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
             f"{r['memory_mb']:.0f} MB",
             "  " + "; ".join(figures),
+            *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
         ]
         if r["penetration"] > DEEP * r["u_range"]:
             large = r["penetration"] > r["u_range"]  # which is 0 where u is constant

@@ -39,6 +39,8 @@ def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) 
         "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
         "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
     }  # fmt: skip
+    if level.remarks:
+        figures["mesh_remarks"] = list(level.remarks)
     if problem.constrained and problem.affine and level.pair.nodal and scene.time is None:
         figures["round_off"] = round_off(problem, state.p, eps)
     return figures

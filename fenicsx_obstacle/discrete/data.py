@@ -159,7 +159,10 @@ class Data(Limits):
         """
         entries = [[self.cellwise(entry) for entry in row] for row in rows]
         if rows[0][0].place not in self._definite:
+            from fenicsx_obstacle.discrete.tensors import check_between  # only where a scene has a matrix
+
             self._check_definite(rows)
+            check_between(self, rows)
             self._definite[rows[0][0].place] = rows
         return ufl.as_matrix(entries)
 

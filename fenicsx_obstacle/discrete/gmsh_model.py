@@ -102,12 +102,28 @@ def straight(model: Any, dim: int) -> bool | None:
         inside = [one for tag in found[d] for one in model.mesh.getEmbedded(d, tag)]
         for lower in range(1, d):
             found.setdefault(lower, set()).update(tag for other, tag in (*sides, *inside) if other == lower)
-    types = {d: {model.getType(d, tag) for tag in found.get(d, ())} for d in (1, 2)}
-    if any(not one or one.startswith(("Discrete", "Unknown")) for one in types[1] | types[2]):
+    meshed = {d: {t for t in tags if len(model.mesh.getElementTypes(d, t))} for d, tags in found.items()}
+    types = {d: {tag: model.getType(d, tag) for tag in meshed.get(d, ())} for d in (1, 2)}
+    known = {*types[1].values(), *types[2].values()}
+    # a compound of curves is meshed by way of a discrete one
+    discrete = any(model.getType(d, tag).startswith("Discrete") for d, tag in model.getEntities() if d in (1, 2))
+    if discrete or not known or known & {"", "Unknown"}:
         return None
-    boxes = np.array([model.getBoundingBox(d, tag) for d, tag in model.getEntities(dim)])
+    boxes = np.array([model.getBoundingBox(dim, tag) for tag in meshed[dim]])
     in_plane = dim == 2 and np.ptp(boxes[:, [2, 5]]) <= 1e-6 * np.ptp(boxes)  # Gmsh widens its boxes by 1e-7
-    return bool(types[1] <= {"Line"} and (in_plane or types[2] <= {"Plane"}))
+    if set(types[1].values()) - {"Line"}:
+        return False
+    return bool(in_plane) or all(_flat(model, tag, kind) for tag, kind in types[2].items())
+
+
+def _flat(model: Any, surface: int, kind: str) -> bool:
+    """Whether a surface between straight lines is flat: a plane, or a filling of lines in a plane."""
+    if kind != "Surface":
+        return kind == "Plane"
+    corners = model.getBoundary([(2, surface)], False, False, True)
+    points = np.array([model.getValue(d, tag, []) for d, tag in corners])
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[2:].max(initial=0.0) <= 1e-9 * spread[0])
 
 
 def _groups(model: Any, dim: int) -> dict[str, list[int]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property, partial
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from dolfinx import fem
@@ -153,7 +153,24 @@ class Samples:
                 _flatten_jumps(made)
         if least is not None:
             self._refuse(value, made, array_of(made) < least, f"must be at least {least:g}; it is")
+        bound = 0.0 if positive else least
+        if bound is not None and value.place not in self._cellwise:  # once: not for each moment
+            self._check_between(value, bound, "be positive" if positive else f"be at least {bound:g}")
         return made
+
+    def _check_between(self, value: Value, bound: float, what: str) -> None:
+        """Refuse values below a bound where no cell has its midpoint (collective)."""
+        parts = [(None, value)] if isinstance(value, Formula) else list(value.parts.items())
+        for material, formula in parts:
+            if self.uniform(formula):
+                continue
+            from fenicsx_obstacle.discrete.between import inadmissible  # only where a scene has formulas
+
+            sample = partial(self._at_points, formula)
+            found = inadmissible(self, [formula], sample, bound, material)
+            if found is not None:
+                number, point = found
+                raise InputError(f"{value.place} = {value.text}: must {what}; it is {number:g} at {self.at(point)}")
 
     def _sample_cells(self, value: Value) -> Cellwise:
         if isinstance(value, Formula) and self.uniform(value):
@@ -191,9 +208,12 @@ class Samples:
 
     def _at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, float] | None = None) -> np.ndarray:
         """Values at points (3, n) (collective if the formula names the distance)."""
+        return self.scene.at_points(formula, x, {**self.known(formula, x), **(values or {})})
+
+    def known(self, formula: Formula, x: np.ndarray) -> dict[str, Any]:
+        """Values of t and the distance at points (3, n) (collective if the formula names the distance)."""
         named = "distance" in self.scene.needs(formula)
-        known = {**self.now, **(values or {}), **({"distance": self.boundary_distance(x.T)} if named else {})}
-        return self.scene.at_points(formula, x, known)
+        return {**self.now, **({"distance": self.boundary_distance(x.T)} if named else {})}
 
     def _refuse_infinite(self, formula: Value, function: Cellwise) -> None:
         self._refuse(formula, function, ~np.isfinite(array_of(function)), "is not a finite number: it is")

@@ -36,3 +36,30 @@ def check_definite(data: Data, rows: Rows) -> None:
     least = smallest(comm, data.eigenvalues(rows))
     if least <= 0:
         raise InputError(f"{place}: must be positive definite; its least eigenvalue is {least:.3g}")
+
+
+def check_between(data: Data, rows: Rows) -> None:
+    """Refuse formulas whose matrix is indefinite where no cell has a sample (collective).
+
+    Raises:
+        InputError: Naming the place.
+    """
+    entries = [entry for row in rows for entry in row if not data.uniform(entry)]
+    if not entries:
+        return
+    from fenicsx_obstacle.discrete.between import inadmissible  # only where a scene has formulas
+
+    def least(x: np.ndarray) -> np.ndarray:
+        values = np.stack([data._at_points(entry, x) for row in rows for entry in row], axis=1)
+        matrices = values.reshape(-1, len(rows), len(rows))
+        finite = np.isfinite(matrices).all(axis=(1, 2))
+        found = np.full(len(matrices), np.inf)
+        found[finite] = np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1))[finite] / 2)[:, 0]
+        return found
+
+    found = inadmissible(data, entries, least, 0.0)
+    if found is not None:
+        place = rows[0][0].place.partition("[0]")[0]
+        raise InputError(
+            f"{place}: must be positive definite; its least eigenvalue is {found[0]:.3g} at {data.at(found[1])}"
+        )

@@ -91,10 +91,12 @@ class Formula:
         value = _walk(self, self.tree, values, alphabet)
         return alphabet["where"](value, 1.0, 0.0) if is_condition(self.tree) else value
 
-    def on_arrays(self, values: Mapping[str, Any]) -> np.ndarray:
+    def on_arrays(
+        self, values: Mapping[str, Any], alphabet: Mapping[str, Callable[..., Any]] | None = None
+    ) -> np.ndarray:
         """Value as a float array; not-a-numbers are left for the caller to report."""
         with np.errstate(all="ignore"):
-            return np.asarray(self.evaluate(values, NUMPY), dtype=np.float64)
+            return np.asarray(self.evaluate(values, NUMPY if alphabet is None else alphabet), dtype=np.float64)
 
 
 def parse(text: str | float, place: str, *, functionals: bool = False) -> Formula:

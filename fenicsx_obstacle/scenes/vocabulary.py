@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -72,13 +72,20 @@ class Vocabulary:
         """Parse a value of this scene; `place` is its table and key."""
         return formulas.parse(value, f"{self.source}: {place}")
 
-    def at_points(self, formula: Formula, x: np.ndarray, values: Mapping[str, Any] | None = None) -> np.ndarray:
+    def at_points(
+        self,
+        formula: Formula,
+        x: np.ndarray,
+        values: Mapping[str, Any] | None = None,
+        alphabet: Mapping[str, Callable[..., Any]] = formulas.NUMPY,
+    ) -> np.ndarray:
         """Values of a formula.
 
         Args:
             formula: From `formula()`.
             x: Points, shape (3, n).
             values: Further names, such as eps; `distance`, where the formula needs it.
+            alphabet: Operations by sign or name.
 
         Returns:
             Array of n values.
@@ -90,8 +97,8 @@ class Vocabulary:
         if "theta" in needed:
             names["theta"] = np.arctan2(x[1], x[0])
         for key in (key for key in self.define if key in needed):
-            names[key] = self.define[key].on_arrays(names)
-        return np.broadcast_to(formula.on_arrays(names), x.shape[1:])
+            names[key] = self.define[key].on_arrays(names, alphabet)
+        return np.broadcast_to(formula.on_arrays(names, alphabet), x.shape[1:])
 
     def number(self, value: float | str, place: str, values: Mapping[str, float] | None = None) -> float:
         """A value that must be one finite number, such as a corner of the mesh.

@@ -1,0 +1,137 @@
+"""Data between their samples: places where a formula is not admissible although no sample shows it.
+
+Forms take one value per cell. A spot that no midpoint meets, such as `where(hypot(x - 0.503, y) < 0.004, -1, 1)`, does
+not enter them; the scene is wrong all the same. So formulas are evaluated at the nodes as well, and at points that a
+search finds: it follows the formula downwards, and each of its conditions to where it holds and to where it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.points import locate
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.scenes.conditions import margins
+from fenicsx_obstacle.scenes.formulas import Formula
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.samples import Samples
+
+ROUND_OFF = 1e-8  # of the largest value: what is below zero by round-off
+STARTS = 6  # points that a search begins with
+STEPS = 24  # a step is halved where it leads no further: 24 halvings reach 1e-7 of the first
+CANDIDATES = 50  # points at which the worst values are looked for in the mesh
+
+Quantity = Callable[[np.ndarray], np.ndarray]
+
+
+def inadmissible(
+    data: Samples, formulas: Sequence[Formula], quantity: Quantity, bound: float, material: str | None = None
+) -> tuple[float, np.ndarray] | None:
+    """A point of the mesh where a quantity made of formulas is below a bound, and its value there (collective).
+
+    Args:
+        data: What samples them.
+        formulas: Formulas.
+        quantity: Of points (3, n).
+        bound: Its least value.
+        material: Name of the cells that count, if it is not all.
+
+    Returns:
+        The value and the point, the same on every rank; None where none is found.
+    """
+    level = data.level
+    nodes = level.points
+    if material is not None:
+        nodes = nodes[:, np.unique(releases.cell_dofs(level.V)[level.groups[material]])]
+    values = _finite(quantity(nodes))
+    scale = largest(level.comm, np.abs(values[np.isfinite(values)]))
+    limit = bound - ROUND_OFF * max(scale, float(np.finfo(float).tiny))
+    points = _first(data, nodes, values < limit)
+    if len(points) == 0 and level.mesh.topology.dim == level.mesh.geometry.dim:
+        points = _sought(data, formulas, quantity, nodes, limit)
+    if len(points) == 0:
+        return None
+    inside = _inside(data, points, material)
+    found = quantity(points.T)
+    return None if len(inside) == 0 else (float(found[inside[0]]), points[inside[0]])
+
+
+def _inside(data: Samples, points: np.ndarray, material: str | None) -> np.ndarray:
+    """Rows of the points (n, 3) that are in the mesh, or in cells of a material (collective)."""
+    level = data.level
+    if releases.cell_name(level.mesh) not in SIMPLICES:  # rectangles and boxes
+        ends = zip(level.points, points.T, strict=True)
+        within = [(x >= smallest(level.comm, axis)) & (x <= largest(level.comm, axis)) for axis, x in ends]
+        return np.flatnonzero(np.all(within, axis=0))
+    rows, cells, _ = locate(level, points)
+    if material is not None:
+        rows = rows[np.isin(cells, level.groups[material])]
+    return np.unique(np.concatenate(level.comm.allgather(rows)))
+
+
+def _first(data: Samples, nodes: np.ndarray, bad: np.ndarray) -> np.ndarray:
+    """Of the bad nodes of all ranks the first by coordinates, shape (0 or 1, 3) (collective)."""
+    some = np.concatenate(data.level.comm.allgather(nodes[:, bad].T[:1]))
+    return some[np.lexsort(some.T[::-1])[:1]]
+
+
+def _sought(
+    data: Samples, formulas: Sequence[Formula], quantity: Quantity, nodes: np.ndarray, limit: float
+) -> np.ndarray:
+    """Points with values below the limit, the worst first, that a compass search comes to (collective).
+
+    Every rank searches the same way, from the best nodes of all ranks.
+    """
+
+    def goals(x: np.ndarray) -> np.ndarray:
+        """What the searches maximise, shape (searches, n)."""
+        conditions = [margin for formula in formulas for margin in _margins(data, formula, x)]
+        return _finite(np.stack([-quantity(x), *conditions, *(-margin for margin in conditions)]), -np.inf)
+
+    comm, dim = data.level.comm, data.level.mesh.geometry.dim
+    heights = goals(nodes)
+    best = np.argsort(-heights, axis=1, kind="stable")[:, :STARTS]
+    starts = comm.allgather([(heights[k, row], nodes[:, row].T) for k, row in enumerate(best)])
+    at, value, goal = [], [], []
+    for k in range(len(heights)):
+        high = np.concatenate([one[k][0] for one in starts])
+        where = np.concatenate([one[k][1] for one in starts])
+        order = np.lexsort((*where.T[::-1], -high))[:STARTS]
+        at.append(where[order])
+        value.append(high[order])
+        goal.append(np.full(len(order), k))
+    point, height, aim = np.concatenate(at).T, np.concatenate(value), np.concatenate(goal)
+    step = np.full(len(aim), data.level.h_max)
+    compass = np.concatenate([np.eye(3)[:dim], -np.eye(3)[:dim]])
+    seen = [np.empty((0, 4))]
+    for _ in range(STEPS):
+        trials = point[:, :, None] + step[:, None] * compass.T[:, None, :]
+        flat = trials.reshape(3, -1)
+        result = goals(flat).reshape(len(heights), len(aim), -1)
+        bad = result[0].ravel() > -limit
+        seen.append(np.column_stack([flat.T[bad], result[0].ravel()[bad]]))
+        of_aim = result[aim, np.arange(len(aim))]
+        choice = of_aim.argmax(axis=1)
+        higher = of_aim.max(axis=1) > height
+        point[:, higher] = trials[:, higher, choice[higher]]
+        height[higher] = of_aim.max(axis=1)[higher]
+        step[~higher] /= 2
+    found = np.concatenate(seen)
+    return found[np.lexsort((*found.T[2::-1], -found[:, 3]))[:CANDIDATES], :3]
+
+
+def _margins(data: Samples, formula: Formula, x: np.ndarray) -> list[np.ndarray]:
+    if data.uniform(formula):
+        return []
+    with np.errstate(all="ignore"):
+        return margins(data.scene, formula, x, data.known(formula, x))
+
+
+def _finite(values: np.ndarray, instead: float = np.inf) -> np.ndarray:
+    return np.where(np.isfinite(values), values, instead)

@@ -1,0 +1,321 @@
+"""Meshes from Gmsh: every file that a user can save is solved, or rejected with a reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import COMM
+
+from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.discrete.levels import build
+from fenicsx_obstacle.parallel import on_root, total
+
+FORMATS = [(2.2, 0, 0), (2.2, 1, 1), (4.1, 1, 0), (4.1, 0, 1)]  # version, binary, also what is in no group
+
+
+def saved(path, draw, version=4.1, binary=0, everything=1, order=1, dim=None):
+    """Draw a model in Gmsh, mesh it and save it (one rank)."""
+    import gmsh
+
+    gmsh.initialize([], False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.4)
+        draw(gmsh.model)
+        gmsh.model.mesh.generate(gmsh.model.getDimension() if dim is None else dim)
+        gmsh.model.mesh.setOrder(order)
+        for name, value in (("MshFileVersion", version), ("Binary", binary), ("SaveAll", everything)):
+            gmsh.option.setNumber(f"Mesh.{name}", value)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+def disk_of_arcs(model):
+    """The unit disk of four arcs, whose common centre is a node that no cell has."""
+    geo = model.geo
+    centre, *rim = (geo.addPoint(x, y, 0) for x, y in ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)))
+    arcs = [geo.addCircleArc(rim[i], centre, rim[(i + 1) % 4]) for i in range(4)]
+    geo.addPlaneSurface([geo.addCurveLoop(arcs)])
+    geo.synchronize()
+
+
+def shape(dim):
+    def draw(model):
+        occ = model.occ
+        if dim == 1:
+            occ.addLine(occ.addPoint(0, 0, 0), occ.addPoint(1, 0, 0))
+        elif dim == 2:
+            occ.addRectangle(0, 0, 0, 1, 1)
+        else:
+            occ.addBox(0, 0, 0, 1, 1, 1)
+        occ.synchronize()
+
+    return draw
+
+
+def file_of(folder, draw, name="mesh.msh", **how):
+    on_root(COMM, lambda: saved(folder / name, draw, **how))
+    return folder / name
+
+
+def level_of(path, **mesh):
+    return build(Scene(mesh={"file": str(path), **mesh}, tension=1), COMM)
+
+
+def facets(level, name=None):
+    """Number of facets of a part, or on the whole boundary; each counts on its owner."""
+    own = level.mesh.topology.index_map(level.mesh.topology.dim - 1).size_local
+    found = level.boundary_facets if name is None else level.facets[name]
+    return total(COMM, np.count_nonzero(found < own))
+
+
+@pytest.mark.parametrize(("version", "binary", "everything"), FORMATS)
+def test_a_file_without_physical_groups(folder, version, binary, everything):
+    """Gmsh's first export: all cells are the mesh, and all sides the boundary."""
+    path = file_of(folder, disk_of_arcs, version=version, binary=binary, everything=everything)
+    exact = Scene(mesh={"file": str(path)}, tension=1, boundary=[{"value": "x - 2*y"}], exact="x - 2*y")
+    answer = solve(exact)
+    assert answer.record["errors"]["max"] < 1e-9
+    assert answer.record["dofs"] - answer.record["free"] == facets(answer.level)
+    assert answer.level.facets == {} and answer.level.groups == {} and answer.level.remarks == ()
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize(("version", "binary"), [(2.2, 1), (4.1, 0)])
+def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, binary):
+    """Intervals, triangles and tetrahedra of the same unit size."""
+    path = file_of(folder, shape(dim), version=version, binary=binary)
+    found = solve(Scene(mesh={"file": str(path)}, tension=1, load=1, report={"size": "integral(1)"}))
+    assert found.level.mesh.geometry.dim == found.level.mesh.topology.dim == dim
+    assert np.isclose(found.report["size"], 1) and found.record["free"] < found.record["dofs"]
+
+
+@pytest.mark.parametrize(("version", "binary", "everything"), FORMATS)
+@pytest.mark.parametrize("kind", ["curves", "cells", "numbers", "names"])
+def test_physical_groups(folder, kind, version, binary, everything):
+    """Groups of curves only, of cells only, without names, of several dimensions with one number, with names."""
+
+    def draw(model):
+        disk_of_arcs(model)
+        if kind != "cells":
+            model.addPhysicalGroup(1, [1, 2], 5)
+        if kind != "curves":
+            model.addPhysicalGroup(2, [1], 5)
+        if kind == "numbers":
+            model.addPhysicalGroup(0, [2, 3], 5)
+        if kind == "names":
+            model.setPhysicalName(1, 5, "half")
+            model.setPhysicalName(2, 5, "body")
+
+    path = file_of(folder, draw, version=version, binary=binary, everything=everything)
+    if version == 2.2 and everything:  # Gmsh leaves the groups out then
+        assert level_of(path).facets == level_of(path).groups == {}
+        return
+    if kind == "curves" and not everything:  # the file holds the curves alone
+        assert level_of(path).mesh.topology.dim == 1
+        return
+    level = level_of(path)
+    curve, body = ("half", "body") if kind == "names" else ("5", "5")
+    assert set(level.facets) == ({curve} if kind != "cells" else set())
+    assert set(level.groups) == ({body} if kind != "curves" else set())
+    if kind != "cells":
+        assert 2 * facets(level, curve) == facets(level)
+    if kind != "curves":
+        assert total(COMM, len(level.groups[body])) == level.cells
+
+
+def two_squares(model):
+    occ = model.occ
+    occ.addRectangle(0, 0, 0, 1, 1)
+    occ.addRectangle(1, 0, 0, 1, 1)
+    occ.fragment([(2, 1)], [(2, 2)])
+    occ.synchronize()
+
+
+def test_cells_that_are_in_no_group(folder):
+    """With groups of cells the others are not part of the mesh, as in what Gmsh saves itself; that is said."""
+
+    def draw(model):
+        two_squares(model)
+        model.setPhysicalName(2, model.addPhysicalGroup(2, [1]), "steel")
+
+    level = level_of(file_of(folder, draw))
+    assert set(level.groups) == {"steel"} and total(COMM, len(level.groups["steel"])) == level.cells
+    (remark,) = level.remarks
+    assert remark.startswith("surface 2 is in no physical group") and remark.endswith("not part of the mesh")
+
+
+def test_a_group_that_holds_nothing(folder):
+    """A group without a mesh is no fault as long as nothing is on it."""
+
+    def draw(model):
+        two_squares(model)
+        model.setPhysicalName(1, model.addPhysicalGroup(1, [4]), "side")
+        point = model.occ.addPoint(5, 5, 0)
+        lone = model.occ.addLine(point, model.occ.addPoint(6, 5, 0))
+        model.occ.synchronize()
+        model.setPhysicalName(1, model.addPhysicalGroup(1, [lone]), "lone")
+        model.mesh.setTransfiniteCurve(lone, 2)
+        generate = model.mesh.generate
+        generate(2)
+        model.mesh.clear([(1, lone)])
+
+    def write():
+        saved(folder / "mesh.msh", draw, dim=0)
+
+    on_root(COMM, write)
+    scene = Scene(mesh={"file": str(folder / "mesh.msh")}, tension=1, load=1)
+    assert solve(scene).level.remarks == ("the physical group 'lone' holds no mesh",)
+    with pytest.raises(InputError, match="on = 'lone': no facet of the mesh lies on it"):
+        solve(scene.change({"boundary": [{"on": "lone", "value": 0}]}))
+
+
+def test_what_is_no_mesh_of_straight_simplices(folder):
+    """Curved cells, quadrilaterals, mixed meshes, points alone and cut files are rejected on all ranks."""
+
+    def quads(model):
+        shape(2)(model)
+        model.mesh.setRecombine(2, 1)
+
+    def mixed(model):
+        two_squares(model)
+        model.mesh.setRecombine(2, 2)
+
+    cases = {
+        "curved": (disk_of_arcs, {"order": 2}, "P1 needs straight"),
+        "quads": (quads, {}, "uadri"),
+        "mixed": (mixed, {}, "uadri"),
+        "points": (shape(2), {"dim": 0}, "holds no cells"),
+    }
+    for name, (draw, how, message) in cases.items():
+        path = file_of(folder, draw, f"{name}.msh", **how)
+        with pytest.raises(InputError, match=rf"{name}\.msh: .*{message}"):
+            level_of(path)
+
+
+def test_cut_files(folder):
+    """A file that ends anywhere ends no process."""
+    path = file_of(folder, disk_of_arcs, binary=1)
+
+    def cut():
+        data = path.read_bytes()
+        for number in range(5):
+            (folder / f"cut{number}.msh").write_bytes(data[: len(data) * (2 * number + 1) // 10])
+
+    on_root(COMM, cut)
+    for number in range(5):
+        try:
+            level_of(folder / f"cut{number}.msh")
+        except InputError as error:
+            assert f"cut{number}.msh: " in str(error)
+
+
+def test_nodes_with_gaps_and_without_cells(folder):
+    """Node numbers may have gaps, and nodes no cell."""
+    text = """$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n6\n7 0 0 0\n11 1 0 0\n500 1 1 0\n90 0 1 0\n3 9 9 9
+1000000 -5 2 0\n$EndNodes\n$Elements\n3\n4 2 2 0 1 7 11 500\n9 2 2 0 1 7 500 90\n12 1 2 8 3 7 11\n$EndElements\n"""
+    on_root(COMM, lambda: (folder / "gaps.msh").write_text(text) and None)
+    level = level_of(folder / "gaps.msh")
+    assert level.dofs == 4 and level.cells == 2 and level.mesh.geometry.dim == 2
+    assert set(level.facets) == {"8"} and facets(level, "8") == 1
+
+
+def test_bodies_that_were_not_fragmented(folder):
+    """Two rectangles with a common edge are one domain only if they share its nodes; until then there is no answer."""
+
+    def apart(model):
+        model.occ.addRectangle(0, 0, 0, 1, 1)
+        model.occ.addRectangle(1, 0, 0, 1, 1)
+        model.occ.synchronize()
+
+    with pytest.raises(InputError, match=r"apart.msh: two parts .* touch without shared nodes.*BooleanFragments"):
+        level_of(file_of(folder, apart, "apart.msh"))
+    level = level_of(file_of(folder, two_squares, "together.msh"))
+    assert level.remarks == ()
+
+
+POLYGON = """Point(1) = {0, 0, 0, 0.5}; Point(2) = {3, 0, 0, 0.5}; Point(3) = {3, 2, 0, 0.5}; Point(4) = {0, 2, 0, 0.5};
+Point(5) = {1, 0.5, 0, 0.3}; Point(6) = {2, 0.5, 0, 0.3}; Point(7) = {1.5, 1.5, 0, 0.3};
+Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1}; Line(5) = {5, 6}; Line(6) = {6, 7};
+"""
+OCC = 'SetFactory("OpenCASCADE"); Mesh.MeshSizeMax = 0.5;\n'
+HOLE = "Line Loop(1) = {1, 2, 3, 4}; Line Loop(2) = {5, 6, 7}; Plane Surface(1) = {1, 2};"
+STRAIGHT = {
+    "rectangle": (OCC + "Rectangle(1) = {0, 0, 0, 2, 1};", True),
+    "disk": (OCC + "Disk(1) = {0, 0, 0, 1};", False),
+    "polygon with a hole": (POLYGON + "Line(7) = {7, 5};" + HOLE, True),
+    "one arc": (
+        POLYGON.replace("{1.5, 1.5,", "{1.5, 1,") + "Point(8) = {1.5, 0.5, 0}; Circle(7) = {7, 8, 5};" + HOLE, False),
+    "one spline": (POLYGON + "Point(8) = {1.2, 1.2, 0}; Spline(7) = {7, 8, 5};" + HOLE, False),
+    "round interface": (
+        OCC + "Rectangle(1) = {0, 0, 0, 2, 2}; Disk(2) = {1, 1, 0, 0.5}; BooleanFragments{Surface{1}; Delete;}"
+        "{Surface{2}; Delete;}", False),
+    "box": (OCC + "Box(1) = {0, 0, 0, 1, 1, 1};", True),
+    "cylinder": (OCC + "Cylinder(1) = {0, 0, 0, 0, 0, 1, 1};", False),
+    "round hole in a box": (
+        OCC + "Box(1) = {0, 0, 0, 2, 2, 2}; Sphere(2) = {1, 1, 1, 0.5}; BooleanDifference{Volume{1}; Delete;}"
+        "{Volume{2}; Delete;}", False),
+    "extruded": (POLYGON + "Line(7) = {7, 5};" + HOLE + "Extrude {0, 0, 1} { Surface{1}; }", True),
+    "twisted": (
+        "Point(1) = {0, 0, 0, 0.5}; Point(2) = {1, 0, 0, 0.5}; Point(3) = {1, 1, 0.3, 0.5}; Point(4) = {0, 1, 0, 0.5};"
+        "Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1}; Line Loop(1) = {1, 2, 3, 4};"
+        "Surface(1) = {1};", False),
+    "two lines meshed as one": (
+        POLYGON.replace("{1.5, 1.5,", "{1.9, 1.3,") + "Line(7) = {7, 5};" + HOLE + "Compound Line {6, 7};", None),
+    "a wire": ("Point(1) = {0, 0, 0, 0.3}; Point(2) = {1, 0, 0, 0.3}; Line(1) = {1, 2};", True),
+    "a round wire": (
+        "Point(1) = {0, 0, 0, 0.3}; Point(2) = {1, 0, 0, 0.3}; Point(3) = {0, 1, 0, 0.3}; Circle(1) = {2, 1, 3};",
+        False),
+    "a construction line that is round": (
+        OCC + "Rectangle(1) = {0, 0, 0, 2, 1}; Circle(9) = {5, 5, 0, 1}; Physical Surface(1) = {1};", True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STRAIGHT)
+def test_straight_boundaries_are_known_from_the_geometry(folder, name):
+    """Only where all CAD curves are straight is the domain the polygon of its mesh, refined or not."""
+    text, expected = STRAIGHT[name]
+    on_root(COMM, lambda: (folder / "shape.geo").write_text(text + "\n") and None)
+    level = level_of(folder / "shape.geo")
+    assert level.straight is expected and level.polygonal is expected
+    if level.mesh.topology.dim == 2:
+        assert level_of(folder / "shape.geo", refine=1).polygonal is expected
+
+
+def test_a_mesh_says_nothing_of_its_geometry(folder):
+    """Of a .msh, and of the caller's own mesh, it is unknown whether the domain is the polygon."""
+    from dolfinx import mesh as dmesh
+
+    assert level_of(file_of(folder, shape(2))).polygonal is None
+    assert build(Scene(mesh=dmesh.create_unit_square(COMM, 2, 2), tension=1), COMM).polygonal is None
+
+
+def with_a_curve_inside(model):
+    """Two squares with the curve 'middle' between them and the named sides 'left', 'right' and 'floor'."""
+    two_squares(model)
+    curves = {tuple(np.round(model.occ.getCenterOfMass(1, tag)[:2], 9)): tag for _, tag in model.getEntities(1)}
+    for name, place in {"middle": (1, 0.5), "left": (0, 0.5), "right": (2, 0.5), "floor": (0.5, 0)}.items():
+        model.setPhysicalName(1, model.addPhysicalGroup(1, [curves[place]]), name)
+    for number, name in enumerate(("west", "east"), 1):
+        model.setPhysicalName(2, model.addPhysicalGroup(2, [number]), name)
+
+
+def test_normal_flux_on_a_curve_inside(folder):
+    """Where u is given it is the force that holds the curve; where u is free it would be 0, and is rejected."""
+    path = file_of(folder, with_a_curve_inside)
+    ends = [{"on": "left", "value": 0}, {"on": "right", "value": 0}]
+    roof = Scene(mesh={"file": str(path)}, tension=1, boundary=[*ends, {"on": "middle", "value": 1}],
+                 report={"F": "integral(normal_flux, 'middle')", "free": "integral(normal_flux, 'floor')"})  # fmt: skip
+    report = solve(roof).report
+    assert np.isclose(report["F"], 2) and report["free"] == 0
+    words = "'middle' is inside the domain and u is not given on it.* integrate load and p over the part of the domain"
+    for boundary in (ends, [*ends, {"on": "floor", "value": 0}]):
+        with pytest.raises(InputError, match=words):
+            solve(roof.change({"boundary": boundary}))
+    with pytest.raises(InputError, match=r"what .*boundary.* gives"):
+        solve(roof.change({"boundary": [*ends, {"on": "middle", "flux": 1}]}))
+    # what the message advises: the flux out of one part is minus its load, less what leaves by its other sides
+    loaded = roof.change({"boundary": ends, "effects.load": {"west": 1, "east": 3}, "report": {
+        "through": "-integral(1, 'west') - integral(normal_flux, 'left')"}})  # fmt: skip
+    assert np.isclose(solve(loaded).report["through"], 0.5)
