@@ -15,13 +15,14 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.changes import changed
+from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
 from fenicsx_obstacle.answers.compute import Workbench, close
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.signatures import checked
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.bound import Bound
@@ -35,8 +36,9 @@ AHEAD = 0.04  # times that: solvers do not mind, and the next meshes need no sma
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
 
 
+@checked(scene=SCENE, budget="a text such as '60s', '8GB' or '1e6 unknowns'", eps="a number, a formula in h, or 'auto'")
 def solve(
-    scene: Scene,
+    scene: Scene | str | Path,
     *,
     eps: float | str | None = None,
     cells: int | None = None,
@@ -56,7 +58,7 @@ def solve(
     """Solve a scene (collective).
 
     Args:
-        scene: What to solve; the other arguments replace its values.
+        scene: What to solve, or its file, or its name in the catalogue; the other arguments replace its values.
         eps: Penalty parameter: a number in units of u/p, or a formula in h.
         cells: Cells per side, for shapes.
         refine: Uniform refinements.
@@ -80,7 +82,7 @@ def solve(
         NotConverged: With PETSc's reason.
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
-    scene, limits = changed(scene, given), Budget.of(budget)
+    scene, limits = changed(scene_of(scene), given), Budget.of(budget)
     if scene.time is not None and (bound or tol is not None or tol_absolute is not None):
         raise InputError(f"{scene.source}: the error bound is for one equilibrium, not for scenes with [time]")
     if scene.time is None and restart is not None:

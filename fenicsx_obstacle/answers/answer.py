@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.signatures import checked, shown
 from fenicsx_obstacle.solvers.stopping import Step
 from fenicsx_obstacle.words import counted, title_of
 
@@ -101,9 +102,14 @@ class Answer:
         Raises:
             InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh.
         """
-        given, gdim = np.asarray(points, dtype=np.float64), self.level.mesh.geometry.dim
+        gdim = self.level.mesh.geometry.dim
+        try:
+            given = np.asarray(points, dtype=np.float64)
+        except (TypeError, ValueError):
+            given = np.empty(())
         if given.ndim == 0 or given.shape[-1] not in (gdim, 3):
-            raise InputError(f"at() takes points, shape (n, {gdim}), or one point, shape ({gdim},), not {given.shape}")
+            got = shown(points) if given.ndim == 0 else f"shape {given.shape}"
+            raise InputError(f"at() takes points, shape (n, {gdim}), or one point, shape ({gdim},), not {got}")
         flat = np.zeros((given[..., 0].size, 3))
         flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
         if np.any(flat[:, gdim:] != 0):
@@ -242,6 +248,7 @@ class Answer:
             figures.append(f"penetration {r['penetration']:.3g}")
         return figures
 
+    @checked()
     def save(self, folder: str | Path) -> None:
         """Write answer.json, scene.toml, history.csv and fields.xdmf into a folder (collective).
 
@@ -253,6 +260,7 @@ class Answer:
         save(self, Path(folder))
 
     @classmethod
+    @checked()
     def read(cls, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         """A saved answer with the element it was computed with, on any number of ranks (collective).
 
@@ -267,6 +275,7 @@ class Answer:
 
         return read(Path(folder), comm)
 
+    @checked()
     def plot(self, path: str | Path | None = None) -> Picture:
         """Draw u with its obstacles, free boundary and pressure (collective).
 

@@ -13,15 +13,19 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import Contact, contact_of
+from fenicsx_obstacle.answers.given import check_form, conditions, obstacle, penalty_parameter
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import smallest
 from fenicsx_obstacle.scenes.tables import Tables
+from fenicsx_obstacle.signatures import shown
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.stopping import Step
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
+
+SHARE = 0.01  # of the median of D_i/A_ii: eps = "auto"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,7 @@ class FormAnswer:
         contact: Contact set, area and forces.
         iterations: Newton steps.
         history: The steps of the iteration.
+        eps: Penalty parameter, in units of u/p; None for the variational inequality.
     """
 
     u: fem.Function = field(repr=False)
@@ -41,16 +46,17 @@ class FormAnswer:
     contact: Contact
     iterations: int
     history: tuple[Step, ...] = field(repr=False)
+    eps: float | None = None
 
 
 def solve_form(
     F: ufl.Form,
     u: fem.Function,
     *,
-    bcs: Sequence[Any] = (),
+    bcs: Any = (),
     lower: Any = None,
     upper: Any = None,
-    eps: float | None = None,
+    eps: float | str | fem.Constant | None = None,
     energy: ufl.Form | None = None,
 ) -> FormAnswer:
     """Solve F(u; v) + (1/eps) I((u - g)^+, v) = 0 for u between obstacles (collective).
@@ -62,23 +68,33 @@ def solve_form(
     Args:
         F: Residual, a linear form in one test function.
         u: Unknown of F, a continuous P1 Function: start and solution.
-        bcs: Dirichlet conditions.
-        lower: Obstacle below: a Function of the same space, a number, or a UFL expression.
-        upper: Obstacle above, likewise.
-        eps: Penalty parameter; None for the variational inequality, by SNES VI.
+        bcs: Dirichlet conditions, a list or a single one.
+        lower: Obstacle below, taken at the nodes: a number; a Function, also of another space, or on another mesh that
+            covers this one; UFL without u; or a callable of x, shape (3, n), as Function.interpolate takes it.
+        upper: Obstacle above, in the same way.
+        eps: Penalty parameter: a number or a Constant; "auto", a hundredth of the median of D_i/A_ii over the nodes
+            where u is free, for A the derivative of F at the start and D the weights of the vertex rule; None for the
+            variational inequality, by SNES VI.
         energy: The functional whose derivative F is; with it a line search safeguards the iteration.
 
     Raises:
-        InputError: If the space is not P1 on simplices, no obstacle is given, or data are not admissible.
+        InputError: If the space is not P1 on simplices, no obstacle is given, or an argument is of another kind or not
+            admissible.
         NotConverged: With PETSc's reason.
     """
     if lower is None and upper is None:
         raise InputError("solve_form: give an obstacle, lower= or upper=")
-    if eps is not None and not 0 < eps < np.inf:
-        raise InputError(f"eps = {eps}: must be positive and finite")
-    level = of_space(u.function_space)
+    if not isinstance(u, fem.Function):
+        raise InputError(f"solve_form: u = {shown(u)}: expected the Function that F is to be solved for")
+    level, eps = of_space(u.function_space), penalty_parameter(eps)
+    check_form(F, u, "F", arguments=1)
+    if energy is not None:
+        check_form(energy, u, "energy", arguments=0)
+    bcs = conditions(bcs, u.function_space)
     given = _Given(F, u, energy)
     scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables(), thin=False, time=None)
+    lower, upper = (None if g is None else obstacle(g, u, level, name)
+                    for g, name in ((lower, "lower"), (upper, "upper")))  # fmt: skip
     data = _Data(scene, level, bcs, lower, upper)
     problem = Problem(scene, level, data)
     data._finite(u, "u, the start,")
@@ -89,6 +105,8 @@ def solve_form(
     problem.refer(np.clip(start, low, high))
     if energy is not None:
         _refuse_no_minimum(problem)
+    if isinstance(eps, str):
+        eps = _automatic(problem)
     if eps is None:
         outcome = solve_vi(problem)
         p = residual_pressure(problem)
@@ -100,16 +118,36 @@ def solve_form(
     pressure = fem.Function(u.function_space, name="p")
     pressure.x.array[: len(p)] = p
     pressure.x.scatter_forward()
-    return FormAnswer(u, pressure, contact, outcome.iterations, outcome.history)
+    return FormAnswer(u, pressure, contact, outcome.iterations, outcome.history, eps)
+
+
+def _diagonal(problem: Problem) -> np.ndarray:
+    """A_ii at owned nodes where u is free, for A the derivative of F at the present state (collective)."""
+    state = problem.state()
+    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
+    found = diagonal.array_r[~problem.fixed]
+    for owner in (state, diagonal):
+        owner.destroy()
+    return found
+
+
+def _automatic(problem: Problem) -> float:
+    """eps = "auto" (collective).
+
+    Raises:
+        InputError: If A has no positive diagonal entry there.
+    """
+    diagonal = _diagonal(problem)
+    ratios = problem.weights[~problem.fixed][diagonal > 0] / diagonal[diagonal > 0]
+    everywhere = np.concatenate(problem.level.comm.allgather(ratios))
+    if not len(everywhere):
+        raise InputError("solve_form: eps = 'auto': the derivative of F has no positive diagonal entry; give a number")
+    return SHARE * float(np.median(everywhere))
 
 
 def _refuse_no_minimum(problem: Problem) -> None:
     """A convex energy gives the derivative of F a positive diagonal (collective)."""
-    state = problem.state()
-    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    least = smallest(problem.level.comm, diagonal.array_r[~problem.fixed])
-    for owner in (state, diagonal):
-        owner.destroy()
+    least = smallest(problem.level.comm, _diagonal(problem))
     if least <= 0:
         raise InputError(
             f"solve_form: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
@@ -124,10 +162,7 @@ class _Given:
     gives_way = False
 
     def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
-        arguments = F.arguments()
-        if len(arguments) != 1:
-            raise InputError("solve_form: F must be linear in one test function, and hold no trial function")
-        self.F, self.u, self.v, self.functional = F, u, arguments[0], energy
+        self.F, self.u, self.v, self.functional = F, u, F.arguments()[0], energy
         self.symmetric = self.convex = energy is not None
 
     def terms(self, u: Any, v: Any, data: Any) -> ufl.Form:
@@ -152,11 +187,12 @@ class _Given:
 class _Data(Data):
     """Obstacles and boundary values that are given as they are, not sampled."""
 
-    def __init__(self, scene: Any, level: Level, bcs: Sequence[Any], lower: Any, upper: Any):
+    def __init__(
+        self, scene: Any, level: Level, bcs: Sequence[Any], lower: fem.Function | None, upper: fem.Function | None
+    ):
         super().__init__(scene, level)
-        taken = (None if g is None else self._taken(g) for g in (lower, upper))
         self.lower, self.upper = (
-            None if g is None else self._finite(g, name) for g, name in zip(taken, ("lower", "upper"), strict=True)
+            None if g is None else self._finite(g, name) for g, name in ((lower, "lower"), (upper, "upper"))
         )
         values = fem.Function(level.V)
         releases.set_values(values.x.array, bcs)
@@ -172,13 +208,3 @@ class _Data(Data):
         if found is not None:
             raise InputError(f"solve_form: {what} is not a finite number: it is {found[0]:g} at {self.at(found[1])}")
         return function
-
-    def _taken(self, g: Any) -> fem.Function:
-        taken = fem.Function(self.level.V)
-        if isinstance(g, fem.Function) and g.function_space == self.level.V:
-            taken.x.array[:] = g.x.array
-        elif isinstance(g, ufl.core.expr.Expr):
-            taken.interpolate(releases.expression(g, self.level.V))
-        else:
-            taken.x.array[:] = float(g)
-        return taken

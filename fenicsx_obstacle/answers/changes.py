@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
@@ -10,8 +11,18 @@ from fenicsx_obstacle.scenes.formulas import nearest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import Tables
 
+SCENE = "a Scene, a file with one, or a name of the catalogue"
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
           "start": "solve.start", "element": "solve.element"}  # fmt: skip
+
+
+def scene_of(scene: Scene | str | Path) -> Scene:
+    """A scene, or the one in a file, or of a name in the catalogue.
+
+    Raises:
+        InputError: If there is no such file or name.
+    """
+    return scene if isinstance(scene, Scene) else catalogue.read(str(scene))
 
 
 def changed(scene: Scene, options: dict[str, Any]) -> Scene:

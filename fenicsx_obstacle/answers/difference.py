@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,18 @@ from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.signatures import checked
+
+_EXPECTED = "an Answer, or the folder of a saved one"
 
 
-def compare(a: Answer, b: Answer) -> dict[str, Any]:
+@checked(a=_EXPECTED, b=_EXPECTED)
+def compare(a: Answer | str | Path, b: Answer | str | Path) -> dict[str, Any]:
     """Differences of two answers, taken at the nodes of the finer mesh (collective).
+
+    Args:
+        a: An answer, or the folder of a saved one.
+        b: The other one.
 
     Returns:
         `u`: l2, h1 and max norm of the difference, and `energy` ||mu^(1/2) grad(.)|| where the tension of the finer
@@ -30,6 +39,7 @@ def compare(a: Answer, b: Answer) -> dict[str, Any]:
     Raises:
         InputError: If the answers live in spaces of different dimensions.
     """
+    a, b = (one if isinstance(one, Answer) else Answer.read(one) for one in (a, b))
     fine, coarse = _by_size(a, b)
     points, mine = _everywhere(fine)
     there = {"u": coarse.values(points)[mine]}

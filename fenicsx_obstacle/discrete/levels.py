@@ -243,9 +243,10 @@ def of_space(V: fem.FunctionSpace) -> Level:
     Raises:
         InputError: If it is another space.
     """
-    element = V.ufl_element()
-    if releases.called(element.degree) != 1 or V.dofmap.index_map_bs != 1 or "DG" in str(element):
-        raise InputError("u must be a continuous P1 Function of one component")
+    layout = V.dofmap.dof_layout
+    at_vertices = len(layout.entity_dofs(0, 0)) == 1 and layout.num_dofs == releases.geometry_dofs(V.mesh).shape[1]
+    if not at_vertices or V.dofmap.index_map_bs != 1:
+        raise InputError(f"solve_form: u must be a continuous P1 Function of one component, not of {V.ufl_element()}")
     level = _level(releases.settle(V.mesh), "solve_form")
     level.__dict__["V"] = V  # in place of one made on first use
     return level

@@ -12,6 +12,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, duals
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.words import counted
 
 ROUND_OFF = 1e-9  # of the size of a cell: how far outside a point may lie
@@ -87,6 +88,22 @@ def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.nda
     np.add.at(sums[1], rows, 1.0)
     comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
     return np.divide(sums[0], sums[1], out=np.full(count, np.nan), where=sums[1] > 0)
+
+
+def values_of(u: fem.Function, points: np.ndarray) -> np.ndarray:
+    """Values of a Function of one component at points, on any cells; not-a-number outside its mesh (collective).
+
+    Args:
+        u: Function.
+        points: The same on every rank, shape (n, 3).
+    """
+    mesh = u.function_space.mesh
+    if releases.cell_name(mesh) in SIMPLICES:
+        rows, cells, _ = locate(Level(mesh, 0.0), points)
+    else:
+        rows, cells = releases.cells_near(mesh, points, 0.0, within=True)
+    found = u.eval(points[rows], cells) if len(rows) else np.empty(0)
+    return mean_over_cells(mesh.comm, len(points), rows, np.ravel(found))
 
 
 def values_at(level: Level, u: fem.Function, points: np.ndarray) -> np.ndarray:

@@ -136,9 +136,10 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
 
 def nearest(word: str, known: Any) -> str:
     """A hint naming the known word most like `word`, or what is known."""
-    close = difflib.get_close_matches(word, list(known), 1, 0.6)
+    alike = {name.lower(): name for name in sorted(known)}
+    close = difflib.get_close_matches(word.lower(), alike, 1, 0.6)
     if close:
-        return f"; did you mean '{close[0]}'?"
+        return f"; did you mean '{alike[close[0]]}'?"
     if not known:
         return " (there are none)"
     names = sorted(known)

@@ -23,6 +23,7 @@ from fenicsx_obstacle.scenes.parts import check_parts, part_place
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
+from fenicsx_obstacle.signatures import checked, shown
 from fenicsx_obstacle.words import plain
 
 AUTO = "h^2/100"  # eps as small as makes its error a few per cent of the mesh's: solvers do not mind how small
@@ -101,24 +102,23 @@ class Scene(Vocabulary):
         Raises:
             InputError: For anything that is wrong without looking at a mesh.
         """
-        if isinstance(mesh, str):
-            raise InputError(f"scene: mesh = {mesh!r}: expected a DOLFINx mesh or a table such as {{'shape': 'disk'}}")
+        if not isinstance(mesh, dict) and not hasattr(mesh, "topology"):
+            wanted = "expected a DOLFINx mesh or a table such as {'shape': 'disk'}"
+            raise InputError(f"scene: mesh = {shown(mesh)}: {wanted}")
         raw = {
-            "title": title, "u": u, "define": dict(define or {}), "effects": effects,
+            "title": title, "u": u, "define": {} if define is None else define, "effects": effects,
             "mesh": mesh if isinstance(mesh, dict) else {},
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
-            "boundary": list(boundary or ()), "report": dict(report or {}),
+            "boundary": [] if boundary is None else boundary, "report": {} if report is None else report,
+            "time": time, "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
         }  # fmt: skip
-        if time is not None:
-            raw["time"] = dict(time)
-        if exact is not None:
-            raw["exact"] = dict(exact) if isinstance(exact, Mapping) else {"u": exact}
         self._fill(raw, "scene", Path(), None if isinstance(mesh, dict) else mesh)
 
     def __repr__(self) -> str:
         return f"Scene({self.tables.title or self.name!r}, source={self.source!r})"
 
     @classmethod
+    @checked()
     def read(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
         """Scene from a TOML file (every rank reads it), with other values as in `change`.
 
@@ -132,6 +132,7 @@ class Scene(Vocabulary):
         self._fill(raw, str(path), path.parent, None)
         return self
 
+    @checked()
     def change(self, changes: Mapping[str, Any]) -> Scene:
         """The same scene with other values: `scene.change({"mesh.cells": 64, "define.ecc": 0.9})`.
 
@@ -139,7 +140,7 @@ class Scene(Vocabulary):
             InputError: If a key is unknown or a value does not fit it.
         """
         raw = msgspec.to_builtins(self.tables)
-        set_values(raw, changes, self.source)
+        set_values(raw, {str(key): value for key, value in changes.items()}, self.source)
         new = Scene.__new__(Scene)
         new._fill(raw, self.source, self.folder, self.mesh)
         return new
@@ -147,8 +148,7 @@ class Scene(Vocabulary):
     def with_mesh_file(self, file: str) -> Scene:
         """The scene of a mesh of the caller's own, with that mesh in a file."""
         new = Scene.__new__(Scene)
-        raw = msgspec.to_builtins(self.tables)
-        new._fill({**raw, "mesh": {"file": file}}, self.source, self.folder, None)
+        new._fill({**msgspec.to_builtins(self.tables), "mesh": {"file": file}}, self.source, self.folder, None)
         return new
 
     def _fill(self, raw: dict[str, Any], source: str, folder: Path, mesh: Any) -> None:
@@ -287,7 +287,7 @@ class Scene(Vocabulary):
 
 def _plain(value: Any) -> Any:
     """The same with Python's own numbers and lists for NumPy's."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(part) for part in value]

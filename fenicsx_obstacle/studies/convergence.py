@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,12 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.changes import changed
+from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.studies.orders import parameter
 from fenicsx_obstacle.studies.rows import RowStore, flat, row_key
 
@@ -25,8 +27,9 @@ Row = dict[str, Any]
 OnRow = Callable[[Row, Answer | None], None]
 
 
+@checked(scene=SCENE, vary='values by keys such as {"cells": [16, 32]}')
 def study(
-    scene: Scene, vary: Mapping[str, Sequence[Any]], *, comm: MPI.Comm = MPI.COMM_WORLD, **options: Any
+    scene: Scene | str | Path, vary: Mapping[str, Sequence[Any]], *, comm: MPI.Comm = MPI.COMM_WORLD, **options: Any
 ) -> list[Row]:
     """Solve a scene for all combinations of values (collective).
 
@@ -35,7 +38,7 @@ def study(
     ((5.6)-(5.9)).
 
     Args:
-        scene: What to solve.
+        scene: What to solve, or its file, or its name in the catalogue.
         vary: Values of each key: cells, refine, eps, method, or a dotted key of the scene such as "define.ecc".
         comm: Communicator.
         **options: Fixed values, as in `solve`.
@@ -47,7 +50,9 @@ def study(
         InputError: For bad data.
         NotConverged: With PETSc's reason.
     """
-    return [flat(row) for row in Study(scene, vary, options, comm).run()]
+    if not vary:
+        raise InputError('study: vary = {}: name a key and its values, as in {"cells": [16, 32]}; one solve is solve()')
+    return [flat(row) for row in Study(scene_of(scene), vary, options, comm).run()]
 
 
 class Study:

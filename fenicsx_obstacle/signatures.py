@@ -1,0 +1,88 @@
+"""Arguments of the public functions, checked against the annotations of these functions."""
+
+from __future__ import annotations
+
+import inspect
+import numbers
+import types
+from collections.abc import Callable, Mapping
+from functools import cache, wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar, Union, get_args, get_origin
+
+import numpy as np
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.formulas import nearest
+
+P = ParamSpec("P")
+T = TypeVar("T")
+SHOWN = 60  # characters of a value
+_WORDS = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", Mapping: "a dict",
+          Path: "a path"}  # fmt: skip
+
+
+def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Let a function check its arguments before it begins: their names and their types.
+
+    Args:
+        **expected: What to say is expected, where the annotation of an argument does not say it all.
+    """
+
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        signature = inspect.signature(function)
+        named = [name for name, one in signature.parameters.items() if one.kind != inspect.Parameter.VAR_KEYWORD]
+        name = function.__qualname__
+
+        @cache
+        def kinds() -> dict[str, Any]:
+            kept = (signature.parameters[key] for key in named)
+            return {one.name: eval(one.annotation, function.__globals__) for one in kept if one.annotation != one.empty}
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> T:
+            for key in kwargs:
+                if key not in named and len(named) == len(signature.parameters):
+                    raise InputError(f"{name}: there is no argument '{key}'" + nearest(key, named))
+            given = signature.bind(*args, **kwargs).arguments
+            for key, kind in kinds().items():
+                if key in given and not _fits(given[key], kind):
+                    raise InputError(
+                        f"{name}: {key} = {shown(given[key])}: expected {expected.get(key) or _words(kind)}"
+                    )
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def shown(value: Any) -> str:
+    """A value, or its beginning, in one line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."
+
+
+def _options(kind: Any) -> tuple[Any, ...]:
+    return get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value is of a kind; numbers of NumPy are numbers, True and False are none."""
+    if kind is Any:
+        return True
+    options = _options(kind)
+    if len(options) > 1:
+        return any(_fits(value, option) for option in options)
+    if kind in (float, int):
+        wanted = numbers.Real if kind is float else numbers.Integral
+        return isinstance(value, wanted) and not isinstance(value, bool)
+    if kind is bool:
+        return isinstance(value, bool | np.bool_)
+    return isinstance(value, get_origin(kind) or kind)
+
+
+def _words(kind: Any) -> str:
+    """The kinds of value, in words."""
+    kept = [get_origin(option) or option for option in _options(kind) if option is not types.NoneType]
+    return " or ".join(_WORDS.get(option, f"{option.__module__}.{option.__qualname__}") for option in kept)

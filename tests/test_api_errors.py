@@ -1,0 +1,326 @@
+"""What Python callers pass: obstacles of every kind in `solve_form`, and helpful errors for what is wrong."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, membrane
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+
+from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, solve_form, study
+from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.releases import functionspace
+
+
+def bowl(x):
+    return 0.1 + 0.4 * (x[0] - 0.5) ** 2 + 0.2 * x[1]
+
+
+def square(cells=12, kind=dmesh.CellType.triangle, low=0.0, high=1.0):
+    return dmesh.create_rectangle(COMM, [np.full(2, low), np.full(2, high)], [cells, cells], kind)
+
+
+class Own:
+    """A residual of the caller's own: Poisson with load 8, u = 0 around."""
+
+    def __init__(self, mesh=None, load=8.0):
+        mesh = square() if mesh is None else mesh
+        self.V = functionspace(mesh, "Lagrange", 1)
+        self.u, v = fem.Function(self.V), ufl.TestFunction(self.V)
+        self.F = (ufl.inner(ufl.grad(self.u), ufl.grad(v)) - load * v) * ufl.dx
+        self.energy = (ufl.inner(ufl.grad(self.u), ufl.grad(self.u)) / 2 - load * self.u) * ufl.dx
+        dim = mesh.topology.dim
+        mesh.topology.create_connectivity(dim - 1, dim)
+        facets = dmesh.exterior_facet_indices(mesh.topology)
+        self.bc = fem.dirichletbc(fem.Function(self.V), fem.locate_dofs_topological(self.V, dim - 1, facets))
+
+    def solve(self, **given):
+        self.u.x.array[:] = 0.0
+        return solve_form(self.F, self.u, **{"bcs": [self.bc], "eps": 1e-6, **given})
+
+    def values(self, **given):
+        """Of u with these arguments."""
+        return self.solve(**given).u.x.array.copy()
+
+
+def function(mesh, values, family="Lagrange", degree=1):
+    found = fem.Function(functionspace(mesh, family, degree))
+    found.interpolate(values)
+    return found
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda own: lambda x: bowl(x),
+        lambda own: bowl(ufl.SpatialCoordinate(own.V.mesh)),
+        lambda own: function(own.V.mesh, bowl, degree=2),
+        lambda own: function(square(24), bowl),
+        lambda own: function(square(5), bowl, degree=2),
+        lambda own: function(square(7, dmesh.CellType.quadrilateral), bowl, degree=2),
+        lambda own: function(square(9, low=-0.3, high=1.2), bowl, degree=2),
+    ],
+    ids=["callable", "UFL", "P2", "finer mesh", "P2 on another mesh", "quadrilaterals", "larger mesh"],
+)
+def test_an_obstacle_of_any_kind_is_the_same_obstacle(made):
+    """A callable, UFL, a Function of another space or on another mesh: taken at the nodes, each gives the same u."""
+    own = Own()
+    expected = own.values(upper=function(own.V.mesh, bowl))
+    exact = not isinstance(made(own), fem.Function) or made(own).function_space.mesh is own.V.mesh
+    coarse_p1 = 0.4 / 4 / 24**2  # the interpolation error of the bowl on the finer mesh
+    assert largest(COMM, np.abs(own.values(upper=made(own)) - expected)) < (1e-12 if exact else coarse_p1 + 1e-12)
+
+
+def test_another_mesh_in_space():
+    """The same in three dimensions, for a lower obstacle, on hexahedra as well."""
+    own = Own(dmesh.create_unit_cube(COMM, 4, 4, 4), load=-8.0)
+    plane = lambda x: -0.1 - 0.05 * x[0] + 0.02 * x[2]  # noqa: E731
+    expected = own.values(lower=function(own.V.mesh, plane))
+    for kind in (dmesh.CellType.tetrahedron, dmesh.CellType.hexahedron):
+        other = dmesh.create_unit_cube(COMM, 3, 3, 3, kind)
+        assert largest(COMM, np.abs(own.values(lower=function(other, plane)) - expected)) < 1e-10
+        found = own.solve(lower=function(other, plane), eps=None)
+        assert found.contact.lower_force > 0 and found.eps is None
+
+
+def test_constants_for_numbers():
+    """eps and an obstacle as Constants; a single Dirichlet condition without a list, and none."""
+    own = Own()
+    mesh = own.V.mesh
+    expected = own.values(upper=0.3)
+    for given in (
+        {"upper": fem.Constant(mesh, 0.3)}, {"upper": np.float64(0.3), "eps": fem.Constant(mesh, 1e-6)},
+        {"upper": 0.3, "eps": np.float32(1e-6)}, {"upper": 0.3, "bcs": own.bc}, {"upper": 0.3, "bcs": (own.bc,)},
+        {"upper": lambda x: 0.3},
+    ):  # fmt: skip
+        assert largest(COMM, np.abs(own.values(**given) - expected)) < 1e-9
+    own.F += 100 * own.u * ufl.TestFunction(own.V) * ufl.dx
+    without = [own.values(upper=0.05, bcs=bcs) for bcs in (None, [])]
+    assert largest(COMM, np.abs(without[0] - without[1])) == 0 and largest(COMM, without[0]) > 0.05
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e6, 1e-6])
+def test_automatic_eps(scale):
+    """eps = "auto" follows the units of F: a hundredth of the median of D_i/A_ii, h^2/400 here over the tension."""
+    own = Own(square(12))
+    F, energy = (scale * form for form in (own.F, own.energy))
+    for given in ({}, {"energy": energy}):
+        own.u.x.array[:] = 0.0
+        answer = solve_form(F, own.u, bcs=own.bc, upper=0.3, eps="auto", **given)
+        assert answer.eps == pytest.approx(1 / 12**2 / 400 / scale, rel=1e-9)
+        assert answer.contact.penetration < 8 * scale * answer.eps * (1 + 1e-9)
+        assert answer.contact.penetration < 0.01 * 0.3
+
+
+def test_obstacles_that_cannot_be_taken():
+    """Each message names the argument and the remedy, on all ranks together; nothing ends the process."""
+    own, other = Own(), square(5)
+    V, mesh = own.V, own.V.mesh
+    vector = getattr(fem, "VectorFunctionSpace", None)
+    many = vector(mesh, ("Lagrange", 1)) if vector else fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    x = ufl.SpatialCoordinate(mesh)
+    cases = [
+        (function(square(6, low=0.1), bowl), r"upper is a Function on another mesh, .* at \(0, 0\): is that outside"),
+        (function(square(6, dmesh.CellType.quadrilateral, high=0.9), bowl), r"on another mesh, .* at \(0, 0\.9167\)"),
+        (fem.Function(many), "a Function with 2 components"),
+        (function(mesh, bowl, "DG", 0), "not continuous"),
+        (function(other, bowl, "DG", 1), "not continuous"),
+        (own.u, r"upper is u itself.*u\.copy\(\)"),
+        (0.3 + own.u**2, "upper depends on u"),
+        (2 * function(other, bowl), "an expression on another mesh"),
+        (ufl.SpatialCoordinate(other)[0], "an expression on another mesh"),
+        (x, r"an expression of shape \(2,\)"),
+        (ufl.TestFunction(V) + 1, "holds a test or trial function"),
+        (np.full(13**2, 0.3), r"upper = array\(.*expected a Function, a number"),
+        ("0.3", r"upper = '0\.3': expected a Function, a number"),
+        (True, "upper = True: expected a Function, a number"),
+        ([0.3], r"upper = \[0\.3\]: expected"),
+        (lambda: 0.3, r"the callable takes x of shape \(3, n\).*TypeError"),
+        (lambda x: x, "the callable takes x of shape"),
+        (lambda x: "high", "the callable takes x of shape"),
+        (lambda x: np.nan * x[0], "upper is not a finite number"),
+        (float("nan"), "upper is not a finite number"),
+    ]
+    for g, message in cases:
+        with pytest.raises(InputError, match=message):
+            own.solve(upper=g)
+    if COMM.size > 1:
+        alone = dmesh.create_unit_square(MPI.COMM_SELF, 5, 5)
+        with pytest.raises(InputError, match="a mesh of other ranks"):
+            own.solve(upper=fem.Function(functionspace(alone, "Lagrange", 1)))
+
+
+def test_a_callable_that_fails_on_one_rank_fails_on_all():
+    """An error on the rank that owns a corner reaches the others."""
+
+    def steep(x):
+        if np.any(x[0] + x[1] > 1.99):
+            raise ZeroDivisionError("corner")
+        return bowl(x)
+
+    with pytest.raises(InputError, match="ZeroDivisionError: corner"):
+        Own().solve(upper=steep)
+
+
+@pytest.mark.parametrize(
+    "eps, message",
+    [("1e-6", "eps = '1e-6': expected a number, a Constant, 'auto'"), (-1.0, "eps = -1: must be positive"),
+     (float("nan"), "eps = nan: must be positive"), (0, "must be positive"), (np.inf, "must be positive"),
+     (True, "eps = True: expected"), ([1e-6], "expected a number"), ("Auto", "expected a number")],
+)  # fmt: skip
+def test_eps_that_is_none(eps, message):
+    """What eps may be, and what it is not."""
+    with pytest.raises(InputError, match=message):
+        Own().solve(upper=0.3, eps=eps)
+
+
+def test_forms_and_conditions_of_another_kind():
+    """Spaces, forms, conditions that are not those of u: named, with what is expected."""
+    own, other = Own(), Own(square(5))
+    V, u, F, mesh = own.V, own.u, own.F, own.V.mesh
+    two = functionspace(mesh, "Lagrange", 2)
+    v = ufl.TestFunction(V)
+    cases = [
+        ((F, V), {}, "u = .*expected the Function"),
+        ((None, u), {}, "F = None: expected a UFL form, a linear form in one test function"),
+        ((8 * v, u), {}, "F = .*expected a UFL form"),
+        ((ufl.inner(ufl.grad(ufl.TrialFunction(V)), ufl.grad(v)) * ufl.dx, u), {}, "no trial function"),
+        ((8 * v * ufl.dx, u), {}, "F does not depend on u"),
+        ((F, fem.Function(V)), {}, "F does not depend on u"),
+        ((other.F, u), {}, "its test function is of another space"),
+        ((F + other.u * v * ufl.dx(domain=mesh), u), {}, "F holds a Function or a measure of another mesh"),
+        ((F, u), {"energy": 3}, "energy = 3: expected a UFL form, a functional of u"),
+        ((F, u), {"energy": F}, "energy must be a functional of u"),
+        ((F, u), {"energy": other.energy}, "energy does not depend on u"),
+        ((F, u), {"bcs": 3}, "bcs = 3: expected a list"),
+        ((F, u), {"bcs": [own.bc, None]}, r"bcs\[1\] = None: expected what dolfinx"),
+        ((F, u), {"bcs": other.bc}, r"bcs\[0\] is of another space than u"),
+        ((F, u), {"bcs": [fem.dirichletbc(fem.Function(two), np.zeros(0, np.int32))]}, "another space than u"),
+    ]
+    for (form, unknown), given, message in cases:
+        with pytest.raises(InputError, match=message):
+            solve_form(form, unknown, **{"bcs": [own.bc], "upper": 0.3, "eps": 1e-6, **given})
+
+
+@pytest.mark.parametrize("space", ["P2", "DG", "CR", "vector", "mixed", "quadrature"])
+def test_unknowns_of_another_space(space):
+    """u must be P1 of one component: others are named, and rejected before anything is compiled."""
+    mesh = square(4)
+    if releases.OLD:
+        P1 = ufl.FiniteElement("Lagrange", "triangle", 1)
+        made = {"vector": ufl.VectorElement("Lagrange", "triangle", 1), "mixed": P1 * P1,
+                "quadrature": ufl.FiniteElement("Quadrature", "triangle", 1, quad_scheme="default")}  # fmt: skip
+    else:
+        import basix.ufl
+
+        P1 = basix.ufl.element("Lagrange", "triangle", 1)
+        made = {"vector": basix.ufl.element("Lagrange", "triangle", 1, shape=(2,)),
+                "mixed": basix.ufl.mixed_element([P1, P1]),
+                "quadrature": basix.ufl.quadrature_element("triangle", degree=1)}  # fmt: skip
+    make = getattr(fem, "functionspace", None) or fem.FunctionSpace
+    usual = {"P2": ("Lagrange", 2), "DG": ("DG", 1), "CR": ("CR", 1)}
+    u = fem.Function(make(mesh, made.get(space) or usual[space]))
+    v = ufl.TestFunction(u.function_space)
+    with pytest.raises(InputError, match="u must be a continuous P1 Function of one component, not of"):
+        solve_form(ufl.inner(u, v) * ufl.dx, u, upper=1.0, eps=1e-3)
+
+
+def test_names_and_files_for_scenes(folder):
+    """solve and study take a scene, its file, or its name in the catalogue."""
+    scene = Scene.read(on_root(COMM, _written, folder))
+    by_object, by_path, by_text = (solve(one, cells=8).record for one in (scene, folder / "s.toml", f"{folder}/s.toml"))
+    assert by_object["energy"] == by_path["energy"] == by_text["energy"]
+    assert solve("ball", cells=8).record["scene"] == "ball"
+    assert [row["cells"] for row in study("ball", {"cells": [4, 8]})] == [4, 8]
+    with pytest.raises(InputError, match="bal: no such scene; did you mean 'ball'"):
+        solve("bal")
+    with pytest.raises(InputError, match=r"none\.toml: no such scene file"):
+        solve("none.toml")
+
+
+def _written(folder):
+    (folder / "s.toml").write_text(membrane(load=8, upper=0.3).toml())
+    return folder / "s.toml"
+
+
+def test_folders_for_answers(folder):
+    """compare takes answers and the folders of saved ones."""
+    a = solve(membrane(load=8, upper=0.3), cells=8)
+    a.save(folder / "a")
+    assert compare(a, folder / "a")["u"]["max"] < 1e-14
+    assert compare(str(folder / "a"), a)["contact"]["jaccard"] == 1
+    with pytest.raises(InputError, match="nothing: holds no saved answer"):
+        compare(folder / "nothing", a)
+
+
+SCENE = membrane(load=8, upper=0.3).change({"mesh.cells": 4})
+WRONG = {
+    "solve: scene = None: expected a Scene, a file": lambda: solve(None),
+    "solve: scene = 3: expected a Scene": lambda: solve(3),
+    "solve: tol = '0.3': expected a number": lambda: solve(SCENE, tol="0.3"),
+    "solve: tol = True: expected a number": lambda: solve(SCENE, tol=True),
+    "--tol nan: must be positive": lambda: solve(SCENE, tol=float("nan")),
+    "--tol -1: must be positive": lambda: solve(SCENE, tol=-1),
+    "solve: budget = 5: expected a text such as '60s'": lambda: solve(SCENE, tol=0.3, budget=5),
+    "--budget 5: expected limits such as": lambda: solve(SCENE, tol=0.3, budget="5"),
+    "there is no argument 'cels'; did you mean 'cells'": lambda: solve(SCENE, cels=8),
+    r"solve: cells = 16\.0: expected a whole number": lambda: solve(SCENE, cells=16.0),
+    "solve: cells = '16': expected a whole number": lambda: solve(SCENE, cells="16"),
+    "solve: cells = True: expected a whole number": lambda: solve(SCENE, cells=np.bool_(True)),
+    r"\[mesh\] cells = 0: expected a whole number >= 1": lambda: solve(SCENE, cells=0),
+    r"\[mesh\] refine = -1: expected a whole number >= 0": lambda: solve(SCENE, refine=-1),
+    "element = 'p2' is not known; did you mean 'P2'": lambda: solve(SCENE, element="p2"),
+    "element = 'q1-Gauss' is not known; did you mean 'Q1-gauss'": lambda: solve(SCENE, element="q1-Gauss"),
+    "method = 'VI' is not known; did you mean 'vi'": lambda: solve(SCENE, method="VI"),
+    "solve: method = 3: expected a text": lambda: solve(SCENE, method=3),
+    r"solve: eps = \[1\]: expected a number, a formula in h": lambda: solve(SCENE, eps=[1]),
+    "solve: bound = 'no': expected True or False": lambda: solve(SCENE, bound="no"),
+    r"solve: comm = None: expected mpi4py\.MPI\.Comm": lambda: solve(SCENE, comm=None),
+    "solve: keep = 3: expected a text or a path": lambda: solve(SCENE, keep=3),
+    "study: vary = None: expected values by keys": lambda: study(SCENE, vary=None),
+    r"study: vary = \['cells'\]: expected values by keys": lambda: study(SCENE, vary=["cells"]),
+    "study: vary = {}: name a key": lambda: study(SCENE, vary={}),
+    "unknown key 'cels'; did you mean 'cells'": lambda: study(SCENE, vary={"cels": [4]}),
+    "cells = 8 cannot vary: expected a list": lambda: study(SCENE, vary={"cells": 8}),
+    "unknown key 'epps'; did you mean 'eps'": lambda: study(SCENE, vary={"cells": [4]}, epps=1),
+    "compare: a = None: expected an Answer, or the folder": lambda: compare(None, None),
+    "compare: b = 3: expected an Answer": lambda: compare("folder", 3),
+    r"Scene\.read: path = None: expected a text or a path": lambda: Scene.read(None),
+    r"Scene\.change: changes = None: expected a dict": lambda: SCENE.change(None),
+    "unknown table or key '3'": lambda: SCENE.change({3: 4}),
+    "mesh = None: expected a DOLFINx mesh or a table": lambda: Scene(mesh=None, tension=1),
+    r"\[define\] = 3: expected a table": lambda: membrane(define=3),
+    r"\[report\] = 3: expected a table": lambda: membrane(report=3),
+    r"\[time\] = 3: expected a table": lambda: membrane(time=3),
+    r"\[boundary\] = 3: expected a list": lambda: membrane(boundary=3),
+    r"Answer\.read: folder = None: expected a text or a path": lambda: Answer.read(None),
+    "a file, not the folder of a saved answer": lambda: Answer.read(__file__),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_wrong_arguments_are_named(message):
+    """An InputError with the argument, what came and what is expected, before anything is computed."""
+    with pytest.raises(InputError, match=message):
+        WRONG[message]()
+
+
+def test_points_of_another_kind():
+    """at() says what it takes; save() and plot() take places."""
+    answer = solve(SCENE)
+    for points, got in ((None, "not nan|not None"), ("x", "not 'x'"), ([["x", 1]], r"not \[\['x', 1\]\]"),
+                        (3, "not 3"), ([], r"not shape \(0,\)"), ([[0.1, 0.2], [0.3]], "not")):  # fmt: skip
+        with pytest.raises(InputError, match=rf"at\(\) takes points, shape \(n, 2\), .*{got}"):
+            answer.at(points)
+    assert np.isnan(answer.at([0.5, np.nan])) and np.isfinite(answer.at(np.array([0.5, 0.5])))
+    with pytest.raises(InputError, match=r"Answer\.save: folder = None: expected a text or a path"):
+        answer.save(None)
+    with pytest.raises(InputError, match=r"Answer\.plot: path = 3: expected a text or a path"):
+        answer.plot(3)
+
+
+def test_numbers_of_numpy_are_numbers():
+    """Tolerances and numbers of cells from arrays."""
+    record = solve(SCENE, cells=np.int32(8), tol=np.float32(0.5)).record
+    assert record["adaptive"]["reached"] and total(COMM, 1.0) == COMM.size
