@@ -33,7 +33,7 @@ def commands() -> None:
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
 @click.option("--newton", is_flag=True, help="Draw newton.gif: the active sets, step by step, beside those of (3.4)*.")
-@click.option("--bound", is_flag=True, help="Bound the energy error: guaranteed, or the output says why not.")
+@click.option("--bound", is_flag=True, help="Bound the energy error; the output says what the bound rests on.")
 @click.option(
     "--tol",
     type=float,

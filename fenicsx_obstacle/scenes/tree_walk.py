@@ -205,9 +205,9 @@ class TreeWalk:
                 return Truth(down, up | zero)
             case ">=":
                 return Truth(up | zero, down)
-            case "==":
-                return Truth(zero, up | down)
-        return Truth(up | down, zero)
+        # a line inside the cell where they are equal is of measure zero, but samples may lie on it
+        equal = zero | (up & down)
+        return Truth(equal, up | down) if sign == "==" else Truth(up | down, equal)
 
     def _sign(self, formula: Formula, node: ast.expr, a: Enclosure, compared: list[Enclosure] | None = None) -> Sign:
         """Sign of a node.

@@ -91,7 +91,7 @@ def against(rows: Rows) -> str:
     if bound is None:
         how = "No bound of its own error is known for this scene."
     else:
-        kind = "at most" if bound["guaranteed"] else "about"
+        kind = "at most" if bound["words"].startswith("certified") else "about"
         how = f"Its own energy error is {kind} {bound['total']:.2e} ({bound['words']})."
     return (
         f"No exact solution is known: errors are against the finest solution that was affordable, {first['dofs']} "
