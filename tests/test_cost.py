@@ -102,6 +102,7 @@ def ladder(scene, folder, budget=SMALL, stop=None):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_ladder_of_a_string(folder):
     """Every choice has rows or a reason; parts and errors fit; the best eps goes with h^2 for heights, h^(4/3) for
     slopes (THEORY of the map); what was interrupted is not computed again."""
@@ -124,6 +125,7 @@ def test_ladder_of_a_string(folder):
     assert refused and all("floor of round-off" in row["reason"] and row["eps"] < row["floor"] for row in refused)
 
 
+@pytest.mark.slow
 def test_without_an_exact_solution(folder, monkeypatch):
     """Errors are against the finest solution, whose own bound is told, and those of fine meshes are smaller."""
     from fenicsx_obstacle.show.cost_tables import against
@@ -141,6 +143,7 @@ def test_without_an_exact_solution(folder, monkeypatch):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_budget_of_nothing(folder, monkeypatch):
     """The reference has two meshes all the same; where it cannot judge a norm, words stand in place of lines."""
     from fenicsx_obstacle.show.cost_plots import drawings
@@ -164,6 +167,7 @@ def test_peak_memory_begins_anew():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_killed_and_page(tmp_path):
     """kill -9 in the middle: finished rows stay, the same command goes on, and the page stands alone."""
     import subprocess

@@ -1,5 +1,6 @@
 """Random scenes: every invariant of the theory holds for every answer, whatever shape, mesh, data and eps."""
 
+import pytest
 from conftest import COMM
 
 from fenicsx_obstacle.studies.hard.draw import SEED, try_all
@@ -8,6 +9,7 @@ from fenicsx_obstacle.studies.hard.row import FAILED
 COUNT = {1: 50, 2: 20}  # on three ranks 10
 
 
+@pytest.mark.slow
 def test_random_scenes():
     """A short form of `./obstacle hard --random 500`, with scenes of its own."""
     rows = []
