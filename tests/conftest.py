@@ -111,7 +111,7 @@ def slow_except(cases: Iterable[Any], *quick: Any) -> list[Any]:
     """Cases for `parametrize`, all marked slow but the quick ones."""
     cases = list(cases)
     assert all(one in cases for one in quick), (quick, cases)
-    values = [case if isinstance(case, tuple) else (case,) for case in cases]
+    values = [case if type(case) is tuple else (case,) for case in cases]
     marks = [() if case in quick else pytest.mark.slow for case in cases]
     return [pytest.param(*value, marks=mark) for value, mark in zip(values, marks, strict=True)]
 
