@@ -19,7 +19,7 @@ from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import Ladder
 from fenicsx_obstacle.studies.rows import RowStore
 
-SMALL = "30s, 1500 unknowns"  # what clocks say must not decide
+SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
 
 
 def line(name, order, *, first=0.1, rows=5, element="P1", lucky=()):
@@ -131,14 +131,14 @@ def test_without_an_exact_solution(folder, monkeypatch):
     from fenicsx_obstacle.show.cost_tables import against
 
     monkeypatch.setattr(cost, "MAP_MESHES", 0)
-    _, rows = ladder(membrane(load=1, upper=0.05), folder, budget="30s, 1200 unknowns")
+    _, rows = ladder(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")
     first = price.truth(rows)
     assert not first["exact"] and first["bound"]["guaranteed"]
     assert "finest solution" in against(rows) and "at most" in against(rows)
     for name in ("P1 auto", "P1 adaptive"):
         part = [row["errors"]["energy"] for row in price.solved(rows) if row["choice"] == name]
         assert len(part) > 1 and part[-1] < part[0] / 1.5
-    again = ladder(membrane(load=1, upper=0.05), folder, budget="30s, 1200 unknowns")[1]
+    again = ladder(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")[1]
     assert [row["key"] for row in again] == [row["key"] for row in rows]
 
 
@@ -174,7 +174,7 @@ def test_killed_and_page(tmp_path):
     import sys
 
     out = tmp_path / "out"
-    words = ["cost", "string_parabola", "--budget", "30s, 100 unknowns", "--output", str(out)]
+    words = ["cost", "string_parabola", "--budget", "600s, 100 unknowns", "--output", str(out)]
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(
         [sys.executable, "-m", "fenicsx_obstacle", *words], env=CLEAN, start_new_session=True, **silent
