@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line(
-        "markers", "serial: starts processes of its own or has no mesh, so it runs on one rank only"
-    )
+    config.addinivalue_line("markers", "serial: starts processes or has no mesh, so it runs on one rank only")
     config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
 
 
@@ -107,6 +105,15 @@ def ball() -> Scene:
 @pytest.fixture
 def disk() -> Scene:
     return Scene.read(DEMOS / "disk.toml")
+
+
+def slow_except(cases: Iterable[Any], *quick: Any) -> list[Any]:
+    """Cases for `parametrize`, all marked slow but the quick ones."""
+    cases = list(cases)
+    assert all(one in cases for one in quick), (quick, cases)
+    values = [case if type(case) is tuple else (case,) for case in cases]
+    marks = [() if case in quick else pytest.mark.slow for case in cases]
+    return [pytest.param(*value, marks=mark) for value, mark in zip(values, marks, strict=True)]
 
 
 def membrane(**given: Any) -> Scene:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import COMM
+from conftest import COMM, slow_except
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.budget import Budget
@@ -16,7 +16,7 @@ L_SHAPE = Scene(
 
 
 @pytest.mark.parametrize("name", ["ball", "disk_flat", "nsv", "two_obstacle_square", "torsion_disk", "biactive"])
-@pytest.mark.parametrize("tol", [1e-1, 3e-2])
+@pytest.mark.parametrize("tol", slow_except([1e-1, 3e-2], 1e-1))
 def test_tolerance(name, tol):
     """The true energy error is at most the tolerance, and at most 6 times below it unless the first mesh was better."""
     answer = solve(catalogue.scene(name), tol=tol)
@@ -34,6 +34,7 @@ def test_reentrant_corner():
     assert record["dofs"] <= 2500
 
 
+@pytest.mark.slow
 def test_eps_is_lowered_until_the_mesh_decides():
     """The part of the penalty stays a fraction of the mesh's; an eps that the user gave is kept, and named."""
     scene = catalogue.scene("disk_flat")
@@ -63,6 +64,7 @@ def test_full_contact_has_no_norm():
         solve(scene.change({"solve.method": "vi"}), tol=0.05)
 
 
+@pytest.mark.slow
 def test_yardstick_keeps_the_answer():
     """The answer that is timed has the eps that was chosen, not the first one."""
     plain, timed = (solve(catalogue.scene("ball"), tol=0.1, yardstick=how).record for how in (False, True))
@@ -116,6 +118,7 @@ def test_the_same_on_all_ranks():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_picture_of_the_bound(tmp_path):
     """solve --tol --plot draws where the bound comes from, and says how many cells carry half of it."""
     from fenicsx_obstacle.show.report import report_answer

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve, study
 from fenicsx_obstacle.parallel import largest, on_root, total
@@ -95,6 +95,7 @@ def test_folder_that_cannot_be_written(disk, folder):
         Answer.read(folder / "nothing")
 
 
+@pytest.mark.slow
 def test_rows_are_flat_dicts(disk):
     """study() gives what pandas takes, for a grid of any keys."""
     rows = study(disk, {"method": ["penalty", "vi"], "cells": [4, 8]})
@@ -127,7 +128,9 @@ def test_one_line_says_what_it_is(ball):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("demo", "name"), [("disk", "history.csv"), ("put", "newton.csv")])
+@pytest.mark.parametrize(
+    ("demo", "name"), slow_except([("disk", "history.csv"), ("put", "newton.csv")], ("disk", "history.csv"))
+)
 def test_a_torn_history_is_refused(demo, name, folder):
     """Wherever it is torn: within a line, within its last number, between two lines; with time as well."""
     solve(Scene.read(DEMOS / f"{demo}.toml"), cells=8).save(folder)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS
+from conftest import COMM, DEMOS, slow_except
 from scipy import integrate, optimize, sparse, special
 from scipy.sparse.linalg import splu
 
@@ -72,6 +72,7 @@ def five_points(
     raise AssertionError("the active sets of the finite volumes do not settle")
 
 
+@pytest.mark.slow
 def test_torsion_of_a_square_bar():
     """467.3 N m, between Saint-Venant's 0.1406 G twist a^4, which holds at a small twist, and the sand hill k a^3/3."""
     a, twist = 0.02, 0.3125
@@ -106,6 +107,7 @@ def from_outline(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return found
 
 
+@pytest.mark.slow
 def test_torsion_of_an_i_section():
     """Half plastic: finite volumes. Fully: twice the sand hill. Elastic: El Darwish and Johnston's (1965) constant."""
     rows = study(application("i_section"), {"define.twist": [0.02, 0.5, 50.0]})
@@ -140,6 +142,7 @@ def strip(ecc: float) -> tuple[float, float]:
     return 2 / (np.pi * np.hypot(along, across)), np.degrees(np.arctan2(across, along))
 
 
+@pytest.mark.slow
 def test_bearing_over_eccentricity():
     """Raimondi and Boyd's table within 1.5 % and 0.6 degrees, and both solvers within 0.1 %.
 
@@ -194,7 +197,7 @@ def seepage_face(high: float, low: float, width: float) -> tuple[float, float]:
     return width / ground * face, width / ground * flow
 
 
-@pytest.mark.parametrize(("high", "low"), [(24.0, 4.0), (20.0, 8.0)])
+@pytest.mark.parametrize(("high", "low"), slow_except([(24.0, 4.0), (20.0, 8.0)]))
 def test_seepage_through_a_dam(high, low):
     """The seepage point within two cells of the wall, 1.4 % of the 8.706 m of wall that are wet above 4 m of water.
 
@@ -216,6 +219,7 @@ def test_minimal_surface_over_a_plate():
     assert 0.985 * area < solve(scene, cells=36).report["area"] < area
 
 
+@pytest.mark.slow
 def test_pollutant():
     """Amount and saturated area by finite volumes on as fine a grid; 0 <= u <= 1."""
     sources = ((0.5, 1 / 3), (-0.5, 1 / 5))

@@ -207,6 +207,7 @@ def distance(problem: Problem, owned: np.ndarray) -> float:
     return value
 
 
+@pytest.mark.slow
 def test_the_same_on_any_number_of_ranks():
     """Fans cross the ranks: bound and parts agree with those of one rank to 1e-10; ranks without cells are served."""
     for name, cells in (("ball", 32), ("two_obstacle_square", 16), ("free side", 1)):
@@ -364,6 +365,7 @@ def drawn(count: int) -> list[dict[str, Any]]:
     return COMM.bcast(cases)
 
 
+@pytest.mark.slow
 def test_random_scenes():
     """Perturbed and obtuse meshes, any eps, converged or not: no error above its bound."""
     cases = drawn(50 if COMM.size == 1 else 12)

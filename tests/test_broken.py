@@ -22,6 +22,7 @@ from fenicsx_obstacle.studies.broken.run import _alone
 EVERY = 12
 
 
+@pytest.mark.slow
 def test_a_share_of_all_cases(folder):
     """Each twelfth, and all kinds are among them."""
     on_root(COMM, make_meshes, folder)

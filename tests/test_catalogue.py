@@ -6,7 +6,7 @@ from math import log, pi
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 from scipy.optimize import brentq
 from test_cli import run
 
@@ -177,7 +177,7 @@ def observed(name, method, key):
 
 
 @pytest.mark.parametrize("method", ["vi", "penalty"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", slow_except(NAMES, "halfplane", "string_wedge"))
 def test_rates(name, method):
     """(5.6)-(5.9), sharpened by the regularity of u and p: the orders that [exact] rates claims."""
     rates = catalogue.scene(name).tables.exact.rates
@@ -261,6 +261,7 @@ def test_nearest_name():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_command(tmp_path):
     """A list, a scene as its file has it, and a solve of either."""
     listed, printed = run("scenes").stdout, run("scenes", "cone", ranks=2).stdout

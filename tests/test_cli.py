@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import DEMOS
+from conftest import DEMOS, slow_except
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.arguments import values_of
@@ -34,7 +34,8 @@ FIGURES = ["energy", "penetration", "dofs", "cells_total"]
 
 
 @pytest.mark.parametrize(
-    ("name", "method"), [("string", "vi"), ("disk", "penalty"), ("ball", "vi"), ("two_sided", "penalty")]
+    ("name", "method"),
+    slow_except([("string", "vi"), ("disk", "penalty"), ("ball", "vi"), ("two_sided", "penalty")], ("ball", "vi")),
 )
 def test_same_figures_on_all_ranks(name, method, tmp_path):
     """1, 2 and 3 ranks agree to 1e-9 in energy, errors, contact area and force, and in Newton steps to one."""
@@ -58,6 +59,7 @@ def test_same_figures_on_all_ranks(name, method, tmp_path):
             assert np.isclose(ours, first, rtol=1e-9, atol=0 if first else 1e-15)
 
 
+@pytest.mark.slow
 def test_saved_on_three_ranks_plotted_on_one(tmp_path):
     done = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", ranks=3)
     assert done.returncode == 0, done.stderr
@@ -76,7 +78,7 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
     assert "--plot" in json.loads((tmp_path / "disk" / "answer.json").read_text())["command"]
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", slow_except([1, 2], 1))
 def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
     (tmp_path / "bad.toml").write_text('[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = "x - 1/2"\n')
     disk = DEMOS / "disk.toml"
@@ -99,7 +101,7 @@ def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
         assert sorted(tmp_path.iterdir()) == before, arguments  # no empty out/
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", slow_except([1, 2], 2))
 def test_unconverged_exits_3_and_keeps_what_was_computed(ranks, tmp_path):
     limit = ["--start", "cold", "--", "-penalty_snes_max_it", "8", "-penalty_snes_linesearch_type", "basic"]
     done = run(
@@ -144,6 +146,7 @@ def test_json_on_standard_output_is_nothing_else(tmp_path):
     assert json.loads(done.stdout)["scene"] == "string"
 
 
+@pytest.mark.slow
 def test_nothing_compiles_twice(tmp_path):
     """An eps-ladder compiles each form once, on all ranks; a warm start compiles none."""
     env = {**CLEAN, "XDG_CACHE_HOME": str(tmp_path / "cache")}
@@ -158,6 +161,7 @@ def test_nothing_compiles_twice(tmp_path):
     assert counts == [counts[0]] * 3
 
 
+@pytest.mark.slow
 def test_killed_while_compiling_does_not_block_the_next_run(tmp_path):
     """A source without its library, left by kill -9, is removed and compiled again."""
     from fenicsx_obstacle import releases
@@ -175,7 +179,7 @@ def test_killed_while_compiling_does_not_block_the_next_run(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("name", ["disk", "ball", "two_sided", "string"])
+@pytest.mark.parametrize("name", slow_except(["disk", "ball", "two_sided", "string"], "disk"))
 def test_explain(name):
     done = run("explain", DEMOS / f"{name}.toml")
     assert done.returncode == 0
@@ -253,6 +257,7 @@ def test_60_lines_become_3():
     assert printed[0] == printed[1] == "force on the ball 4.2724\n"
 
 
+@pytest.mark.slow
 def test_compare_and_free_boundary(tmp_path):
     """Two saved results on different meshes; the free boundary of the ball is the circle r = 0.698 to within h."""
     for cells in (32, 64):

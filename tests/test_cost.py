@@ -19,7 +19,7 @@ from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import Ladder
 from fenicsx_obstacle.studies.rows import RowStore
 
-SMALL = "30s, 1500 unknowns"  # what clocks say must not decide
+SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
 
 
 def line(name, order, *, first=0.1, rows=5, element="P1", lucky=()):
@@ -102,6 +102,7 @@ def ladder(scene, folder, budget=SMALL, stop=None):
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_ladder_of_a_string(folder):
     """Every choice has rows or a reason; parts and errors fit; the best eps goes with h^2 for heights, h^(4/3) for
     slopes (THEORY of the map); what was interrupted is not computed again."""
@@ -124,23 +125,25 @@ def test_ladder_of_a_string(folder):
     assert refused and all("floor of round-off" in row["reason"] and row["eps"] < row["floor"] for row in refused)
 
 
+@pytest.mark.slow
 def test_without_an_exact_solution(folder, monkeypatch):
     """Errors are against the finest solution, whose own bound is told, and those of fine meshes are smaller."""
     from fenicsx_obstacle.show.cost_tables import against
 
     monkeypatch.setattr(cost, "MAP_MESHES", 0)
-    _, rows = ladder(membrane(load=1, upper=0.05), folder, budget="30s, 1200 unknowns")
+    _, rows = ladder(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")
     first = price.truth(rows)
     assert not first["exact"] and first["bound"]["words"] == "certified for the sampled obstacle"
     assert "finest solution" in against(rows) and "at most" in against(rows)
     for name in ("P1 auto", "P1 adaptive"):
         part = [row["errors"]["energy"] for row in price.solved(rows) if row["choice"] == name]
         assert len(part) > 1 and part[-1] < part[0] / 1.5
-    again = ladder(membrane(load=1, upper=0.05), folder, budget="30s, 1200 unknowns")[1]
+    again = ladder(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")[1]
     assert [row["key"] for row in again] == [row["key"] for row in rows]
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_budget_of_nothing(folder, monkeypatch):
     """The reference has two meshes all the same; where it cannot judge a norm, words stand in place of lines."""
     from fenicsx_obstacle.show.cost_plots import drawings
@@ -164,13 +167,14 @@ def test_peak_memory_begins_anew():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_killed_and_page(tmp_path):
     """kill -9 in the middle: finished rows stay, the same command goes on, and the page stands alone."""
     import subprocess
     import sys
 
     out = tmp_path / "out"
-    words = ["cost", "string_parabola", "--budget", "30s, 100 unknowns", "--output", str(out)]
+    words = ["cost", "string_parabola", "--budget", "600s, 100 unknowns", "--output", str(out)]
     silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(
         [sys.executable, "-m", "fenicsx_obstacle", *words], env=CLEAN, start_new_session=True, **silent

@@ -12,7 +12,7 @@ from unittest import SkipTest
 import click
 import matplotlib
 import pytest
-from conftest import DEMOS
+from conftest import DEMOS, slow_except
 from sybil import Sybil
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown import CodeBlockParser, SkipParser
@@ -85,7 +85,15 @@ def workplace(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if "```" in page.read_text()], ids=lambda page: page.stem)
+WITH_BLOCKS = [page for page in PAGES if "```" in page.read_text()]
+LONG = {"README", "bound", "commands", "results", "start"}  # pages whose blocks take seconds
+
+
+@pytest.mark.parametrize(
+    "page",
+    slow_except(WITH_BLOCKS, *(page for page in WITH_BLOCKS if page.stem not in LONG)),
+    ids=lambda page: page.stem,
+)
 def test_blocks_run(page, workplace):
     """Blocks of a page run in order; one that is skipped says why."""
     evaluators = {"python": run_python, "sh": run_shell, "toml": write_scene}

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 from test_cli import CLEAN, run
 
 from fenicsx_obstacle import InputError, Scene, solve
@@ -47,7 +47,7 @@ def check_orders(scene, method, **how):
 SMOOTH = "sin(x)*cosh(y) + x^2"  # -Laplace u = -2
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_flux_and_springs(method):
     """tension du/dn = flux - spring u, by the name of a side and by a formula: orders of the membrane alone."""
     parts = [
@@ -98,7 +98,7 @@ def wire(folder):
     return Scene(**raw, exact="where(x < 0.5, x, 1 - x)/2")
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_load_and_springs_along_a_curve_inside(wire, method):
     """[du/dn] = 2 - 4 u at x = 1/2: u = x/2 up to there, linear, hence exact; and a ceiling that it does not reach."""
     record = solve(wire.change({"obstacle.upper": 1}), method=method).record
@@ -147,7 +147,7 @@ def test_demo_awning():
     assert answer.report["table"] > 0.1 and answer.report["cords"] < 0
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_foundation(method):
     """-div(tension grad u) + k u = load + p, k a formula: orders of the membrane alone."""
     check_orders(above(SMOOTH, f"-2 + (1 + 9*x)*({SMOOTH})", tension=1, foundation="1 + 9*x"), method)
@@ -169,7 +169,7 @@ SOFT = (
 )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 @pytest.mark.parametrize("hard", [-1, -0.015])
 def test_string_on_soft_ground(method, hard):
     """-u'' + k u^- = -1 in closed form: order 2; eps does not enter, and hard ground below it is another matter."""
@@ -185,7 +185,7 @@ def test_string_on_soft_ground(method, hard):
         assert np.isclose(fine["report"]["middle"], 1 + STIFF * hard, rtol=1e-3)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_soft_obstacle(method):
     """In two dimensions, its height and stiffness formulas: orders of the membrane alone."""
     soft = {"upper": "x", "stiffness": "5 + y"}
@@ -219,7 +219,7 @@ CLOTH = [["2 + x", 0.5], [0.5, 1]]
 BENT = "-((2 + x)*(2 - sin(x)*cosh(y)) + cos(x)*cosh(y) + 2*x + cos(x)*sinh(y) + sin(x)*cosh(y))"
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_anisotropic_tension(method):
     """-div(A grad u) with a matrix that varies: orders of the membrane alone, in the few steps of multigrid."""
     scene = above(SMOOTH, BENT, tension=CLOTH)
@@ -259,7 +259,7 @@ def test_demo_cloth():
     assert report["across"] > 2 * report["along"]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_point_load_on_a_string(method):
     """u = F min(x, 1 - x)/2 with F at 1/2, exact at vertices wherever the point is; a ceiling takes F - 4 c of it."""
     mesh = {"shape": "interval", "cells": 10}
@@ -270,7 +270,7 @@ def test_point_load_on_a_string(method):
     assert np.isclose(solve(scene, method=method, eps=1e-10).record["contact"]["upper"]["force"], 4 - 4 * 0.6)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_point_load_on_a_membrane(method):
     """Green's function on top of a smooth solution with contact elsewhere: L2 error of order 1."""
     u = f"{SMOOTH} - 2*ln(hypot(x - 1/6, y - 1/6))/(2*pi)"
@@ -307,7 +307,7 @@ WALL = {"on": "right", "lower": f"{SMOOTH} - 20*max(abs(y - 0.5) - 0.25, 0)^2",
         "flux": f"cos(x)*cosh(y) + 2*x - {WALL_P}"}  # fmt: skip
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_obstacle_on_the_boundary(method):
     """Signorini's problem, tension du/dn = flux + p with u >= lower on one side: orders of the membrane alone."""
     parts = [{"on": ["left", "bottom", "top"], "value": SMOOTH}, WALL]
@@ -322,7 +322,7 @@ def test_obstacle_on_the_boundary(method):
     assert np.isclose(record["contact"]["area"], 0.5, atol=0.04)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_string_that_ends_on_a_stop(method):
     """u'' = 1, u(0) = 0, u(1) >= -1/5: p = u'(1) = 3/10 as a force."""
     parts = [{"on": "left", "value": 0}, {"on": "right", "lower": -0.2, "upper": 3}]
@@ -333,7 +333,7 @@ def test_string_that_ends_on_a_stop(method):
     assert record["contact"]["upper"]["force"] == 0
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_wire_below_a_membrane(wire, method):
     """A thin obstacle along a curve inside: u = x^2/2 - 0.35 x up to it, its force 0.3 per length."""
     parts = [{"on": "sides", "value": 0}, {"on": "wire", "lower": -0.05}]
@@ -345,6 +345,7 @@ def test_wire_below_a_membrane(wire, method):
     assert np.isclose(record["contact"]["area"], 1)
 
 
+@pytest.mark.slow
 def test_obstacle_on_a_face():
     """Three dimensions, and quadrilaterals: the wall of the square, drawn out along z; both paths of assembly."""
     box = {"shape": "box", "cells": 8}
@@ -400,7 +401,7 @@ def test_demo_wall():
 RADIAL = {"mesh": {"shape": "interval"}, "axial_symmetry": True, "boundary": [{"on": "right", "value": 0}]}
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_disk_as_an_interval(method, disk):
     """A disk under a flat ceiling by its radius: orders of the membrane, force and area of two dimensions."""
     tables = disk.change({"define.a": 0.5}).tables
@@ -420,7 +421,7 @@ def test_disk_as_an_interval(method, disk):
         assert np.isclose(2 * np.pi * ours, theirs, rtol=0.03)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_meridian_of_a_body(method):
     """In the plane of a meridian, with flux, springs and a foundation: -(1/x) div(x grad u) = f - u."""
     u = "y^2 - x^2/2"
@@ -454,7 +455,7 @@ CARRIED = "(7 + 5*y)*(cos(x)*cosh(y) + 2*x) - 5*x*sin(x)*sinh(y)"  # (7 + 5 y, -
 WIND = ["7 + 5*y", "-5*x"]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_drift(method):
     """Cells with Pe < 1: Galerkin's method, orders of the membrane alone."""
     scene = above(SMOOTH, f"-2 + {CARRIED} + {SMOOTH}", drift=WIND, foundation=1)
@@ -462,7 +463,7 @@ def test_drift(method):
     assert 0 < solve(scene, method=method, cells=32).record["peclet"] < 1
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_drift_alone_almost(method):
     """Pe > 10: drift, load and foundation lean alike, so that order 2 stays where nothing is touched."""
     load = f"-2e-3 + {CARRIED} + {SMOOTH}"
@@ -525,7 +526,7 @@ def without_tension(scene, **effects):
 CATENOID = "ln(hypot(x + 1, y + 1) + sqrt(hypot(x + 1, y + 1)^2 - 1))"  # r = cosh u, its axis at (-1, -1)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_catenoid(method):
     """The surface of least area, with contact: orders of the membrane (2 from above), and few steps on the way up."""
     scene = without_tension(above(CATENOID, 0), large_slope=1)
@@ -534,8 +535,8 @@ def test_catenoid(method):
     assert solve(scene, method=method, cells=64).record["newton_iterations"] <= 6
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("exponent", [1.5, 3])
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
+@pytest.mark.parametrize("exponent", slow_except([1.5, 3], 3))
 def test_power_law(exponent, method):
     """u = (n-1)/n (f/2)^(1/(n-1)) (1 - r^(n/(n-1))) for -div(|grad u|^(n-2) grad u) = f, with contact."""
     conjugate = exponent / (exponent - 1)
@@ -543,7 +544,7 @@ def test_power_law(exponent, method):
     check_orders(without_tension(above(u, 4), power_law={"exponent": exponent}), method)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_power_law_under_a_ceiling(method):
     """The demo creep: n = 3/2 in a disk, where the ceiling carries f within the contact, whose radius is known."""
     scene = Scene.read(DEMOS / "creep.toml")
@@ -682,6 +683,7 @@ u = "x*y"
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_an_effect_from_outside(tmp_path):
     """The example of docs/effects.md, under 40 lines, as a file beside the scene: solved by the command line."""
     text = (DEMOS.parent / "docs" / "effects.md").read_text().partition("```python\n")[2].partition("```")[0]
@@ -712,6 +714,7 @@ def test_an_effect_from_outside(tmp_path):
             load_plugin(tmp_path / name)
 
 
+@pytest.mark.slow
 def test_lake_costs_one_linear_solve():
     """No contact in reach: one Newton step with any affine effects."""
     for more in ({}, {"foundation": 3}, {"tension": [[2, 1], [1, 2]]},

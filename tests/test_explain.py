@@ -6,7 +6,7 @@ import sys
 from contextlib import closing
 
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 from dolfinx import fem
 from test_cli import CLEAN
 
@@ -45,6 +45,7 @@ def test_explained_and_done(name):
         assert bench.problem.symmetric == ("GMRES" not in text)
 
 
+@pytest.mark.slow
 def test_explained_unknowns_of_all_elements():
     """Before any mesh is made: within 10 % of what there is."""
     for changes in ({"solve.element": "P2"}, {"solve.element": "Q2"}, {"mesh.diagonal": "crossed"},
@@ -56,7 +57,7 @@ def test_explained_unknowns_of_all_elements():
             assert float(told.split()[1]) == pytest.approx(bench.problem.level.dofs, rel=0.1), changes
 
 
-@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "vi"))
 def test_lake_costs_one_linear_solve(method):
     """No contact in reach, with whatever is linear: one Newton step on the finest level; `explain` says so."""
     parts = [{"on": "left", "value": 0}, {"on": "right", "spring": 1, "flux": 0.1}, {"on": "top", "upper": 9}]
@@ -92,6 +93,7 @@ def functions_of(scene):
         return sum(isinstance(one, fem.Function) for one in gc.get_objects()) - before
 
 
+@pytest.mark.slow
 def test_arrays_of_an_effect_are_its_own():
     """A foundation that is a formula has one Function, on each level; without it there is none."""
     plain, bed = membrane(lower=-1), membrane(lower=-1, foundation="1 + x")
@@ -138,6 +140,7 @@ print(status, *(name for name in {HEAVY} if name in sys.modules), file=sys.stder
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_libraries_are_loaded_by_who_needs_them(tmp_path):
     """Pictures, eigenvalues and meshing cost nothing where they are not asked for."""
     (tmp_path / "coarse.toml").write_text((DEMOS / "wall.toml").read_text().replace("cells = 64", "cells = 8"))

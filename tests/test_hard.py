@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 from mpi4py import MPI
 from test_cli import CLEAN
 
@@ -73,6 +73,7 @@ def test_scene_without_solution(name):
     assert [row["verdict"] for row in rows] == [REFUSED]
 
 
+@pytest.mark.slow
 def test_floating_membranes():
     """(3.4) with v = 1: contact forces and load add up to 0, so that the load must press; any load between two."""
     for data in ({"load": 1, "lower": 0}, {"load": 0, "upper": "x"}):
@@ -86,7 +87,7 @@ def test_floating_membranes():
             assert forces["upper"] - forces["lower"] == pytest.approx(force, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["ball", "gap_6"])
+@pytest.mark.parametrize("name", slow_except(["ball", "gap_6"], "gap_6"))
 def test_floor_of_eps(name):
     """Just above the floor answers are right; below it they are refused, with the floor in the message."""
     scene = case(name).on(0)
@@ -104,6 +105,7 @@ def test_contact_without_pressure_keeps_its_balance():
     assert [row["verdict"] for row in rows] == [RIGHT], messages(rows)
 
 
+@pytest.mark.slow
 def test_units():
     """Lengths, heights, forces x 2^30 and 2^-30: the same bits; shifted heights: the digits that are left."""
     ball = case("ball").on(0)
@@ -243,6 +245,7 @@ def test_verdicts_of_what_goes_wrong():
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_command(tmp_path):
     """One scene in its processes on 1, 2 and 3 ranks: table, lines, pictures; a process that dies has failed."""
     command = [sys.executable, "-m", "fenicsx_obstacle", "hard", "torsion_3", "--output", str(tmp_path)]

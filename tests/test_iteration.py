@@ -44,6 +44,7 @@ def test_statement():
     assert verdicts == ["holds", "misprint", "holds", "holds with room", "holds", "needs hypothesis", "holds"]
 
 
+@pytest.mark.slow
 def test_counts():
     """Steps from no contact grow like 1/h; from the coarser levels, and with eps falling by tens, they stay few."""
     findings, panels = counts(COMM, (16, 32, 64))

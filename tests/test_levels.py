@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS
+from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
@@ -187,7 +187,7 @@ def halves(folder):
     return lambda **given: Scene(**{"mesh": {"file": str(folder / "halves.geo")}, "boundary": ends, **given})
 
 
-@pytest.mark.parametrize("refine", [0, 1, 2])
+@pytest.mark.parametrize("refine", slow_except([0, 1, 2], 1))
 def test_materials(halves, refine):
     """Two springs in a row: the same force in both, u linear in each; refined cells keep their material."""
     scene = halves(
@@ -203,6 +203,7 @@ def test_materials(halves, refine):
     assert answer.record["errors"]["energy"] < 1e-8
 
 
+@pytest.mark.slow
 def test_mistakes_in_materials(halves):
     cases = [
         ({"steal": 1, "rubber": 1}, "tension: no material named 'steal'; did you mean 'steel'"),
@@ -248,7 +249,7 @@ def test_curve_that_is_not_in_the_mesh(folder):
         solve(scene.change({"mesh.file": str(folder / "doubled.geo")}))
 
 
-@pytest.mark.parametrize("refine", [0, 1])
+@pytest.mark.parametrize("refine", slow_except([0, 1], 0))
 def test_cylinder_surface_is_periodic(refine):
     """No seam at theta = pi: u = z and u = cos(theta) are found up to the polygon, whose triangles lean a little."""
     mesh = {"file": str(DEMOS / "bearing.geo"), "refine": refine}

@@ -56,6 +56,7 @@ def test_all_levels_are_seen(ball):
     assert sets(one.step for one in found if one.dofs == answer.record["dofs"]) == sets(answer.history)
 
 
+@pytest.mark.slow
 def test_an_animation_has_a_frame_for_each_step(ball, folder):
     """And one for the start; the shorter course rests at its end."""
     answer = solve(ball, cells=32, eps=1e-6)

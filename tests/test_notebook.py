@@ -7,7 +7,7 @@ from typing import NamedTuple
 import matplotlib
 import matplotlib.pyplot as plt
 import pytest
-from conftest import COMM
+from conftest import COMM, slow_except
 
 NOTEBOOK = Path(__file__).parent.parent / "docs" / "kikuchi_in_an_hour.py"
 
@@ -54,7 +54,7 @@ def quiet_pictures():
     plt.close("all")
 
 
-@pytest.mark.parametrize("cell", SECTIONS, ids=[cell.title for cell in SECTIONS])
+@pytest.mark.parametrize("cell", slow_except(SECTIONS, SECTIONS[0]), ids=[cell.title for cell in SECTIONS])
 def test_section(cell, folder, monkeypatch, record_property):
     """The cell's assertions hold, and its picture is written."""
     monkeypatch.chdir(folder)

@@ -4,7 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
@@ -24,7 +24,7 @@ def quadratic(name, **changes):
     return catalogue.scene(name).change({"solve.element": "P2", "mesh.cells": 16, **changes})
 
 
-@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "vi"))
 def test_steps_do_not_grow(method):
     """Multigrid of P1 below P2: from P1 on the same mesh few Newton and CG steps lead to the cold solution."""
     for name in ("ball", "nsv"):
@@ -93,6 +93,7 @@ def test_no_known_error_is_above_its_bound(name):
         assert bound.penalty < 1e-5 * bound.total and bound.algebraic < 1e-8 * bound.total
 
 
+@pytest.mark.slow
 def test_adaptive_order():
     """Refined where the bound says so, the energy error of the ball falls faster than N^(-1.7/2), with its bound; on
     uniform meshes it is N^(-3/4), since u is in H^(5/2-)."""

@@ -24,6 +24,7 @@ def run(*command, **more):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
     """The sdist makes the wheel; scenes, types and licence are in it; the command solves away from the clone."""
     pytest.importorskip("build", reason="build is of the extra 'test', which the container has not")

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import InputError, Scene, study
 from fenicsx_obstacle.show import warped
@@ -45,7 +45,7 @@ GRIDS = {
 }
 
 
-@pytest.mark.parametrize("name", GRIDS)
+@pytest.mark.parametrize("name", slow_except(GRIDS, "words"))
 def test_no_line_goes_to_and_fro(name, disk, folder):
     """In a grid each line has one value of the other keys: its abscissas rise or fall, and it has its own legend."""
     scene = disk if name in ("eps", "cells", "levels") else membrane(**BUMP)
@@ -62,6 +62,7 @@ def test_no_line_goes_to_and_fro(name, disk, folder):
     assert len(main.axes[0].get_legend().get_texts()) >= 2
 
 
+@pytest.mark.slow
 def test_a_sweep_plots_the_figures_of_the_report(folder):
     """Each figure of [report] against the key in the scene's words; without a report contact area, force, energy."""
     report = {"deepest": "inf(u)", "force": "integral(p)"}
@@ -92,6 +93,7 @@ def test_one_row_has_no_plot(disk, folder):
         assert said[-1].endswith("rows.csv, rows.jsonl, last/, report.html")
 
 
+@pytest.mark.slow
 def test_columns_stay_where_they_are(disk, folder):
     """Rows of the variational inequality have an empty cell for eps, in the table, in LaTeX, CSV and JSON."""
     vary = {"solve.method": ["vi", "penalty"], "cells": [4, 8]}

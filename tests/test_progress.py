@@ -10,7 +10,7 @@ import sys
 import termios
 
 import pytest
-from conftest import DEMOS
+from conftest import DEMOS, slow_except
 from test_cli import CLEAN, mpirun, run
 
 pytestmark = pytest.mark.serial
@@ -44,6 +44,7 @@ def on_terminal(*arguments, ranks=1):
     return stdout, seen.decode()
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_what_is_solved(tmp_path):
     """The row's scene and values, and the step of the solver; the table stays on standard output."""
     stdout, seen = on_terminal(*STUDY, tmp_path / "out")
@@ -54,6 +55,7 @@ def test_a_terminal_sees_what_is_solved(tmp_path):
     assert "\r" not in stdout
 
 
+@pytest.mark.slow
 def test_quiet_is_quiet(tmp_path):
     stdout, seen = on_terminal(*STUDY, tmp_path / "out", "--quiet")
     assert stdout == ""
@@ -66,7 +68,7 @@ def test_no_bar_without_a_terminal(tmp_path):
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", slow_except([1, 2]))
 def test_log_has_rank_and_time(ranks, tmp_path):
     done = run(*STUDY, tmp_path / "out", "--log", "info", "--quiet", ranks=ranks)
     assert done.returncode == 0

@@ -26,6 +26,7 @@ def rows_of(counts):
     return rows
 
 
+@pytest.mark.slow
 def test_admissible_scenes():
     """A short form of `./obstacle hard --random 500`, with scenes of its own: all invariants hold."""
     rows = rows_of({"admissible": COUNT.get(COMM.size, 10)})

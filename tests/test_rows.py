@@ -59,6 +59,7 @@ def kill(process):
 
 
 @pytest.mark.parametrize("ranks", [1, 3])
+@pytest.mark.slow
 def test_killed_at_random_moments(ranks, tmp_path):
     """No lost or doubled row, same final table."""
     whole = tmp_path / "whole"
@@ -81,6 +82,7 @@ def test_killed_at_random_moments(ranks, tmp_path):
     assert (killed / "last" / "answer.json").exists()
 
 
+@pytest.mark.slow
 def test_finished_study_computes_nothing_again_unless_fresh(tmp_path):
     first = run(*STUDY, "--output", tmp_path / "out")
     again = run(*STUDY, "--output", tmp_path / "out")
@@ -170,6 +172,7 @@ def test_interrupt_while_a_module_loads(chained, monkeypatch, capsys):
             _run(["--help"], [])
 
 
+@pytest.mark.slow
 def test_set_vary_grid_and_latex(tmp_path):
     """--set and --vary take any key of the scene; several --vary make a grid; --latex writes the table."""
     done = run("study", DEMOS / "string.toml", "--set", "define.c=0.2", "--set", "mesh.x=[0, 1.5]", "--cells", 8,

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS
+from conftest import COMM, DEMOS, slow_except
 
 from fenicsx_obstacle import Scene, study
 from fenicsx_obstacle.answers.compute import Workbench
@@ -43,7 +43,7 @@ def test_pressure_has_its_sign_and_balances_the_load(ladder):
         assert largest(COMM, np.abs(unbalanced[~problem.fixed])) < 1e-9
 
 
-@pytest.mark.parametrize("name", ["string", "disk", "ball", "two_sided"])
+@pytest.mark.parametrize("name", slow_except(["string", "disk", "ball", "two_sided"], "disk"))
 def test_orders_in_h(name):
     """(5.6), (5.8), (5.9) with eps = h^2: order 1 in H1 and in energy, at least 1 for the pressure in the dual norm."""
     rows = study(Scene.read(DEMOS / f"{name}.toml"), {"cells": [32, 64]}, eps="h^2")
@@ -53,7 +53,7 @@ def test_orders_in_h(name):
     assert order("errors.l2", rows[1], rows[0], "h") > 1.7
 
 
-@pytest.mark.parametrize("name", ["string", "disk", "ball", "two_sided"])
+@pytest.mark.parametrize("name", slow_except(["string", "disk", "ball", "two_sided"], "disk"))
 def test_vi_orders_in_h(name):
     """(5.6) for the variational inequality itself: order 1 in H1, 2 in L2."""
     rows = study(Scene.read(DEMOS / f"{name}.toml"), {"cells": [32, 64]}, method="vi")
@@ -62,6 +62,7 @@ def test_vi_orders_in_h(name):
     assert order("errors.pressure_dual", rows[1], rows[0], "h") >= 1
 
 
+@pytest.mark.slow
 def test_three_dimensions():
     """NSV in a cube: u = ((|x|^2 - 0.49)^+)^2 with lower obstacle 0, errors of order 1 in H1."""
     outside = "4*(2*r^2 + 3*(r^2 - 0.49))"

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS
+from conftest import COMM, DEMOS, slow_except
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.optimize import brentq
@@ -36,8 +36,8 @@ def orders(errors):
     return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
-@pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("scheme", "order"), slow_except([("euler", 1), ("bdf2", 2)], ("bdf2", 2)))
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_order_of_rate(scheme, order, method):
     """u = x sin 3t, linear in x, so that all of the error is that of the steps; load and edge move."""
     errors = []
@@ -50,7 +50,8 @@ def test_order_of_rate(scheme, order, method):
     assert np.allclose(orders(errors), order, atol=0.15)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
+@pytest.mark.slow
 def test_travelling_contact(method):
     """The free boundary travels: with dt like h order 1 by Euler; it is where it should be up to two cells."""
     answers = [travelling(n, "euler", n, method) for n in (20, 40, 80)]
@@ -59,6 +60,7 @@ def test_travelling_contact(method):
     assert travelling(80, "bdf2", 80, method).report["l2"] < 0.2 * answers[-1].report["l2"]
 
 
+@pytest.mark.slow
 def test_chosen_steps():
     """A smaller tolerance gives a smaller error; steps are short only where u changes quickly."""
     errors, steps = [], []
@@ -94,7 +96,7 @@ def test_differences():
     assert extrapolation(2.0, [1.0, 0.0]) == pytest.approx([2.0, -1.0])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_order_of_inertia(method):
     """A standing wave: with lumped masses the nodes of sin(pi x) swing with 2/h sin(pi h/2); midpoint rule, order 2."""
     frequency = 2 * 16 * math.sin(math.pi / 32)
@@ -111,7 +113,7 @@ def test_order_of_inertia(method):
     assert np.allclose(orders(errors), 2, atol=0.1)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_a_wall_takes_energy(method):
     """A string that hits a wall, first at cos(pi t) = -1/2: its energy never grows, and falls where it hits."""
     scene = Scene.read(DEMOS / "bounce.toml").change({"mesh.cells": 40, "time.steps": 90, "time.end": 0.9})
@@ -150,7 +152,7 @@ def test_euler_falls_in_energy():
     assert energy[-1] >= rest.record["energy"] - 1e-9
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_equilibria(method):
     """Without rate every moment is the static problem of its data: an indenter pressed in and drawn back."""
     data = {"mesh": {"shape": "rectangle", "cells": 16, "refine": 1}, "tension": 1, "load": "-t"}
@@ -234,7 +236,7 @@ def _tree(steps, strike=100.0, interest=0.05, sigma=0.2):
     return value[0]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_put(method):
     """American put, one year: the price by a binomial tree; BDF2 with 200 steps is within 0.05 % of it."""
     answer = solve(Scene.read(DEMOS / "put.toml"), method=method)
