@@ -56,6 +56,10 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         if type(error).__module__ != "petsc4py.PETSc":
             raise
         return _fail(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
+    except OSError as error:  # such as a cache of compiled forms that cannot be written
+        if _several():  # the others may be waiting: the hook ends them
+            raise
+        return _fail(f"Error: {error.filename}: {error.strerror}" if error.filename else f"Error: {error}", 2)
     return result if isinstance(result, int) else 0
 
 

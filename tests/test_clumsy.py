@@ -68,6 +68,23 @@ def test_titles_are_drawn_and_printed_in_one_line(title, folder):
     assert first.isprintable()
 
 
+def test_values_that_cannot_be_drawn(folder):
+    """Heights near the largest number are saved, and their picture is refused in one sentence."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 2}, tension=1, load=-1, boundary=[{"value": 1e300}])
+    with pytest.raises(InputError, match="not drawn"):
+        solve(scene).plot(folder / "huge.png")
+    far = Scene(mesh={"shape": "interval", "cells": 2}, tension=1, load=-1, lower=-1e300)
+    assert "drawn by" in solve(far).plot(folder / "far.png").said
+    assert "carry half of the bound" in _with_bound(membrane(), folder)
+
+
+def _with_bound(scene, folder):
+    """What is said of an answer whose bound is 0."""
+    answer = solve(scene, bound=True, cells=4)
+    answer.save(folder)
+    return report_answer(answer, folder, picture=True)
+
+
 def test_headings():
     """Two lines at most, without formulas."""
     assert heading("a $ b") == r"a \$ b"

@@ -21,6 +21,7 @@ from fenicsx_obstacle.show.simplices import Patch, patch_of, rims, zero
 from fenicsx_obstacle.show.space import draw_view
 from fenicsx_obstacle.words import title_of
 
+MAX_DRAWN = 1e150  # matplotlib squares what it draws
 PRESSURE = "contact pressure p"
 
 
@@ -64,6 +65,8 @@ def draw_answer(answer: Answer, path: Path | None) -> Picture:
 def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path | None, pages: list[Any]) -> str:
     patch, u = with_levels(patch_of(arrays)), plain(answer.scene.tables.u)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
+    if (largest := max(np.abs(patch.fields[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
+        raise InputError(f"values up to {largest:.3g} are not drawn: at most {MAX_DRAWN:g}; choose another unit")
     if kind == 2 and gdim > 1:
         raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
     if kind == 2:
