@@ -34,7 +34,7 @@ def commands() -> None:
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
 @click.option("--newton", is_flag=True, help="Draw newton.gif: the active sets, step by step, beside those of (3.4)*.")
 @click.option("--bound", is_flag=True, help="Bound the energy error; the output says what the bound rests on.")
-@click.option("--tol", type=float, metavar="R", help="Relative energy error to reach, or status 4; chooses meshes, eps.")
+@click.option("--tol", type=float, metavar="R", help="Relative energy error to reach, or status 4; picks meshes, eps.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--budget", metavar="LIMIT", help="With a tolerance: stop earlier: 60s, 8GB, '1e6 unknowns'.")
 @click.option("--restart", type=Place(), metavar="DIR", help="With [time]: go on from the state in this folder.")
