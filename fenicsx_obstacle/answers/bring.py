@@ -61,7 +61,8 @@ def solve_form(
 
     Args:
         F: Residual, a linear form in one test function.
-        u: Unknown of F, a continuous P1 Function: start and solution.
+        u: Unknown of F, a continuous P1 Function: start and solution. Where nothing but contact holds it the start is
+            in contact instead.
         bcs: Dirichlet conditions.
         lower: Obstacle below: a Function of the same space, a number, or a UFL expression.
         upper: Obstacle above, likewise.
@@ -86,7 +87,8 @@ def solve_form(
     dofs, values = data.fixed
     start[dofs] = values.x.array[dofs]
     low, high = problem.obstacles()
-    problem.refer(np.clip(start, low, high))
+    start = problem.cold_start() if problem.floating else np.clip(start, low, high)
+    problem.refer(start)
     if energy is not None:
         _refuse_no_minimum(problem)
     if eps is None:
@@ -141,6 +143,9 @@ class _Given:
 
     def heights(self, data: Any) -> list[Any]:
         return [0.0]
+
+    def greatest(self, data: Any) -> None:
+        return None
 
     def push(self, data: Any) -> None:
         return None
