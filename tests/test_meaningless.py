@@ -1,6 +1,6 @@
 """No u without meaning is an answer: supports that hold nothing, imbalance, near-singular operators, limit loads."""
 
-from decimal import Decimal, getcontext
+from decimal import Context, Decimal, setcontext
 
 import numpy as np
 import pytest
@@ -230,7 +230,8 @@ def test_nearly_singular_drift_is_found_where_u_is_small(n):
 @pytest.mark.parametrize("eps", [0.5, 0.2, 0.15])
 def test_drift_that_is_only_strong_is_solved(eps):
     """u at the nodes is that of the same differences, solved with 50 digits."""
-    n, getcontext().prec = 1000, 50
+    n = 1000
+    setcontext(Context(prec=50))
     h, diffusion = Decimal(1) / n, Decimal(str(eps))
     b = [20 * ((Decimal(i) + Decimal("0.5")) / n - Decimal("0.5")) for i in range(n)]
     below, value = [], []  # u_i = below_i u_(i+1) + value_i
