@@ -1,10 +1,15 @@
 """No u without meaning is an answer: supports that hold nothing, imbalance, near-singular operators, limit loads."""
 
+from decimal import Context, Decimal, setcontext
+
 import numpy as np
 import pytest
+import ufl
 from conftest import COMM
+from dolfinx import fem
+from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, Scene, releases, solve
+from fenicsx_obstacle import InputError, NotConverged, Scene, releases, solve, solve_form
 from fenicsx_obstacle.parallel import largest, smallest
 
 INTERVAL = {"shape": "interval", "cells": 20}
@@ -141,3 +146,162 @@ def test_each_part_of_a_mesh_is_held():
     soft = {"lower": -3, "stiffness": 10}
     low, high = extremes(solve(Scene(**held, soft_obstacle=soft)))
     assert (low, high) == pytest.approx((-3.1, 0), abs=1e-9)
+
+
+def far_above(load, method, foundation=0.0, start=1.0):
+    """solve_form on a square without boundary values, a start above the obstacle at 0, and a load."""
+    mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [8, 8])
+    u = fem.Function(releases.functionspace(mesh, "Lagrange", 1))
+    v = ufl.TestFunction(u.function_space)
+    u.x.array[:] = start
+    k, f = (fem.Constant(mesh, float(value)) for value in (foundation, load))
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + k * u * v * ufl.dx - f * v * ufl.dx
+    energy = 0.5 * ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx + 0.5 * k * u**2 * ufl.dx - f * u * ufl.dx
+    more = {"energy": energy} if method == "energy" else {}
+    return solve_form(F, u, lower=0, eps=None if method == "vi" else 1e-8, **more)
+
+
+@pytest.mark.parametrize("method", ["vi", "penalty", "energy"])
+@pytest.mark.parametrize(
+    ("load", "foundation", "start"), [(-0.2, 0, 1), (-0.2, 1e-14, 0), (-3e-8, 0, 1e3), (-1e8, 0, 1)]
+)
+def test_a_form_without_boundary_values_begins_in_contact(method, load, foundation, start):
+    """Nothing but the obstacle holds u: its force is the whole load, from any start."""
+    answer = far_above(load, method, foundation, start)
+    assert answer.contact.lower_force == pytest.approx(-load, rel=1e-8)
+    assert largest(COMM, np.abs(answer.u.x.array)) <= 2e-8 * abs(load)
+
+
+UNDETERMINED = "round-off decides u"
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_a_far_obstacle_beside_a_spring(method):
+    """Contact at -1e20 is where the iteration begins, not where it ends: a spring of 1e-6 holds u at -1e6."""
+    scene = loose(load=-1, lower=-1e20, boundary=[{"on": "left", "spring": 1e-6}])
+    assert extremes(solve(scene, method=method)) == pytest.approx((-1e6, -1e6), rel=1e-4)
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi", "successive"])
+@pytest.mark.parametrize("far", [1e9, 1e15, 1e20, 1e25])
+def test_an_obstacle_far_everywhere_absorbs_no_load(method, far):
+    """u counted from -1e20 would seem balanced without moving: the obstacle must change nothing."""
+    held = Scene(mesh=SQUARE, tension=1, load=-1)
+    expected = extremes(solve(held))
+    assert extremes(solve(held.change({"obstacle.lower": -far}), method=method)) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("shift", [1e8, 1e12])
+def test_shifted_heights_are_accepted(shift):
+    """Round-off of heights that are data is no reason to reject: forces on the obstacle stay, as do held membranes."""
+    scene = Scene(mesh=SQUARE, tension=1, load=-10, lower=-0.1, boundary=[{"value": 0}])
+    moved = Scene(mesh=SQUARE, tension=1, load=-10, lower=f"{shift} - 0.1", boundary=[{"value": shift}])
+    force, there = (solve(one).record["contact"]["lower"]["force"] for one in (scene, moved))
+    assert there == pytest.approx(force, rel=10 * shift * 2.3e-16 / 0.1 + 1e-6)
+    low, high = extremes(solve(Scene(mesh=SQUARE, tension=1, load=-1, boundary=[{"value": shift}])))
+    assert shift - 0.1 <= low <= high <= shift
+
+
+def string_in_a_trap(eps, load=1, n=1000, force=1.0, **more):
+    """-eps u'' + 20 (x - 1/2) u' = load: the flow draws all to the middle."""
+    effects = {
+        "tension": eps * force,
+        "load": load * force if load == 1 else load,
+        "drift": [f"{20 * force}*(x - 0.5)"],
+    }
+    return Scene(mesh={"shape": "interval", "cells": n}, **effects, **more)
+
+
+@pytest.mark.parametrize("force", [1e-8, 1.0, 1e8])
+@pytest.mark.parametrize("eps", [0.08, 0.06, 0.05])
+def test_nearly_singular_drift_is_rejected(eps, force):
+    """The exact maximum is beyond 1e11, with a condition beyond 1e16: no digit of u would be right."""
+    with pytest.raises(NotConverged, match=UNDETERMINED):
+        solve(string_in_a_trap(eps, force=force))
+
+
+@pytest.mark.parametrize("n", [50, 400])
+def test_nearly_singular_drift_is_found_where_u_is_small(n):
+    """A load without symmetric part leaves the exact u small, yet round-off adds the nearly singular part."""
+    with pytest.raises(NotConverged, match=UNDETERMINED):
+        solve(string_in_a_trap(0.05, "sin(2*pi*x)", n))
+
+
+@pytest.mark.parametrize("eps", [0.5, 0.2, 0.15])
+def test_drift_that_is_only_strong_is_solved(eps):
+    """u at the nodes is that of the same differences, solved with 50 digits."""
+    n = 1000
+    setcontext(Context(prec=50))
+    h, diffusion = Decimal(1) / n, Decimal(str(eps))
+    b = [20 * ((Decimal(i) + Decimal("0.5")) / n - Decimal("0.5")) for i in range(n)]
+    below, value = [], []  # u_i = below_i u_(i+1) + value_i
+    for left, right in zip(b[:-1], b[1:], strict=True):
+        a, c = -diffusion / h - left / 2, -diffusion / h + right / 2
+        pivot = 2 * diffusion / h + left / 2 - right / 2 + (a * below[-1] if below else 0)
+        value.append((h - (a * value[-1] if value else 0)) / pivot)
+        below.append(-c / pivot)
+    u, most = Decimal(0), Decimal(0)
+    for slope, constant in zip(reversed(below), reversed(value), strict=True):
+        u = slope * u + constant
+        most = max(most, u)
+    assert extremes(solve(string_in_a_trap(eps))) == pytest.approx((0, float(most)), rel=1e-4)
+
+
+def test_contact_makes_a_nearly_singular_operator_regular():
+    """Held by an obstacle u is well determined, whatever the operator is without it."""
+    scene = string_in_a_trap(0.05, upper=1)
+    penalty, vi = (solve(scene, method=method) for method in ("penalty", "vi"))
+    force = [answer.record["contact"]["upper"]["force"] for answer in (penalty, vi)]
+    assert force[0] == pytest.approx(force[1], rel=1e-4)
+    assert extremes(vi) == pytest.approx((0, 1), abs=1e-9)
+
+
+TRAPS = [(0.001, 20, 16, "P1"), (0.001, 20, 32, "P1"), (0.01, 5, 16, "Q1"), (0.05, 20, 16, "P1")]
+
+
+@pytest.mark.parametrize(("tension", "drift", "cells", "element"), TRAPS)
+def test_solutions_beyond_the_range_of_the_data_are_rejected(tension, drift, cells, element):
+    """With f >= 0 and u = 0 on the boundary no solution is negative."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": cells}, tension=tension, load=1,
+                  drift=[f"{drift}*(x - 0.5)", f"{drift}*(y - 0.5)"])  # fmt: skip
+    with pytest.raises(NotConverged, match="which no solution does|" + UNDETERMINED):
+        solve(scene, element=element)
+
+
+ROUND = {"mesh": {"shape": "interval", "cells": 64}, "axial_symmetry": True, "boundary": [{"on": "right", "value": 0}]}
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
+@pytest.mark.parametrize("load", [2.05, 2.3, 2.5, -2.05])
+def test_no_film_beyond_its_limit_load(load, unit, method):
+    """A round film of radius 1 carries the load 2 s at most: beyond it no solution exists."""
+    scene = Scene(**ROUND, large_slope=unit, load=load * unit)
+    with pytest.raises(InputError, match="no solution exists: the load"):
+        solve(scene, method=method)
+
+
+@pytest.mark.parametrize("load", [1.5, 1.9, 1.99])
+def test_films_below_their_limit_load(load):
+    """Up to the limit the film is a cap of a sphere of radius 2/load."""
+    radius = 2 / load
+    answer = solve(Scene(**ROUND, large_slope=1, load=load), cells=256)
+    assert extremes(answer)[1] == pytest.approx(radius - np.sqrt(radius**2 - 1), rel=0.02)
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize(("load", "far"), [(4.5, 1e9), (5, 1e9), (5, 100), (20, 30)])
+def test_no_film_reaches_a_far_obstacle(load, far, method):
+    """Beyond the limit load a film is torn from its edge before it touches: no state is returned."""
+    with pytest.raises(NotConverged):
+        solve(Scene(mesh=SQUARE, large_slope=1, load=-load, lower=-far), method=method)
+
+
+def test_films_that_obstacles_hold():
+    """Near obstacles carry what the film does not; concentrated forces draw a string to any depth."""
+    low, _ = extremes(solve(Scene(mesh=SQUARE, large_slope=1, load=-5, lower=-0.1), method="vi"))
+    assert low == pytest.approx(-0.1, abs=1e-12)
+    string = {"mesh": {"shape": "interval", "cells": 64}, "large_slope": 1}
+    for force, depth in ((1.99, 0.5 * 1.99 / np.sqrt(4 - 1.99**2)), (2.5, 20)):
+        scene = Scene(**string, point_load=[{"at": 0.5, "force": -force}], lower=-20)
+        assert extremes(solve(scene, method="vi"))[0] == pytest.approx(-depth, rel=1e-9)

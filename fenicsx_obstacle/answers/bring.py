@@ -67,7 +67,8 @@ def solve_form(
 
     Args:
         F: Residual, a linear form in one test function.
-        u: Unknown of F, a continuous P1 Function: start and solution.
+        u: Unknown of F, a continuous P1 Function: start and solution. Where nothing but contact holds it the start is
+            in contact instead.
         bcs: Dirichlet conditions, a list or a single one.
         lower: Obstacle below, taken at the nodes: a number; a Function, also of another space, or on another mesh that
             covers this one; UFL without u; or a callable of x, shape (3, n), as Function.interpolate takes it.
@@ -102,7 +103,8 @@ def solve_form(
     dofs, values = data.fixed
     start[dofs] = values.x.array[dofs]
     low, high = problem.obstacles()
-    problem.refer(np.clip(start, low, high))
+    start = problem.cold_start() if problem.floating else np.clip(start, low, high)
+    problem.refer(start)
     if energy is not None:
         _refuse_no_minimum(problem)
     if isinstance(eps, str):
@@ -176,6 +178,9 @@ class _Given:
 
     def heights(self, data: Any) -> list[Any]:
         return [0.0]
+
+    def greatest(self, data: Any) -> None:
+        return None
 
     def push(self, data: Any) -> None:
         return None

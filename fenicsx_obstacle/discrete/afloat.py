@@ -21,7 +21,7 @@ EPSILON = float(np.finfo(float).eps)
 LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a solution meaningless
 
 
-def check_support(problem: Problem) -> np.ndarray | None:
+def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
     """Check that each part of the mesh is held, and find a start in contact where only contact holds (collective).
 
     With v = 1 on a connected component where u is given nowhere, (3.4) says that loads, supports and contact add up to
@@ -32,15 +32,15 @@ def check_support(problem: Problem) -> np.ndarray | None:
         problem: At u = 0; it is so again afterwards.
 
     Returns:
-        Values of u at local dofs from which to start on such components, not-a-number elsewhere; None where there are
-        none.
+        Values of u at local dofs in contact, on components where u is given nowhere, not-a-number elsewhere; None where
+        there are none. And whether on one of these nothing but contact holds u.
 
     Raises:
         InputError: Since no u is in balance, or since round-off would decide which one is.
     """
     comm, level = problem.level.comm, problem.level
     if level.shape is not None and total(comm, np.count_nonzero(problem.fixed)) > 0:
-        return None
+        return None, False
     count, component = level.parts
     own = component[: level.owned]
 
@@ -49,7 +49,7 @@ def check_support(problem: Problem) -> np.ndarray | None:
 
     loose = sums(problem.fixed.astype(float)) == 0
     if not loose.any():
-        return None
+        return None, False
     hard = problem.obstacles()
     soft = _soft_obstacles(problem)
     rest, shift = _between(comm, soft)
@@ -72,7 +72,7 @@ def check_support(problem: Problem) -> np.ndarray | None:
     side = np.where(up & (~down | (net <= 0)), -1, 1)
     side[~(loose & (up | down) & (~holds | problem.constrained))] = 0
     if not side.any():
-        return None
+        return None, False
     start = np.full(len(component), np.nan)
     for sign, obstacle, soft_one, one in zip((-1, 1), hard, soft, stiff, strict=True):
         here, heights = (side == sign)[component], np.broadcast_to(obstacle, len(component))
@@ -85,7 +85,7 @@ def check_support(problem: Problem) -> np.ndarray | None:
             # beside an obstacle on a part of the boundary: at its lowest or highest place
             start[here] = extreme + sign
             start[known] = heights[known] + sign
-    return start
+    return start, bool((loose & ~holds).any())
 
 
 def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:

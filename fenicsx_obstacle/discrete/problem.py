@@ -20,6 +20,7 @@ from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.limit_load import check_limit_load
 from fenicsx_obstacle.discrete.signs import is_m_matrix
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -46,6 +47,7 @@ class Problem:
         touchable: Whether u can touch an obstacle at a point of I.
         thickness: What a weight is per unit of length where contact is on the boundary, else 1: p times it is a force
             per length there.
+        floating: Whether only contact holds some part of the mesh.
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
@@ -76,7 +78,8 @@ class Problem:
         self.weights = forms.weights()
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
         self.load = self._load_sum()
-        self._start = check_support(self)
+        check_limit_load(self)
+        self._start, self.floating = check_support(self)
         self.refer(self.cold_start())
 
     def cold_start(self) -> np.ndarray:
@@ -107,7 +110,8 @@ class Problem:
         if changed:
             self.__dict__.pop("m_matrix", None)
         self.load = self._load_sum()
-        self._start = check_support(self)
+        check_limit_load(self)
+        self._start, self.floating = check_support(self)
         self.refer(heights)
         self.load = forces_at_work(self, self.load)
         return changed

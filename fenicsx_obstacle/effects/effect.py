@@ -181,6 +181,10 @@ class Effect:
         """Local nodal values of the lower and the upper obstacle, where it is one that gives way."""
         return None, None
 
+    def greatest(self, data: Sampler) -> Any:
+        """The least upper bound of its force per length, where it is elastic and has one."""
+        return None
+
     def push(self, data: Sampler) -> tuple[float, float] | None:
         """Smallest and largest local value of its part of f, for maximum principles; None where it obeys none.
 

@@ -49,6 +49,9 @@ class LargeSlope(OfSlope):
     equation = "-div(large_slope grad u/sqrt(1 + |grad u|^2))"
     term = "int large_slope grad u . grad v/sqrt(1 + |grad u|^2)"
 
+    def greatest(self, data: Sampler) -> Any:
+        return data.cellwise(self.value, positive=True)
+
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner, sqrt
 

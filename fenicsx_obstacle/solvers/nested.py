@@ -40,7 +40,7 @@ def solve_nested(
         The outcome of each level, the finest last.
 
     Raises:
-        NotConverged: On the finest level. A coarse state is a start, converged or not.
+        NotConverged: On the finest level. A coarse state is a start, converged or not, if the problem is affine.
     """
     outcomes: list[Outcome] = []
     for grid in grids:
@@ -59,6 +59,9 @@ def solve_nested(
         except NotConverged:
             if finest:
                 raise
+            if not problem.affine:  # it may be anywhere
+                before = None
+                continue
         before = problem
     return outcomes
 

@@ -75,13 +75,13 @@ def solve_penalty(
         problem.refer(problem.cold_start())
     how = {"unchanged": successive, "least": least, "tolerance": tolerance, "watch": watch}
     if problem.affine or not problem.constrained or user_has_set("penalty_snes_max_it"):  # a limit is kept
-        return require(_settled(problem, how, multigrid), problem, eps)
+        return require(_settled(problem, how, multigrid), problem, eps, tolerance)
     start = problem.heights().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
     if not outcome.converged:
         problem.refer(start)
         outcome = joined(outcome, _hardened(problem, eps, how))
-    return require(outcome, problem, eps)
+    return require(outcome, problem, eps, tolerance)
 
 
 def soft_eps(problem: Problem) -> float:

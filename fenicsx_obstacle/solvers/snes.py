@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.solvers.inexact import Inexact
+from fenicsx_obstacle.solvers.meaning import determined, stiffness_of
 from fenicsx_obstacle.solvers.multigrid import SMOOTHER, Multigrid, OnInactive
-from fenicsx_obstacle.solvers.stopping import Step, Stopping, in_words
+from fenicsx_obstacle.solvers.range import complaint
+from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
 
 _log = logging.getLogger(__name__)
 LARGEST = 200_000  # unknowns for a direct solver
@@ -150,14 +153,26 @@ def run(
     return outcome
 
 
-def require(outcome: Outcome, problem: Problem, eps: float | None) -> Outcome:
-    """The outcome, if it converged.
+def require(outcome: Outcome, problem: Problem, eps: float | None, tolerance: float) -> Outcome:
+    """The outcome, if it converged to a solution (collective).
 
     Raises:
-        NotConverged: Otherwise: no unconverged state is ever an answer.
+        NotConverged: Otherwise: no unconverged state is ever an answer, and none that no solution can be.
     """
     if not outcome.converged:
-        raise NotConverged(outcome.solver, in_words(outcome.reason), outcome.iterations, eps=eps, h=problem.level.h)
+        reason = in_words(outcome.reason)
+        if any(effect.greatest(problem.data) is not None for effect in problem.scene.effects):
+            reason += "; no solution exists where the load is beyond the limit load of the film"
+        eps = None if outcome.reason == MEANINGLESS else eps
+        raise NotConverged(outcome.solver, reason, outcome.iterations, eps=eps, h=problem.level.h)
+    if tolerance < LIMIT and outcome.active is not None:  # otherwise it is a start for a finer level
+        found = complaint(problem, outcome.active)
+        if outcome.blunt:
+            stiffness = stiffness_of(problem, exact_bounds=outcome.solver == "vi")
+            if not determined(problem, outcome.active, stiffness, outcome.history[-1].unbalanced):
+                found = in_words(MEANINGLESS)
+        if found is not None:
+            raise NotConverged(outcome.solver, found, outcome.iterations, eps=None, h=problem.level.h)
     return outcome
 
 

@@ -17,20 +17,21 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.meaning import EPSILON, ROOM, determined, stiffness_of
 from fenicsx_obstacle.solvers.shrinking import Shrinking
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
 FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
-EPSILON = float(np.finfo(float).eps)
-ROOM = 8.0  # round-off may be so many times what is expected of it
 NOTHING = 1e-30
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
+MEANINGLESS = PETSc.SNES.ConvergedReason.DIVERGED_DTOL  # nor 'balanced, but not determined by the data'
 TOO_MANY = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
 
@@ -131,7 +132,12 @@ class Stopping:
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.blunt = floor > BLUNT * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
-            return CONVERGED
+            # where w is blunt it is counted anew first; a load that it absorbs seems balanced at once
+            self.blunt |= far and ROOM * self.round_off() > BLUNT * forces
+            if self.tolerance >= LIMIT or self.blunt or determined(problem, active, self._stiffness(), unbalanced):
+                return CONVERGED
+            if problem.affine:
+                return MEANINGLESS  # the next step would solve the same system
         if self.watch_cycles and step.changed and self._repeats(active):
             if self.exact:
                 return CYCLING
@@ -192,13 +198,7 @@ class Stopping:
 
     def _stiffness(self) -> np.ndarray:
         """Diagonal of A at owned free dofs; without springs that stand for bounds: what they hold does not move."""
-        problem = self.problem
-        if self.exact_bounds and problem.affine and problem.level.pair.nodal:
-            return problem.nodal.diagonal * ~problem.fixed
-        diagonal = problem.A.getDiagonal()
-        stiffness = diagonal.array_r * ~problem.fixed
-        diagonal.destroy()
-        return stiffness
+        return stiffness_of(self.problem, exact_bounds=self.exact_bounds)
 
     def _repeats(self, active: np.ndarray) -> bool:
         """Whether this active set was met before: Newton cycles (collective)."""
@@ -216,6 +216,8 @@ def in_words(reason: int) -> str:
         PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: "a linear system could not be solved",
         PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: "the line search found no descent",
         releases.NOT_A_NUMBER: "the residual became infinite or not a number",
+        MEANINGLESS: "round-off decides u: the forces that its round-off leaves are beyond 1 % of those that the data "
+        "exert, so that nothing holds u, or the equation is nearly singular",
         CYCLING: "the active sets repeat themselves",
         GREW: "an active set grew on an M-matrix, which shows an error in this program or its libraries",
     }

@@ -46,13 +46,13 @@ def solve_vi(
     """
     how = {"least": least, "tolerance": tolerance, "watch": watch}
     if problem.affine or not problem.constrained or user_has_set("vi_snes_max_it"):  # a limit is kept
-        return require(_settled(problem, multigrid, how), problem, None)
+        return require(_settled(problem, multigrid, how), problem, None, tolerance)
     start = problem.heights().x.array
     outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})
     if not outcome.converged:
         problem.refer(start)
         outcome = joined(outcome, _from_penalty(problem, how))
-    return require(outcome, problem, None)
+    return require(outcome, problem, None, tolerance)
 
 
 def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:

@@ -43,7 +43,9 @@ class Small:
         self.matrix, self.b = np.array(A, dtype=float), np.array(b, dtype=float)
         n = len(self.b)
         self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0, pair=P1)
-        self.w = SimpleNamespace(x=SimpleNamespace(array=np.zeros(n)))
+        self.w, self.reference, values = (SimpleNamespace(x=SimpleNamespace(array=np.zeros(n))) for _ in range(3))
+        self.scene = SimpleNamespace(effects=(), time=None)
+        self.data = SimpleNamespace(fixed=(np.empty(0, dtype=np.int32), values))
         self.eps = SimpleNamespace(value=1.0)
         self.fixed, self.weights = np.zeros(n, dtype=bool), np.ones(n)
         self.touchable = ~self.fixed

@@ -1,0 +1,79 @@
+"""Limit loads: where the force per length of an elastic effect is bounded, so is the load that it can carry."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import total
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.data import Data
+    from fenicsx_obstacle.discrete.problem import Problem
+
+ROOM = 1e-9  # of the force: what a load equal to its limit may be beyond it by round-off
+
+
+def check_limit_load(problem: Problem) -> None:
+    """Reject loads that the film cannot carry to its edge (collective).
+
+    With |tension| < s, the equation tested with v = 1, and with a discrete v that is 1 at free and 0 at fixed dofs,
+
+        |int f| <= int of s over the part of the boundary where u is given,    |sum of f_i| < int s |grad v|,
+
+    f_i at free dofs. These conditions are necessary, not sufficient: a part of the film may be overloaded.
+
+    Raises:
+        InputError: Since no solution exists.
+    """
+    effects, data, level = problem.scene.effects, problem.data, problem.level
+    bounded = [effect for effect in effects if effect.greatest(data) is not None]
+    others = [e for e in effects if e.holds or e.gives_way or not e.symmetric or e.push(data) is None]
+    if not bounded or others:
+        return
+    comm, at_rest = level.comm, problem.elastic.array_r
+    load, load_inside = -total(comm, at_rest), -total(comm, at_rest[~problem.fixed])
+    opposed = problem.below if load < 0 else problem.above
+    if load == 0 or opposed is not None or total(comm, np.count_nonzero(problem.fixed)) == 0:
+        return
+    s = bounded[0].greatest(data)
+    conditions = [(load, _along_edges(data, s))]
+    if level.pair.degree == 1 and releases.cell_name(level.mesh) in SIMPLICES:
+        conditions.append((load_inside, _around_free_dofs(data, s)))
+    for force, most in conditions:
+        if abs(force) > most * (1 + ROOM):
+            raise InputError(
+                f"{problem.scene.source}: no solution exists: the load is {abs(force):.6g} in all, and "
+                f"{bounded[0].key} carries at most {most:.6g} to where u is given; take a smaller load"
+            )
+
+
+def _along_edges(data: Data, s: Any) -> float:
+    """The integral of s over the boundary where u is given; infinite where u is given inside (collective)."""
+    level, comm = data.level, data.level.comm
+    facets = np.unique(np.concatenate(data.held)).astype(np.int32)
+    inside = np.count_nonzero(~np.isin(facets, level.boundary_facets))
+    if total(comm, inside) > 0:
+        return np.inf
+    dim = level.mesh.topology.dim - 1
+    own = facets[facets < level.mesh.topology.index_map(dim).size_local]
+    marks = dmesh.meshtags(level.mesh, dim, own, np.ones(len(own), dtype=np.int32))
+    ds = ufl.Measure("ds", domain=level.mesh, subdomain_data=marks)(1)
+    weight = ufl.SpatialCoordinate(level.mesh)[0] if data.radial else 1.0
+    return total(comm, fem.assemble_scalar(releases.form(s * weight * ds)))
+
+
+def _around_free_dofs(data: Data, s: Any) -> float:
+    """The integral of s |grad v| for the v that is 1 at free dofs and 0 at fixed ones (collective)."""
+    v = fem.Function(data.level.V)
+    v.x.array[:] = 1.0
+    v.x.array[data.fixed[0]] = 0.0
+    slope = ufl.sqrt(ufl.inner(ufl.grad(v), ufl.grad(v)))
+    return total(data.level.comm, fem.assemble_scalar(releases.form(s * slope * data.dx)))

@@ -1,0 +1,95 @@
+"""Whether a state in balance means anything: how large it is beside the data, and the forces that the data exert.
+
+Round-off of the residual is an epsilon of |A| |u|. Heights that the data give cause some of it: boundary values,
+obstacles in contact, the heights at which supports rest. The rest is due to how far u lies beyond all of these. Where
+it is a noticeable part of the forces of the data, these do not determine u: A is singular to floating point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.afloat import LIMIT
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import largest, smallest, total
+
+EPSILON = float(np.finfo(float).eps)
+ROOM = 8.0  # round-off may be so many times what is expected of it
+
+
+def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
+    """The smallest and the largest value of u that the data give; inf and -inf where they give none (collective).
+
+    Args:
+        problem: Its boundary values, obstacles and supports.
+        active: Which obstacle holds each owned point of I: -1 lower, 1 upper, 0 none.
+    """
+    comm, own = problem.level.comm, problem.level.owned
+    dofs, values = problem.data.fixed
+    given = [np.atleast_1d(heights) for effect in problem.scene.effects for heights in effect.heights(problem.data)]
+    given.append(values.x.array[dofs])
+    if problem.constrained:
+        for obstacle, side in zip(problem.obstacles(), (-1, 1), strict=True):
+            held = problem.bearing(active == side)
+            heights = np.broadcast_to(obstacle, len(values.x.array))[:own][held]
+            given.append(heights[np.isfinite(heights)])
+    known = np.concatenate(given)
+    return smallest(comm, known), largest(comm, known)
+
+
+def forces_of_data(problem: Problem) -> float:
+    """Sum of the forces that the data exert, whatever the state (collective): loads, or what boundary values and
+    obstacles exert on a membrane that takes these values and is flat elsewhere."""
+    comm, forms = problem.level.comm, problem.forms
+    w, r, elastic = problem.w.x.array, problem.reference.x.array, problem.elastic.array
+    kept = w.copy(), r.copy(), elastic.copy()
+    flat = problem.cold_start()
+    r[:] = 0.0
+    sums = [problem.load]
+    for heights, rows in ((0.0, ~problem.fixed), (flat - smallest(comm, flat), slice(None))):
+        w[:] = heights
+        forms.refer()
+        forms.elastic(problem.elastic)
+        sums.append(total(comm, np.abs(problem.elastic.array_r[rows])))
+    w[:], r[:] = kept[0], kept[1]
+    forms.refer()
+    problem.elastic.array[:] = kept[2]
+    return max(sums)
+
+
+def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
+    """Diagonal of A at owned free dofs, 0 at fixed ones; without springs that stand for bounds (collective)."""
+    if exact_bounds and problem.affine and problem.level.pair.nodal:
+        return problem.nodal.diagonal * ~problem.fixed
+    if not problem.A.assembled:  # no step was needed
+        state = problem.state()
+        problem.jacobian(state, penalised=not exact_bounds)
+        state.destroy()
+    diagonal = problem.A.getDiagonal()
+    stiffness = diagonal.array_r * ~problem.fixed
+    diagonal.destroy()
+    return stiffness
+
+
+def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unbalanced: float) -> bool:
+    """Whether the data determine a state in balance (collective).
+
+    Args:
+        problem: In that state.
+        active: Which obstacle holds each owned point of I: -1 lower, 1 upper, 0 none.
+        stiffness: Diagonal of A at owned free dofs, 0 at fixed ones.
+        unbalanced: Sum of |residual| over free dofs.
+    """
+    comm, own = problem.level.comm, problem.level.owned
+    low, high = range_of_data(problem, active)
+    w = problem.w.x.array[:own]
+    u = w + problem.reference.x.array[:own]
+    beyond = 0.0 if low > high else EPSILON * total(comm, stiffness * np.abs(u - np.clip(u, low, high)))
+    if max(beyond, unbalanced) <= LIMIT * problem.load:
+        return True
+    forces = forces_of_data(problem)
+    if forces == 0:  # no state but that of the data is in balance, and round-off is all that is left
+        return True
+    largest_given = 0.0 if low > high else max(abs(low), abs(high))
+    heights = ROOM * EPSILON * total(comm, stiffness * np.minimum(np.abs(w), largest_given))  # round-off of the data
+    return beyond <= LIMIT * max(forces, heights) and unbalanced <= max(LIMIT * forces, heights)

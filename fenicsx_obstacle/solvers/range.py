@@ -1,0 +1,143 @@
+"""Whether a solution lies where its data allow: comparison with constants, sensitivity to round-off, torn films."""
+
+from __future__ import annotations
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.afloat import LIMIT
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes.moments import EQUILIBRIA
+from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
+
+NEAR = 1e-8  # of the values of the data: not beyond them
+FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
+
+
+def complaint(problem: Problem, active: np.ndarray) -> str | None:
+    """What shows that a state in balance is no solution; None if nothing does (collective).
+
+    Args:
+        problem: In that state.
+        active: Which obstacle holds each owned point of I: -1 lower, 1 upper, 0 none.
+    """
+    time = problem.scene.time
+    if time is not None and time.order != EQUILIBRIA:
+        return None
+    for check in (_beyond_range, _torn, _sensitive):
+        found = check(problem, active)
+        if found is not None:
+            return found
+    return None
+
+
+def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
+    """The maximum principle: with f >= 0 no u is below all boundary values, obstacles and heights of supports.
+
+    It holds for the differential equation with each effect that says what it `push`es. A discrete solution obeys it to
+    round-off where A is an M-matrix; elsewhere it may overshoot, but by less than it differs from these values on the
+    other side: an error as large as the solution is none.
+    """
+    comm, pair = problem.level.comm, problem.level.pair
+    if total(comm, np.count_nonzero(active)) > 0 and not (pair.nodal and pair.degree == 1):
+        return None  # u is not between the obstacles where it is free of them, at vertices of P2
+    low, high = range_of_data(problem, active)
+    u = problem.w.x.array + problem.reference.x.array
+    least, most = smallest(comm, u), largest(comm, u)
+    beyond = {-1: low - least, 1: most - high}
+    room = NEAR * max(abs(low), abs(high))
+    if low > high or max(beyond.values()) <= room:
+        return None
+    pushes = [effect.push(problem.data) for effect in problem.scene.effects]
+    if not pushes or None in pushes or forces_of_data(problem) == 0:  # without forces u is round-off
+        return None
+    lowest = sum(smallest(comm, push[0]) for push in pushes if push is not None)
+    highest = sum(largest(comm, push[1]) for push in pushes if push is not None)
+    for side, applies, allowed in ((-1, lowest >= 0, most - low), (1, highest <= 0, high - least)):
+        if not applies or beyond[side] <= max(room, LIMIT * allowed):
+            continue
+        if beyond[side] > allowed or _monotone(problem):
+            word, bound, sign = ("below", low, "negative") if side < 0 else ("above", high, "positive")
+            return (
+                f"u reaches {least if side < 0 else most:.4g}, {word} {bound:.4g}, which no solution does with a load "
+                f"that is nowhere {sign}: the equation is nearly singular, or the mesh too coarse for it"
+            )
+    return None
+
+
+def _monotone(problem: Problem) -> bool:
+    """Whether A obeys the maximum principle: no entry beside the diagonal is positive, no row sums to less than 0."""
+    if not problem.affine or not problem.level.pair.nodal:
+        return False
+    state = problem.state()
+    problem.jacobian(state, penalised=False)
+    state.destroy()
+    diagonal, comm = problem.nodal.diagonal, problem.level.comm
+    return is_m_matrix(problem.A, diagonal, comm) and sums_nowhere_negative(problem.A, diagonal, comm)
+
+
+def _torn(problem: Problem, active: np.ndarray) -> str | None:
+    """A film whose load is beyond its limit falls on an obstacle: it is torn from where u is given, within one cell."""
+    comm, level, data = problem.level.comm, problem.level, problem.data
+    if not any(effect.greatest(data) is not None for effect in problem.scene.effects) or level.h * FINE > data.extent:
+        return None
+    dofs, values = data.fixed
+    given, u = values.x.array[dofs], problem.w.x.array + problem.reference.x.array
+    low, high = smallest(comm, given), largest(comm, given)
+    cells = releases.cell_dofs(level.V)
+    for side, fall in ((-1, low - u), (1, u - high)):
+        fallen = np.maximum(fall, 0.0)
+        depth = largest(comm, fallen)
+        if not data.extent < depth < np.inf or total(comm, np.count_nonzero(active == side)) == 0:
+            continue
+        if 2 * largest(comm, np.ptp(fallen[cells], axis=1)) > depth:
+            return (
+                f"u falls by {depth:.4g} within one cell where it is given: the film tears there, as the load is "
+                "beyond its limit, and no solution reaches the obstacle"
+            )
+    return None
+
+
+def _sensitive(problem: Problem, active: np.ndarray) -> str | None:
+    """Without symmetry A may be nearly singular where u shows nothing of it: how far round-off moves u.
+
+    One step of inverse iteration, from the round-off of the residual with one sign: where A is an M-matrix no other
+    signs move u farther.
+    """
+    if problem.symmetric or not (problem.affine and problem.level.pair.nodal):
+        return None
+    comm, own, nodal = problem.level.comm, problem.level.owned, problem.nodal
+    u = (problem.w.x.array + problem.reference.x.array)[:own]
+    spread = largest(comm, u) - smallest(comm, u)
+    middle = (largest(comm, u) + smallest(comm, u)) / 2
+    nodal.spring(problem.A, np.where(active != 0, np.inf, 0.0))
+    moved, forces = problem.A.createVecs()
+    forces.array[:] = np.where(problem.fixed | (active != 0), 0.0, EPSILON * nodal.diagonal * np.abs(u - middle))
+    solved = _solve(problem, forces, moved)
+    most = largest(comm, np.abs(moved.array_r))
+    for vector in (moved, forces):
+        vector.destroy()
+    if solved and not most <= LIMIT * spread:
+        return "round-off decides u, by more than 1 % of its range: the equation is nearly singular"
+    return None
+
+
+def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+    """Solve A x = b; whether that was possible (collective)."""
+    from fenicsx_obstacle.solvers.snes import DIRECT, GENERAL, LARGEST, defaults
+
+    for options in (GENERAL, DIRECT) if problem.level.dofs <= LARGEST else (GENERAL,):
+        ksp = PETSc.KSP().create(problem.level.comm)
+        ksp.setOperators(problem.A)
+        ksp.setOptionsPrefix("sensitivity_")
+        with defaults("sensitivity_", {**options, "ksp_rtol": 1e-4}):
+            ksp.setFromOptions()
+        ksp.solve(b, x)
+        reason = ksp.getConvergedReason()
+        ksp.destroy()
+        if reason > 0:
+            return True
+    return False
