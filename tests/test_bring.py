@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
@@ -125,7 +125,7 @@ def test_floating_membrane_is_held_by_its_obstacle():
 
 
 @pytest.mark.parametrize("method", ["penalty", "vi"])
-@pytest.mark.parametrize("far", [1e9, 1e12, 1e18])
+@pytest.mark.parametrize("far", slow_except([1e9, 1e12, 1e18], 1e12))
 def test_far_obstacles_do_not_blunt_the_answer(method, far):
     """'No obstacle here' written as -1e18: counted from there u would have no digit left."""
     near = membrane(load=-10, lower="where(hypot(x - 0.5, y - 0.5) < 0.2, -0.2, -1)")

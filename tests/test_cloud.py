@@ -4,7 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
+from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.accuracy.norms import Distance
@@ -62,7 +62,8 @@ def fine():
         return scene, Cloud.of(answer), own, answer.bound.total
 
 
-@pytest.mark.parametrize("element", slow_except(["P1", "P2"], "P2"))
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.slow
 def test_errors_without_an_exact_solution_are_those_with_one(fine, element):
     """|error against the reference - exact error| <= exact error of the reference (triangle inequality), up to 1 % from
     points near kinks of slopes; so far less than what its linear interpolant on cut cells adds to the error of P2."""

@@ -58,7 +58,7 @@ def test_flux_and_springs(method):
     check_orders(above(SMOOTH, "-4", tension=2, boundary=parts), method)
 
 
-@pytest.mark.parametrize("element", ["P1", "P2", "Q1", "Q2"])
+@pytest.mark.parametrize("element", slow_except(["P1", "P2", "Q1", "Q2"], "P2"))
 def test_springs_of_all_elements(element):
     """The formula of a side is interpolated, springs take the nodal rule: no element loses its order 2."""
     parts = [{"on": ["left", "bottom", "top"], "value": "exp(x)*cos(y)"},
@@ -170,7 +170,7 @@ SOFT = (
 
 
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-@pytest.mark.parametrize("hard", [-1, -0.015])
+@pytest.mark.parametrize("hard", slow_except([-1, -0.015], -1))
 def test_string_on_soft_ground(method, hard):
     """-u'' + k u^- = -1 in closed form: order 2; eps does not enter, and hard ground below it is another matter."""
     scene = membrane(
@@ -402,6 +402,7 @@ RADIAL = {"mesh": {"shape": "interval"}, "axial_symmetry": True, "boundary": [{"
 
 
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
+@pytest.mark.slow
 def test_disk_as_an_interval(method, disk):
     """A disk under a flat ceiling by its radius: orders of the membrane, force and area of two dimensions."""
     tables = disk.change({"define.a": 0.5}).tables
@@ -527,6 +528,7 @@ CATENOID = "ln(hypot(x + 1, y + 1) + sqrt(hypot(x + 1, y + 1)^2 - 1))"  # r = co
 
 
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
+@pytest.mark.slow
 def test_catenoid(method):
     """The surface of least area, with contact: orders of the membrane (2 from above), and few steps on the way up."""
     scene = without_tension(above(CATENOID, 0), large_slope=1)
@@ -545,6 +547,7 @@ def test_power_law(exponent, method):
 
 
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
+@pytest.mark.slow
 def test_power_law_under_a_ceiling(method):
     """The demo creep: n = 3/2 in a disk, where the ceiling carries f within the contact, whose radius is known."""
     scene = Scene.read(DEMOS / "creep.toml")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS
+from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -57,7 +57,7 @@ def test_weights_of_a_problem(name):
     bench.close()
 
 
-@pytest.mark.parametrize("name", pairs())
+@pytest.mark.parametrize("name", slow_except(pairs(), "P1", "Q2"))
 def test_orders_of_each_pair(name):
     """(5.6), (5.8), (5.9) with eps = h^2: order 1 in H1 at least, 2 in L2, 1 for the pressure in the dual norm."""
     rows = study(DISK, {"cells": [16, 32]}, element=name, eps="h^2")
@@ -66,7 +66,7 @@ def test_orders_of_each_pair(name):
     assert order("errors.pressure_dual", rows[1], rows[0], "h") > 1
 
 
-@pytest.mark.parametrize("name", pairs())
+@pytest.mark.parametrize("name", slow_except(pairs(), "P2", "Q1"))
 def test_reference_of_each_pair(name):
     """Theorem 3.1: u_eps tends to the solution of the inequality, whose constraints hold at the points of I alone."""
     bench = Workbench(DISK.change({"mesh.cells": 12, "solve.element": name}))

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
+from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import InputError, Scene, study
 from fenicsx_obstacle.show import warped
@@ -45,7 +45,8 @@ GRIDS = {
 }
 
 
-@pytest.mark.parametrize("name", slow_except(GRIDS, "words"))
+@pytest.mark.parametrize("name", GRIDS)
+@pytest.mark.slow
 def test_no_line_goes_to_and_fro(name, disk, folder):
     """In a grid each line has one value of the other keys: its abscissas rise or fall, and it has its own legend."""
     scene = disk if name in ("eps", "cells", "levels") else membrane(**BUMP)

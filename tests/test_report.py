@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.discrete import levels
@@ -87,7 +87,7 @@ BALANCES = {
 }
 
 
-@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "penalty"))
 @pytest.mark.parametrize("name", BALANCES)
 def test_normal_flux_balances_load_and_contact(name, method):
     """int tension du/dn over the boundary is -int (load + p), to the solver's accuracy, on any mesh."""

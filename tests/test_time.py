@@ -97,6 +97,7 @@ def test_differences():
 
 
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
+@pytest.mark.slow
 def test_order_of_inertia(method):
     """A standing wave: with lumped masses the nodes of sin(pi x) swing with 2/h sin(pi h/2); midpoint rule, order 2."""
     frequency = 2 * 16 * math.sin(math.pi / 32)
@@ -126,6 +127,7 @@ def test_a_wall_takes_energy(method):
     assert np.allclose(energy[before], energy[0], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_friction_takes_energy():
     """rate beside inertia is friction: u = exp(-ct/2) cos(w t) sin(pi x), w^2 = frequency^2 - c^2/4."""
     c, frequency = 1.0, 2 * 16 * math.sin(math.pi / 32)
@@ -237,6 +239,7 @@ def _tree(steps, strike=100.0, interest=0.05, sigma=0.2):
 
 
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
+@pytest.mark.slow
 def test_put(method):
     """American put, one year: the price by a binomial tree; BDF2 with 200 steps is within 0.05 % of it."""
     answer = solve(Scene.read(DEMOS / "put.toml"), method=method)
@@ -253,7 +256,7 @@ def test_press():
         assert force == pytest.approx(2 * math.pi * a**2, rel=2e-3)
 
 
-@pytest.mark.parametrize("kind", ["rate", "inertia", "equilibria"])
+@pytest.mark.parametrize("kind", slow_except(["rate", "inertia", "equilibria"], "rate"))
 def test_restart(kind, folder):
     """Half the way, then on from its state on one rank each: the same table as in one go."""
     data = {"mesh": {"shape": "rectangle", "cells": 8}, "tension": 1, "load": "-20*t", "lower": -0.1}
@@ -354,6 +357,7 @@ def test_no_bound_and_no_restart():
         solve(scene, restart="nowhere")
 
 
+@pytest.mark.slow
 def test_states_are_of_one_mesh(folder):
     """Another mesh, or an end that is reached already, is refused."""
     scene = Scene(mesh=INTERVAL, tension=1, lower=-1, time={"end": 1, "steps": 2})
