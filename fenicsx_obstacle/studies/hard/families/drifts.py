@@ -98,7 +98,8 @@ def strips(draw: st.DrawFn) -> Strip:
     tension = draw(power(-1, 2))
     sign = draw(st.sampled_from([1.0, 1.0, 1.0, -1.0]))
     most = 400.0 if shape == "interval" else 80.0
-    strength = round(sign * tension * draw(power(0, log(most, 10))), 12)
+    strong = st.one_of(power(0, log(most, 10)), power(log(most / 4, 10), log(most, 10)))
+    strength = round(sign * tension * draw(strong), 12)
     return Strip(shape, cells, tension, draw(st.sampled_from([*FLOWS, "from a point"])), strength,
                  draw(st.sampled_from([0.5, 0.5, 0.4, 0.31])))  # fmt: skip
 
