@@ -1,5 +1,6 @@
 """No u without meaning is an answer: supports that hold nothing, imbalance, near-singular operators, limit loads."""
 
+import itertools
 from decimal import Context, Decimal, setcontext
 
 import numpy as np
@@ -235,7 +236,7 @@ def test_drift_that_is_only_strong_is_solved(eps):
     h, diffusion = Decimal(1) / n, Decimal(str(eps))
     b = [20 * ((Decimal(i) + Decimal("0.5")) / n - Decimal("0.5")) for i in range(n)]
     below, value = [], []  # u_i = below_i u_(i+1) + value_i
-    for left, right in zip(b[:-1], b[1:], strict=True):
+    for left, right in itertools.pairwise(b):
         a, c = -diffusion / h - left / 2, -diffusion / h + right / 2
         pivot = 2 * diffusion / h + left / 2 - right / 2 + (a * below[-1] if below else 0)
         value.append((h - (a * value[-1] if value else 0)) / pivot)
