@@ -185,10 +185,12 @@ DEFINED = {"s": "where(x < 0.61, 0, 5)", "c": "where(x < 0.61, 0, x - 0.61)"}
 
 @pytest.mark.parametrize("value", JUMPS)
 def test_boundary_values_that_jump_are_rejected(value):
-    """Inside an edge, at a vertex, in definitions: with a bound or a tolerance rejected, place and values named."""
+    """Inside an edge, at a vertex, in definitions: solved with a warning, and with a bound or a tolerance rejected."""
     mesh = AROUND if "theta" in value else SQUARE
     scene = Scene(mesh=mesh, tension=1, define=DEFINED, boundary=[{"value": value}])
-    assert solve(scene).record["converged"]
+    answer = solve(scene)
+    assert f"jump at {JUMPS[value]}" in answer.record["boundary_jump"]
+    assert f"warning: {answer.record['boundary_jump']}" in answer.summary()
     for options in ({"bound": True}, {"tol": 0.1}, {"bound": True, "element": "P2"}):
         with pytest.raises(
             InputError, match=r"\(no. 1\) value = .*: the boundary values jump at \(.*\), from"
@@ -202,6 +204,7 @@ def test_continuous_boundary_values_pass(value):
     """Kinks, roots, steep slopes and differences of round-off are no jumps."""
     answer = bounded(define=DEFINED, boundary=[{"value": value}])
     assert answer.bound.words.startswith("certified")
+    assert "boundary_jump" not in answer.record
 
 
 def test_parts_that_meet():

@@ -11,9 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.triangles import Triangles
+from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.enclosures import Cells
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.parts import part_place
@@ -98,21 +101,28 @@ class Jumps:
         )
         self._judge(formula, close, far, edges.at(which, (low + high) / 2))
 
+    def in_words(self) -> str | None:
+        """Place and size of the largest jump on all ranks; None where there is none (collective)."""
+        found = [one for one in self.data.level.comm.allgather(self.worst) if one is not None]
+        if not found:
+            return None
+        _, (one, other), place, formula = max(found, key=lambda candidate: candidate[0])
+        return (
+            f"{formula.place} = {formula.text}: the boundary values jump at {self.data.at(place)}, from {one:.9g} to "
+            f"{other:.9g}; no u with such values has a finite energy"
+        )
+
     def reject(self) -> None:
         """Raise where there is a jump (collective).
 
         Raises:
             InputError: Naming the place and the two values.
         """
-        found = [one for one in self.data.level.comm.allgather(self.worst) if one is not None]
-        if not found:
-            return
-        _, (one, other), place, formula = max(found, key=lambda candidate: candidate[0])
-        raise InputError(
-            f"{formula.place} = {formula.text}: the boundary values jump at {self.data.at(place)}, from {one:.9g} to "
-            f"{other:.9g}; no u with such values has a finite energy, so that no error bound and no tolerance is "
-            "possible: let the value change continuously"
-        )
+        words = self.in_words()
+        if words is not None:
+            raise InputError(
+                f"{words}, so that no error bound and no tolerance is possible: let the value change continuously"
+            )
 
     def _changes(self, formula: Formula, edges: Edges, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where conditions change: edges, and ends of a short part of each."""
@@ -175,6 +185,33 @@ class Jumps:
         if self.worst is None or small[first] > self.worst[0]:
             pair = float(close[0][first]), float(close[1][first])
             self.worst = (float(small[first]), pair, np.append(places[first], 0.0), formula)
+
+
+def boundary_jump(data: Data) -> str | None:
+    """Where the boundary values of a scene without time jump, in words; None where they do not (collective).
+
+    Args:
+        data: On plane triangles.
+    """
+    scene, level = data.scene, data.level
+    given = [(number, scene.formula(part.value, f"{part_place(number)} value"))
+             for number, part in enumerate(scene.tables.boundary) if part.value is not None]  # fmt: skip
+    values, topology = data.fixed[1].x.array, level.mesh.topology
+    part = np.full(topology.index_map(1).size_local + topology.index_map(1).num_ghosts, -1)
+    for number, facets in enumerate(data.held):
+        part[facets] = number  # of two parts the later one counts
+    table, dofs = cell_facets(level.mesh), releases.cell_dofs(level.V)
+    topology.create_connectivity(1, 2)
+    beside = topology.connectivity(1, 2)
+    jumps = Jumps(data, max(largest(level.comm, np.abs(values[data.fixed[0]])), 0.0))
+    for number, formula in given:
+        facets = np.flatnonzero(part == number)
+        cells = np.asarray(beside.array)[np.asarray(beside.offsets)[facets]]
+        members = np.array(facet_vertices(2))[np.argmax(table[cells] == facets[:, None], axis=1)]
+        ends = np.take_along_axis(corners(level.mesh, cells), members[:, :, None], axis=1)[..., :2]
+        nodal = values[np.take_along_axis(dofs[cells], members, axis=1)]
+        jumps.look(formula, Edges(ends[:, 0], ends[:, 1]), nodal)
+    return jumps.in_words()
 
 
 def cut_parts(triangles: Triangles) -> list[str]:

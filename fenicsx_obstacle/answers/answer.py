@@ -154,6 +154,7 @@ class Answer:
             f"{r['memory_mb']:.0f} MB",
             "  " + "; ".join(figures),
             *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
+            *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
         ]
         if r["penetration"] > DEEP * r["u_range"]:
             large = r["penetration"] > r["u_range"]  # which is 0 where u is constant

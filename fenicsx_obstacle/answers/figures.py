@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from dolfinx import fem
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.accuracy.round_off import round_off
 from fenicsx_obstacle.answers.answer import Answer
@@ -41,6 +42,11 @@ def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) 
     }  # fmt: skip
     if level.remarks:
         figures["mesh_remarks"] = list(level.remarks)
+    if _may_jump(problem):
+        from fenicsx_obstacle.accuracy.edges import boundary_jump  # only where a scene has such values
+
+        if (jump := boundary_jump(problem.data)) is not None:
+            figures["boundary_jump"] = jump
     if problem.constrained and problem.affine and level.pair.nodal and scene.time is None:
         figures["round_off"] = round_off(problem, state.p, eps)
     return figures
@@ -59,6 +65,14 @@ def with_errors(answer: Answer, exact: Exact) -> Answer:
     error = fem.Function(answer.level.V)
     error.x.array[:] = answer.u.x.array - exact.nodal(eps)
     return replace(answer, record=record, error=error)
+
+
+def _may_jump(problem: Problem) -> bool:
+    """Whether boundary values are others than one number, on plane triangles without time."""
+    scene, mesh = problem.scene, problem.level.mesh
+    values = {part.value for part in scene.tables.boundary if part.value is not None}
+    plane = releases.cell_name(mesh) == "triangle" and mesh.geometry.dim == 2
+    return plane and scene.time is None and (len(values) > 1 or any(isinstance(value, str) for value in values))
 
 
 def _flow(problem: Problem) -> dict[str, float]:
