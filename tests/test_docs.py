@@ -117,7 +117,7 @@ def test_every_block_is_tested(page):
 def test_commands_parse(page):
     """Commands in the text, and in blocks that are not run, are commands with options that exist."""
     blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(), flags=re.DOTALL | re.MULTILINE)
-    for line in re.split(r"\n|&&|;", "\n".join(blocks + inline(page))):
+    for line in re.split(r"\n|&&|\|\||;", "\n".join(blocks + inline(page))):
         found = re.match(r"\s*(?:\./obstacle|\S*fenicsx-obstacle)(?: --ranks \d+)? ([a-z].*)", line.replace("\\|", "|"))
         if found is None:
             continue
