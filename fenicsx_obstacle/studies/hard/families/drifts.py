@@ -15,7 +15,7 @@ from fenicsx_obstacle.studies.hard.families.draws import power
 from fenicsx_obstacle.studies.hard.families.elements import Field
 from fenicsx_obstacle.studies.hard.families.family import ANSWER, EITHER, Family, Judgement, toml
 
-MILD, PLAIN = 10.0, 1e4  # growth of u over that without drift up to which it must be answered: on any mesh, if resolved
+MILD, PLAIN = 1.0, 1e4  # growth of u over that without drift up to which it must be answered: on any mesh, if resolved
 POINTS = 20001  # of the quadrature
 RESOLVED = 0.2  # Peclet number of a cell up to which values are compared
 FLOWS: dict[str, tuple[str, Callable[[np.ndarray, float, float], np.ndarray]]] = {
