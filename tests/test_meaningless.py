@@ -183,6 +183,15 @@ def test_a_far_obstacle_beside_a_spring(method):
     assert extremes(solve(scene, method=method)) == pytest.approx((-1e6, -1e6), rel=1e-4)
 
 
+@pytest.mark.parametrize("cells", [8, 12, 20])
+@pytest.mark.parametrize("lower", [-1e16, -1e20, -1e24])
+def test_a_support_below_round_off_over_an_obstacle_far_off(lower, cells):
+    """A spring of 1e-14 would hold u at -1e14, which round-off hides: no answer, whatever the obstacle far below."""
+    for method in ("penalty", "vi"):
+        with pytest.raises(InputError, match="below the round-off of the stiffness"):
+            solve(loose({"shape": "rectangle", "cells": cells}, load=-1, lower=lower, boundary=SPRING), method=method)
+
+
 @pytest.mark.parametrize("method", ["penalty", "vi", "successive"])
 @pytest.mark.parametrize("far", [1e9, 1e15, 1e20, 1e25])
 def test_an_obstacle_far_everywhere_absorbs_no_load(method, far):

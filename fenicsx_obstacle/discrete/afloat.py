@@ -85,6 +85,15 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
             # beside an obstacle on a part of the boundary: at its lowest or highest place
             start[here] = extreme + sign
             start[known] = heights[known] + sign
+    if any(effect.holds for effect in problem.scene.effects):
+        # a support below round-off may still hold u before it reaches an obstacle that is far off
+        far = np.zeros(count)
+        np.fmax.at(far, component, np.abs(start - rest))
+        comm.Allreduce(MPI.IN_PLACE, far, op=MPI.MAX)
+        undecided = loose & ~holds & (side != 0) & (scale * far > np.abs(net))
+        if undecided.any():
+            nowhere = np.zeros(count, dtype=bool)
+            _refuse(problem, int(np.flatnonzero(undecided)[0]), nowhere, nowhere, net, held, count)
     return start, bool((loose & ~holds).any())
 
 
