@@ -54,7 +54,7 @@ class Peaks:
         self.mean, self._height = np.zeros(cells), np.zeros(cells)
         self._known = number(cells) if self._flat else in_cells(triangles, self._formula)
         self.unbounded = ~np.isfinite(self._known.upper if self.sign > 0 else self._known.lower)
-        self.sampled = total(comm, np.count_nonzero(~self._known.exact)) > 0
+        self._no_polynomial = self.sampled = total(comm, np.count_nonzero(~self._known.exact)) > 0
         if not self._flat:
             sampled = np.flatnonzero(~self._known.exact)
             for block in blocks(len(sampled)):
@@ -105,7 +105,7 @@ class Peaks:
         It is taken to be linear on a lattice, so that cells fit together.
         """
         triangles, where, cells = self.triangles, lattice(DENSE), self._uncovered(state, np.flatnonzero(beside))
-        self.sampled |= total(triangles.data.level.comm, len(cells)) > 0
+        self.sampled = self._no_polynomial or total(triangles.data.level.comm, len(cells)) > 0
         gap = (state - self.nodal)[triangles.dofs[cells]] @ where.T + self.sign * self.rim.cones(cells, where)
         cover = self._clean(np.maximum(self._above(where, cells) - gap, 0.0))
         parts = np.array(lattice_cells(DENSE))
