@@ -14,6 +14,7 @@ from fenicsx_obstacle.scenes.moments import EQUILIBRIA
 from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
 
 NEAR = 1e-8  # of the values of the data: not beyond them
+NO_SOLUTION = "which no solution does"  # words of the rejection
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
 
 
@@ -62,7 +63,7 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
         if beyond[side] > allowed or _monotone(problem):
             word, bound, sign = ("below", low, "negative") if side < 0 else ("above", high, "positive")
             return (
-                f"u reaches {least if side < 0 else most:.4g}, {word} {bound:.4g}, which no solution does with a load "
+                f"u reaches {least if side < 0 else most:.4g}, {word} {bound:.4g}, {NO_SOLUTION} with a load "
                 f"that is nowhere {sign}: the equation is nearly singular, or the mesh too coarse for it"
             )
     return None
