@@ -48,9 +48,8 @@ class NotConverged(ObstacleError):
     def __str__(self) -> str:
         where = f"h = {self.h:.3g}" if self.eps is None else f"eps = {self.eps:.3g}, h = {self.h:.3g}"
         remedy = "" if self.eps is None else REMEDIES.get(self.solver, "")
-        return (
-            f"{self.solver} did not converge: {self.reason} after {counted(self.iterations, 'step')} ({where}){remedy}"
-        )
+        steps = counted(self.iterations, "step")
+        return f"{self.solver} did not converge in {steps} ({where}): {self.reason}{remedy}"
 
     def changed(self, **values: Any) -> NotConverged:
         """The same error with another `solver`, `reason` or `eps`."""

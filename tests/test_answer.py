@@ -124,7 +124,7 @@ def test_one_line_says_what_it_is(ball):
     linear = solve(membrane(load=1))
     assert "  1 Newton step, " in linear.summary()
     assert "512 cells, 289 unknowns" in linear.summary()
-    assert str(NotConverged("penalty", "no", 1, eps=None, h=1.0)) == "penalty did not converge: no after 1 step (h = 1)"
+    assert str(NotConverged("penalty", "no", 1, eps=None, h=1.0)) == "penalty did not converge in 1 step (h = 1): no"
 
 
 @pytest.mark.serial

@@ -146,7 +146,7 @@ def _named(solve: Callable[..., Outcome], asked: str) -> Callable[..., Outcome]:
         except NotConverged as error:
             if asked == "vi" and error.solver != asked:
                 raise error.changed(
-                    solver=asked, eps=None, reason=f"{error.reason}, in a penalty solve for it,"
+                    solver=asked, eps=None, reason=f"{error.reason}, in a penalty solve for it"
                 ) from None
             raise error.changed(solver=asked) from None
 

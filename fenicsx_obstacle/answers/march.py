@@ -93,7 +93,7 @@ class March:
         except InputError as error:
             raise InputError(f"{error}, {when}") from None
         except NotConverged as error:
-            raise error.changed(reason=f"{error.reason}, {when},") from None
+            raise error.changed(reason=f"{error.reason}, {when}") from None
 
     def _advance(self, keep: Path | None) -> Outcome:
         """All steps (collective)."""
