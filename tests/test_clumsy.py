@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, DEMOS, membrane, slow_except
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
@@ -29,7 +29,7 @@ LAUNCHER = DEMOS.parent / "obstacle"
 HELD = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "boundary": []}
 
 
-@pytest.mark.parametrize("level", [1.0, 0.0, -300.0])
+@pytest.mark.parametrize("level", slow_except([1.0, 0.0, -300.0], 0.0))
 @pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
 def test_a_membrane_that_lies_on_a_flat_obstacle(level, element):
     """Held by its obstacle alone u is constant: its range is 0, and the summary says what penetration is against it."""
@@ -54,9 +54,10 @@ TITLES = {
 }
 
 
-@pytest.mark.parametrize("title", TITLES.values(), ids=TITLES)
-def test_titles_are_drawn_and_printed_in_one_line(title, folder):
+@pytest.mark.parametrize("name", slow_except(TITLES, *list(TITLES)[:2]))
+def test_titles_are_drawn_and_printed_in_one_line(name, folder):
     """Any title and name of u: a picture, a page without its markup, a first line without control characters."""
+    title = TITLES[name]
     scene = Scene(mesh={"shape": "interval", "cells": 4}, tension=1, load=-1, lower=-0.05, title=title, u=title)
     answer = solve(scene)
     answer.save(folder)
@@ -68,6 +69,7 @@ def test_titles_are_drawn_and_printed_in_one_line(title, folder):
     assert first.isprintable()
 
 
+@pytest.mark.slow
 def test_values_that_cannot_be_drawn(folder):
     """Heights near the largest number are saved, and their picture is refused in one sentence."""
     scene = Scene(mesh={"shape": "rectangle", "cells": 2}, tension=1, load=-1, boundary=[{"value": 1e300}])
@@ -130,7 +132,7 @@ def test_the_first_moment_is_named():
     options = PETSc.Options()
     options["penalty_snes_max_it"] = 0
     try:
-        with pytest.raises(NotConverged, match=r"at t = 0,"):
+        with pytest.raises(NotConverged, match=r"at t = 0"):
             solve(Scene(**{**MOVING, "load": 20, "upper": 0.1}, time={"end": 1, "steps": 4}), start="cold")
     finally:
         options.delValue("penalty_snes_max_it")

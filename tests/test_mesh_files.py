@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import COMM
+from conftest import COMM, slow_except
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.discrete.levels import build
@@ -82,7 +82,7 @@ def test_a_file_without_physical_groups(folder, version, binary, everything):
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
-@pytest.mark.parametrize(("version", "binary"), [(2.2, 1), (4.1, 0)])
+@pytest.mark.parametrize(("version", "binary"), slow_except([(2.2, 1), (4.1, 0)], (2.2, 1)))
 def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, binary):
     """Intervals, triangles and tetrahedra of the same unit size."""
     path = file_of(folder, shape(dim), version=version, binary=binary)
@@ -91,7 +91,7 @@ def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, 
     assert np.isclose(found.report["size"], 1) and found.record["free"] < found.record["dofs"]
 
 
-@pytest.mark.parametrize(("version", "binary", "everything"), FORMATS)
+@pytest.mark.parametrize(("version", "binary", "everything"), slow_except(FORMATS, FORMATS[0]))
 @pytest.mark.parametrize("kind", ["curves", "cells", "numbers", "names"])
 def test_physical_groups(folder, kind, version, binary, everything):
     """Groups of curves only, of cells only, without names, of several dimensions with one number, with names."""
@@ -272,7 +272,7 @@ STRAIGHT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", STRAIGHT)
+@pytest.mark.parametrize("name", slow_except(STRAIGHT, *list(STRAIGHT)[:4]))
 def test_straight_boundaries_are_known_from_the_geometry(folder, name):
     """Only where all CAD curves are straight is the domain the polygon of its mesh, refined or not."""
     text, expected = STRAIGHT[name]
