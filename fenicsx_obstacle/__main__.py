@@ -8,14 +8,26 @@ import sys
 import threading
 from typing import Any
 
-import click
-
-from fenicsx_obstacle.cli import commands
-from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
-from fenicsx_obstacle.outlets import guard_streams, lost_output
-
 _received: list[int] = []  # signals
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
+
+
+def _kept() -> str:
+    """What to say of the rows of an interrupted command."""
+    has_rows = sys.argv[1:2] in (["study"], ["cost"])
+    return "; finished rows are kept, the same command goes on from them" if has_rows else ""
+
+
+try:
+    import click
+
+    from fenicsx_obstacle.cli import commands
+    from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
+    from fenicsx_obstacle.outlets import guard_streams, lost_output
+except KeyboardInterrupt:
+    if _RANK == 0:
+        sys.stderr.write(f"interrupted{_kept()}\n")
+    os._exit(128 + signal.SIGINT)
 
 
 def main() -> None:
@@ -45,13 +57,11 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         # a compiled module that is interrupted while it loads says that it failed
         if isinstance(error, ImportError) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise
-        has_rows = arguments[:1] in (["study"], ["cost"])
-        kept = "; finished rows are kept, the same command goes on from them" if has_rows else ""
         number = _received[-1] if _received else signal.SIGINT
         word = "interrupted" if number == signal.SIGINT else "terminated"
         if _several():  # the others may not end in MPI's way; whoever has started mpirun tells
             os._exit(128 + number)
-        return _fail(f"{word}{kept}", 128 + number)
+        return _fail(f"{word}{_kept()}", 128 + number)
     except RuntimeError as error:
         if type(error).__module__ != "petsc4py.PETSc":
             raise
