@@ -75,7 +75,8 @@ def interrupts(root: Path, environment: Mapping[str, str], rounds: int) -> Itera
             start, folder = time.perf_counter(), root / f"interrupted-{ranks}"
             process = _start(folder, ranks, environment)
             rows = _wait_for_rows(folder, 1 + number, process)
-            time.sleep(moments.uniform(0, 0.3))
+            # rows of the round before may be enough to wait for: in its first 0.05 s the interpreter itself answers
+            time.sleep(moments.uniform(0.2, 0.5))
             os.killpg(process.pid, signal.SIGINT)  # as the terminal does
             wrong = ""
             try:
