@@ -8,6 +8,7 @@ import sys
 import threading
 from typing import Any
 
+AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
 _received: list[int] = []  # signals
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
 
@@ -48,6 +49,8 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         if set(arguments) - {"-h", "--help", "--version"} and not {"-h", "--help"} & set(arguments):
             _begin(petsc)
         result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
+        if _received:  # swallowed to the end
+            raise KeyboardInterrupt
     except ObstacleError as error:
         return _fail(f"Error: {error}", error.exit_status)
     except click.ClickException as error:
@@ -57,6 +60,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         # a compiled module that is interrupted while it loads says that it failed
         if isinstance(error, ImportError) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise
+        signal.setitimer(signal.ITIMER_REAL, 0)
         number = _received[-1] if _received else signal.SIGINT
         word = "interrupted" if number == signal.SIGINT else "terminated"
         if _several():  # the others may not end in MPI's way; whoever has started mpirun tells
@@ -106,13 +110,16 @@ def _catch_signals() -> None:
     if threading.current_thread() is not threading.main_thread():
         return
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # writing to a closed pipe is an error, which `outlets` keeps
+    signal.signal(signal.SIGALRM, _interrupt)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup and shells in the background leave them
             signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, _frame: Any) -> None:
-    _received.append(number)
+    if number != signal.SIGALRM:
+        _received.append(number)
+    signal.setitimer(signal.ITIMER_REAL, AGAIN)
     if (processes := sys.modules.get("fenicsx_obstacle.studies.processes")) is not None:
         processes.end_all()
     raise KeyboardInterrupt

@@ -254,7 +254,7 @@ def test_signals_end_all_processes(ranks, number, tmp_path):
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 128 + number, said
     assert said.strip() == "terminated; finished rows are kept, the same command goes on from them"
-    assert rows.read_text().count("\n") == 2
+    assert rows.read_text().count("\n") >= 2
     while _session(process.pid) and time.monotonic() < deadline:  # helpers of mpirun end a moment later
         time.sleep(0.05)
     assert not _session(process.pid)
