@@ -177,7 +177,7 @@ def observed(name, method, key):
 
 
 @pytest.mark.parametrize("method", ["vi", "penalty"])
-@pytest.mark.parametrize("name", slow_except(NAMES, "halfplane", "string_wedge"))
+@pytest.mark.parametrize("name", slow_except(NAMES, "string_wedge"))
 def test_rates(name, method):
     """(5.6)-(5.9), sharpened by the regularity of u and p: the orders that [exact] rates claims."""
     rates = catalogue.scene(name).tables.exact.rates
