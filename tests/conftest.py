@@ -41,7 +41,16 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         reporter._tw._file = open(os.devnull, "w")  # noqa: SIM115
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--half", type=int, choices=(0, 1), help="Run every second of the chosen tests.")
+
+
+@pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    half = config.getoption("--half")
+    if half is not None:
+        config.hook.pytest_deselected(items=items[1 - half :: 2])
+        items[:] = items[half::2]
     if COMM.size > 1:
         kept = [item for item in items if "serial" not in item.keywords]
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
