@@ -198,10 +198,3 @@ def test_public_names_are_described():
     """docs/api.md has each public name."""
     text = (ROOT / "docs" / "api.md").read_text()
     assert all(re.search(rf"^\.\. auto(class|function):: {name}$", text, re.MULTILINE) for name in __all__)
-
-
-def test_modules_are_short():
-    """One idea for a module: none is longer than 300 lines."""
-    long = {path.name: count for path in (ROOT / "fenicsx_obstacle").rglob("*.py")
-            if (count := len(path.read_text().splitlines())) > 300}  # fmt: skip
-    assert long == {}

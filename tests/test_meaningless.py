@@ -279,6 +279,47 @@ def test_solutions_beyond_the_range_of_the_data_are_rejected(tension, drift, cel
         solve(scene, element=element)
 
 
+TRAPPED = "the drift flows away from some places on all sides"
+CENTRE = ["20*(x - 0.5)", "20*(y - 0.5)"]
+SQUARES = {"shape": "rectangle", "cells": 16}
+COARSE = {
+    "P1": (SQUARES, CENTRE, 0.2, "P1"),
+    "P2": (SQUARES, CENTRE, 0.2, "P2"),
+    "P2 finer": ({**SQUARES, "cells": 24}, CENTRE, 0.001, "P2"),
+    "Q1": ({**SQUARES, "cell": "quadrilateral"}, CENTRE, 0.2, "Q1"),
+    "box": ({"shape": "box", "cells": 6}, [*CENTRE, "20*(z - 0.5)"], 0.01, "P1"),
+    "line": (SQUARES, ["20*sin(6*(x - 0.3))", 0], 0.01, "P1"),
+    "circles": (SQUARES, ["y - 0.5", "0.5 - x"], 1e-5, "P1"),
+}
+
+
+@pytest.mark.parametrize("case", slow_except(list(COARSE), "P2"))
+def test_drift_without_a_way_out_needs_fine_cells(case):
+    """u grows by the exponential of a work that cells with Pe > 1 do not resolve: it would be wrong by any factor."""
+    mesh, drift, tension, element = COARSE[case]
+    with pytest.raises(NotConverged, match=TRAPPED):
+        solve(Scene(mesh=mesh, tension=tension, load=1, drift=drift), element=element)
+
+
+@pytest.mark.parametrize("value", [None, 0])
+def test_drift_from_a_free_side_needs_fine_cells(value):
+    """Nothing leaves by a side without boundary value: there u grows as exp(drift/tension); by one with it u does not."""
+    sides = [{"on": "right", "value": 0}] + ([] if value is None else [{"on": "left", "value": value}])
+    scene = Scene(mesh={"shape": "interval", "cells": 16}, tension=0.02, load=1, drift=[1], boundary=sides)
+    if value is None:
+        with pytest.raises(NotConverged, match="singular|" + TRAPPED):
+            solve(scene)
+    else:
+        assert extremes(solve(scene)) == pytest.approx((0, 1), abs=0.1)
+
+
+@pytest.mark.parametrize("drift", [["10*x", 0], [0, "10*x"], ["-20*(x - 0.5)", "-20*(y - 0.5)"], ["7 + 5*y", "-5*x"]])
+def test_drift_with_a_way_out_is_solved_on_coarse_cells(drift):
+    """Where all flow comes from the boundary u is no larger than the time in which it crosses the domain."""
+    low, high = extremes(solve(Scene(mesh=SQUARES, tension=1e-5, load=1, drift=drift)))
+    assert -1e-9 <= low <= high <= 2
+
+
 ROUND = {"mesh": {"shape": "interval", "cells": 64}, "axial_symmetry": True, "boundary": [{"on": "right", "value": 0}]}
 
 

@@ -82,13 +82,22 @@ class Forms:
         """D_i = I(phi_i, 1) at owned points of I: dofs of V_h, 0 at those that are none, or else of Q_h."""
         level = self.data.level
         v = self.v if level.pair.nodal else ufl.TestFunction(level.Q)
-        form = releases.form(v * self.rule.on(self.measure))
-        out = releases.create_vector(form, v.ufl_function_space())
+        values = self._integrals(v * self.rule.on(self.measure), v.ufl_function_space())
+        values[values < NO_WEIGHT * largest(level.comm, values)] = 0.0
+        return values * self.thickness
+
+    def unit_load(self) -> np.ndarray:
+        """int phi_i at owned dofs."""
+        return self._integrals(self.v * self.data.dx, self.data.level.V)
+
+    def _integrals(self, linear: Any, V: fem.FunctionSpace) -> np.ndarray:
+        """A linear form at owned dofs of V."""
+        form = releases.form(linear)
+        out = releases.create_vector(form, V)
         self._assemble(out, form)
         values = out.array.copy()
         out.destroy()
-        values[values < NO_WEIGHT * largest(level.comm, values)] = 0.0
-        return values * self.thickness
+        return values
 
     def refer(self) -> None:
         """Called when r has changed."""

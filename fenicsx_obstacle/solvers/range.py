@@ -7,6 +7,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.afloat import LIMIT
+from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -15,6 +16,8 @@ from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_d
 
 NEAR = 1e-8  # of the values of the data: not beyond them
 NO_SOLUTION = "which no solution does"  # words of the rejection
+DEEP = 2.0  # in a patch of cells of Pe = 1 all drift flows out by about so much
+TRAPPED = 100.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
 
 
@@ -28,7 +31,7 @@ def complaint(problem: Problem, active: np.ndarray) -> str | None:
     time = problem.scene.time
     if time is not None and time.order != EQUILIBRIA:
         return None
-    for check in (_beyond_range, _torn, _sensitive):
+    for check in (_beyond_range, _torn, _sensitive, _trapped):
         found = check(problem, active)
         if found is not None:
             return found
@@ -124,6 +127,35 @@ def _sensitive(problem: Problem, active: np.ndarray) -> str | None:
     if solved and not most <= LIMIT * spread:
         return "round-off decides u, by more than 1 % of its range: the equation is nearly singular"
     return None
+
+
+def _trapped(problem: Problem, active: np.ndarray) -> str | None:
+    """Drift that leads to no boundary, on cells too coarse for the slow way out against it: u is any number there.
+
+    u grows by the exponential of a depth, the work of the drift over the tension on that way, which cells with Pe > 1
+    do not resolve. Two signs show it: all drift flows away from one vertex, by a depth that is no small number; or a
+    unit load makes u far larger than the time in which the drift crosses the domain.
+    """
+    level, data, effects = problem.level, problem.data, problem.scene.effects
+    drift = next((effect for effect in effects if effect.key == "drift"), None)
+    if drift is None or not (problem.affine and level.pair.nodal) or (number := peclet(data, drift)) <= 1:
+        return None
+    free = ~problem.fixed & (active == 0)
+    if largest(level.comm, depth_of_sources(data, drift)[free]) <= DEEP:
+        problem.nodal.spring(problem.A, np.where(active != 0, np.inf, 0.0))
+        z, load = problem.A.createVecs()
+        load.array[:] = np.where(free, problem.nodal.unit_load(), 0.0)
+        solved = _solve(problem, load, z)
+        most = largest(level.comm, np.abs(z.array_r))
+        for vector in (z, load):
+            vector.destroy()
+        if not solved or most * speed(data, drift) <= TRAPPED * data.extent:
+            return None
+    return (
+        "the drift flows away from some places on all sides, or in circles, so that u is large there, and the cells are "
+        f"too coarse to say how large: their Peclet number |drift| h/(2 tension) reaches {number:.3g}, and must be "
+        "below 1 here"
+    )
 
 
 def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:
