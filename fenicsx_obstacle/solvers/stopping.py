@@ -28,6 +28,7 @@ TOLERANCE = 1e-10  # unbalanced force / acting forces
 BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
 FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
 NOTHING = 1e-30
+STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
 GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
@@ -127,17 +128,20 @@ class Stopping:
             return GREW
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
-        far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces)
-        floor = 0.0 if far else ROOM * self.round_off() + self._nothing
+        left = ROOM * self.round_off()
+        far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces > FAR * left)
+        floor = 0.0 if far else left + self._nothing
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.blunt = floor > BLUNT * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where w is blunt it is counted anew first; a load that it absorbs seems balanced at once
-            self.blunt |= far and ROOM * self.round_off() > BLUNT * forces
+            self.blunt |= far and left > BLUNT * forces
             if self.tolerance >= LIMIT or self.blunt or determined(problem, active, self._stiffness(), unbalanced):
                 return CONVERGED
             if problem.affine:
                 return MEANINGLESS  # the next step would solve the same system
+        if problem.affine and self._stalls():
+            return MEANINGLESS
         if self.watch_cycles and step.changed and self._repeats(active):
             if self.exact:
                 return CYCLING
@@ -171,6 +175,12 @@ class Stopping:
             return self.history[-1].changed > 0
         pressing = np.where(changed, np.abs(self.problem.reaction.array_r), 0.0)
         return total(self.problem.level.comm, pressing) > floor
+
+    def _stalls(self) -> bool:
+        """Whether the same linear system was solved STALLED times, and its residual did not become smaller."""
+        last = self.history[-STALLED - 1 :]
+        same = len(last) > STALLED and not any(step.changed for step in last)
+        return same and min(step.unbalanced for step in last[1:]) >= last[0].unbalanced
 
     def round_off(self) -> float:
         """What remains of exact balance in floating point (collective): an epsilon of |A| |w|, row by row.
