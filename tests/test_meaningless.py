@@ -303,7 +303,7 @@ def test_drift_without_a_way_out_needs_fine_cells(case):
 
 @pytest.mark.parametrize("value", [None, 0])
 def test_drift_from_a_free_side_needs_fine_cells(value):
-    """Nothing leaves by a side without boundary value: there u grows as exp(drift/tension); by one with it u does not."""
+    """Nothing leaves by a side without boundary value: there u grows as exp(drift/tension)."""
     sides = [{"on": "right", "value": 0}] + ([] if value is None else [{"on": "left", "value": value}])
     scene = Scene(mesh={"shape": "interval", "cells": 16}, tension=0.02, load=1, drift=[1], boundary=sides)
     if value is None:

@@ -152,8 +152,8 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
         if not solved or most * speed(data, drift) <= TRAPPED * data.extent:
             return None
     return (
-        "the drift flows away from some places on all sides, or in circles, so that u is large there, and the cells are "
-        f"too coarse to say how large: their Peclet number |drift| h/(2 tension) reaches {number:.3g}, and must be "
+        "the drift flows away from some places on all sides, or in circles, so that u is large there, and the cells "
+        f"are too coarse to say how large: their Peclet number |drift| h/(2 tension) reaches {number:.3g}, and must be "
         "below 1 here"
     )
 
