@@ -50,7 +50,7 @@ def main() -> None:
 
 def effectivities(bench: Workbench, many: list) -> None:
     """Bounds beside true errors (collective)."""
-    scene = bench.problem.scene
+    scene = bench.scene
     for eps in many:
         answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
         bound, error = answer.bound, answer.record["errors"]["energy"]
@@ -64,7 +64,7 @@ def effectivities(bench: Workbench, many: list) -> None:
 
 def cost(bench: Workbench) -> None:
     """Seconds and Poisson units (collective)."""
-    scene: Scene = bench.problem.scene
+    scene: Scene = bench.scene
     solve = bench.answer().record["seconds"]["solve"]
     level = bench.problem.level
     unit = poisson_seconds(level)

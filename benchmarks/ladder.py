@@ -26,6 +26,7 @@ from fenicsx_obstacle import NotConverged, Scene
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 COLUMNS = (
@@ -53,7 +54,7 @@ def main() -> None:
     show(COLUMNS)
     for cells in values_of(options.cells, "cells"):
         scene = Scene.read(options.scene).change({"mesh.cells": cells})
-        level = levels.build(scene, MPI.COMM_WORLD)
+        level = meshes.build(scene, MPI.COMM_WORLD)
         poisson = poisson_seconds(level)
         for name, changes in ways.items():
             try:

@@ -166,7 +166,7 @@ def test_admissible_state_is_admissible():
         for side, sign in (("lower", 1), ("upper", -1)):
             text = getattr(scene.tables.obstacle, side)
             if text is not None:
-                obstacle = triangles.values(scene.formula(text, side), points)
+                obstacle = triangles.values(scene.field(text, side), points)
                 gap = sign * (v[triangles.dofs] @ points.T - obstacle)
                 assert smallest(COMM, gap) > -ROUND_OFF
         dofs, values = bench.problem.data.fixed

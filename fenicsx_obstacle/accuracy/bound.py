@@ -23,7 +23,6 @@ and Lee (1993) and Veeser (2001).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import hypot, pi, sqrt
 from typing import TYPE_CHECKING
@@ -44,7 +43,6 @@ from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.materials import Materials
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.flux_p2 import Flux2
@@ -236,9 +234,9 @@ class Estimator:
         self._varies = np.zeros(len(mu), dtype=bool)
         self._varying: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
         self._tension_known = Known(mu, mu, np.zeros(len(mu), dtype=int))
-        value = next(effect.value for effect in self.problem.scene.effects if effect.key == "tension")
-        parts: Sequence = list(value.parts.values()) if isinstance(value, Materials) else [value]
-        if all(triangles.data.uniform(part) for part in parts):
+        value = self.problem.model.elastic.value
+        parts = [value] if value.parts is None else list(value.parts.values())
+        if all(part.uniform for part in parts):
             return
         known = self._tension_known = in_cells(triangles, value)
         self._mu_min, self._mu_mean, self._mu_max = mu.copy(), mu.copy(), mu.copy()
@@ -267,9 +265,7 @@ class Estimator:
         for cells, *_ in self._varying:
             self._varies[cells] = True
         if smallest(self.problem.level.comm, self._mu_min) <= 0:
-            raise InputError(
-                f"{value.place} = {value.text}: must be positive everywhere, not at midpoints of cells only"
-            )
+            raise InputError(f"{value}: must be positive everywhere, not at midpoints of cells only")
 
     def _checked(self, load: Known) -> Hypotheses:
         """What is known of the data without sampling (collective)."""
@@ -280,7 +276,7 @@ class Estimator:
     def _doubts(self, flux: Flux | Flux2, unbalanced: float, bound: float, crossing: float) -> list[str]:
         """Why the bound is an indicator, as far as it depends on the state and on effects (collective)."""
         level = self.problem.level
-        effects = [effect.key for effect in self.problem.scene.effects]
+        effects = [effect.key for effect in self.problem.model.effects]
         doubts = [f"it knows tension and load, not {key}" for key in effects if key not in KNOWN]
         if total(level.comm, np.count_nonzero(self._held)) == 0:
             doubts.append("u is given nowhere")

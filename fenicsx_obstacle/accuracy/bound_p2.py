@@ -23,16 +23,16 @@ from fenicsx_obstacle.accuracy.exactness import in_cells
 from fenicsx_obstacle.accuracy.flux_p2 import Equilibration2, Flux2
 from fenicsx_obstacle.accuracy.friedrichs import friedrichs
 from fenicsx_obstacle.accuracy.peaks import DENSE
+from fenicsx_obstacle.accuracy.polynomials import coefficients, inner_points, round_off
 from fenicsx_obstacle.accuracy.rim import Rim
 from fenicsx_obstacle.accuracy.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.accuracy.scope import refuse_no_bound
 from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.polynomials import coefficients, inner_points, round_off
 
 SPARSE = 4  # parts of an edge where obstacles are looked at first
 NEAR = 0.25  # of the range of a gap over a cell: where it comes so near to 0 the cell is sampled densely
@@ -66,10 +66,10 @@ SHARES = np.bincount(SMALL.ravel(), minlength=len(POINTS)) / (3 * len(SMALL))  #
 class _Side:
     """One obstacle: its samples; heights count away from it (times -1 for an upper one)."""
 
-    def __init__(self, triangles: Triangles, formula: Formula, sign: float):
-        self.sign, self.formula, self.triangles = sign, formula, triangles
+    def __init__(self, triangles: Triangles, field: Field, sign: float):
+        self.sign, self.field, self.triangles = sign, field, triangles
         self.surprise = 0.0
-        self._known = in_cells(triangles, formula)
+        self._known = in_cells(triangles, field)
         self.unbounded = ~np.isfinite(self._known.upper if sign > 0 else self._known.lower)
         self.sampled = False  # on a lattice u_h and obstacle are compared wherever they may touch
 
@@ -97,7 +97,7 @@ class _Side:
 
     def _gap(self, u: np.ndarray, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """How far u is from the obstacle at barycentric points, without what boundary values add."""
-        return self.sign * (u[cells] @ quadratics(where) - self.triangles.values(self.formula, where, cells))
+        return self.sign * (u[cells] @ quadratics(where) - self.triangles.values(self.field, where, cells))
 
 
 class Estimator2(Estimator):
@@ -109,22 +109,22 @@ class Estimator2(Estimator):
         Raises:
             InputError: If the scene has other effects than tension and load, or is not plane.
         """
-        self.problem, level, scene = problem, problem.level, problem.scene
+        self.problem, level, model = problem, problem.level, problem.model
         refuse_no_bound(problem)
-        others = [effect.key for effect in scene.effects if effect.key not in ("tension", "load")]
+        others = [effect.key for effect in model.effects if effect.key not in ("tension", "load")]
         if others:
-            raise InputError(f"{scene.source}: with P2 the error bound is for tension and load, not for {others[0]}")
+            raise InputError(f"{model.source}: with P2 the error bound is for tension and load, not for {others[0]}")
         assert level.coarse is not None
-        self.triangles = triangles = Triangles(Data(scene, level.coarse))
+        self.triangles = triangles = Triangles(Data(model, level.coarse))
         self.equilibration2 = Equilibration2(triangles, problem.data)
         self._sample_tension_of(self.equilibration2.mu)
         values = problem.data.fixed[1].x.array
         self.rim = Rim(triangles, values[self.equilibration2.nodes[:, 3:]])
         self._rim_energy = self.rim.energy(self._mu_max)
         self.sides = [
-            _Side(triangles, scene.formula(value, f"[obstacle] {side}"), sign)
-            for side, sign in (("lower", 1.0), ("upper", -1.0))
-            if (value := getattr(scene.tables.obstacle, side)) is not None
+            _Side(triangles, obstacle, sign)
+            for obstacle, sign in ((model.lower, 1.0), (model.upper, -1.0))
+            if obstacle is not None
         ]
         self.peaks = []
         self._metric = metric(triangles.x[:, 1] - triangles.x[:, 0], triangles.x[:, 2] - triangles.x[:, 0],

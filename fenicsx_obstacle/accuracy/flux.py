@@ -24,10 +24,10 @@ from fenicsx_obstacle.accuracy.exactness import in_cells, number
 from fenicsx_obstacle.accuracy.fans import Fans
 from fenicsx_obstacle.accuracy.quadrature import DEGREE, rule
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule, next_, previous
-from fenicsx_obstacle.discrete.samples import array_of
+from fenicsx_obstacle.discrete.data import array_of
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.scenes.materials import Value
 
 KNOWN = ("tension", "load")
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
@@ -83,10 +83,10 @@ class Equilibration:
         self.free = np.ones(level.owned, dtype=bool)
         fixed = data.fixed[0]
         self.free[fixed[fixed < level.owned]] = False
-        tension = next(effect for effect in data.scene.effects if effect.key == "tension")
+        tension = data.model.elastic
         self.mu = self._per_cell(array_of(data.cellwise(tension.value, positive=True)))
-        self._prepare_others([effect for effect in data.scene.effects if effect.key not in KNOWN])
-        loads = [effect.value for effect in data.scene.effects if effect.key == "load"]
+        self._prepare_others([effect for effect in data.model.effects if effect.key not in KNOWN])
+        loads = [effect.value for effect in data.model.effects if effect.key == "load"]
         self._sample_load(loads)
         self._area = self.fans.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0]
         self.mass = self.fans.at_vertices(self._area)
@@ -133,7 +133,7 @@ class Equilibration:
             return np.full(count, values[0])
         return values[releases.cell_dofs(self.level.W)[:count, 0]]
 
-    def _sample_load(self, loads: list[Value]) -> None:
+    def _sample_load(self, loads: list[Field]) -> None:
         """Moments, means and oscillation of the load's formula, and the moments that the solver takes."""
         triangles = self.triangles
         area = triangles.area
@@ -142,7 +142,7 @@ class Equilibration:
         self.load_known = number(len(area))
         for value in loads:
             self._solver_load = self._per_cell(array_of(triangles.data.cellwise(value)))
-            if triangles.data.uniform(value):
+            if value.uniform:
                 self.moments = np.repeat((self._solver_load * area / 3)[:, None], 3, axis=1)
                 continue
             known = self.load_known = in_cells(triangles, value)

@@ -11,10 +11,9 @@ from fenicsx_obstacle.accuracy.flux import SHARP
 from fenicsx_obstacle.accuracy.quadrature import DEGREE, rule
 from fenicsx_obstacle.accuracy.rt1 import MASS, against_nodes, quadratics
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.samples import array_of
+from fenicsx_obstacle.discrete.data import Data, array_of
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes.materials import Value
 
 
 class Samples2:
@@ -52,7 +51,7 @@ class Samples2:
         function.x.scatter_forward()
         return function.x.array.copy()
 
-    def _in_cells(self, value: Value, points: np.ndarray, *, positive: bool = False) -> np.ndarray:
+    def _in_cells(self, value: Field, points: np.ndarray, *, positive: bool = False) -> np.ndarray:
         """What the solver has of a formula at barycentric points, shape (cells, points)."""
         made = self.data.cellwise(value, positive=positive)
         values = array_of(made)
@@ -64,7 +63,7 @@ class Samples2:
 
     def _sample_tension(self) -> None:
         """int mu psi_j psi_k and the mean of mu."""
-        tension = next(effect for effect in self.data.scene.effects if effect.key == "tension")
+        tension = self.data.model.elastic
         points, weights = rule(2)
         mu = self._in_cells(tension.value, points, positive=True)
         self.mu = mu @ weights
@@ -77,10 +76,10 @@ class Samples2:
         missing = np.zeros((len(area), 3, 3))
         points, weights = rule(2)
         self.load_known = number(len(area))
-        for value in (effect.value for effect in self.data.scene.effects if effect.key == "load"):
+        for value in (effect.value for effect in self.data.model.effects if effect.key == "load"):
             solver = self._in_cells(value, points)
             of_solver = self._products(solver, points, weights, slice(None))
-            if triangles.data.uniform(value):
+            if value.uniform:
                 self.load += of_solver
                 continue
             values = triangles.values(value, points)

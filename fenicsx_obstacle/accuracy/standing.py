@@ -115,4 +115,4 @@ class Hypotheses:
         """The first point that a rank has, in words (collective)."""
         data = self._triangles.data
         found = next((one for one in data.level.comm.allgather(point) if one is not None), None)
-        return "" if found is None else data.at(found)
+        return "" if found is None else data.place(found)

@@ -1,4 +1,4 @@
-"""Triangles of a plane mesh as arrays, counter-clockwise, and the scene's formulas inside them."""
+"""Triangles of a plane mesh as arrays, counter-clockwise, and data inside them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.effects.field import Field
 
 
 class Triangles:
@@ -55,8 +54,8 @@ class Triangles:
         """Inner products of one vector per cell, shape (2, cells), with `normal`: minus the flux out of each edge."""
         return vectors[0][:, None] * self.normal[0] + vectors[1][:, None] * self.normal[1]
 
-    def values(self, value: Value, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """A formula at barycentric coordinates, shape (points, 3) or (cells, points, 3), of cells.
+    def values(self, value: Field, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """A datum at barycentric coordinates, shape (points, 3) or (cells, points, 3), of cells.
 
         Collective where it is the first to need the distance.
 
@@ -64,28 +63,24 @@ class Triangles:
             Shape (cells, points).
         """
         chosen = np.arange(len(self.area))[cells]
-        if isinstance(value, Formula):
-            return self._formula(value, where, chosen)
-        assert isinstance(value, Materials)
+        if value.parts is None:
+            return self._field(value, where, chosen)
         points = where.shape[-2]
         found, groups = np.zeros((len(chosen), points)), self.data.level.groups
-        for name, formula in value.parts.items():
+        for name, field in value.parts.items():
             inside = np.isin(chosen, groups[name])
             part = where if where.ndim == 2 else where[inside]
-            found[inside] = self._formula(formula, part, chosen[inside])
+            found[inside] = self._field(field, part, chosen[inside])
         return found
 
-    def _formula(self, formula: Formula, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        scene, distance = self.data.scene, None
-        if "distance" in scene.needs(formula):
-            distance = self.data.boundary_distance
+    def _field(self, field: Field, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        here, names = self.data.here(field), self.data.names(field)
         found = np.empty((len(cells), where.shape[-2]))
         for block in blocks(len(cells)):
             x = np.zeros((3, (block.stop - block.start) * where.shape[-2]))
             inside = (where if where.ndim == 2 else where[block]) @ self.x[cells[block]]
             x[:2] = inside.reshape(-1, 2).T
-            known = {} if distance is None else {"distance": distance(x.T)}
-            found[block] = scene.at_points(formula, x, known).reshape(-1, where.shape[-2])
+            found[block] = here.at(x, names).reshape(-1, where.shape[-2])
         return found
 
 

@@ -17,10 +17,10 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
 from fenicsx_obstacle.answers.compute import Workbench, close
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 
@@ -131,7 +131,7 @@ class Refinement:
             share: Of the bound, in the cells to refine; by default `BULK`.
             unknowns: No mesh has more.
         """
-        bench = Workbench(self.scene, self.comm, levels.coarsest(self.scene, self.comm))
+        bench = Workbench(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
         benches = [bench]
         try:
             while True:

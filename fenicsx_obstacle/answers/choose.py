@@ -64,8 +64,8 @@ def chain(problem: Problem) -> list[Problem]:
     problems = [problem]
     for level in problem.level.downward[1:]:
         try:
-            data = Data(problem.scene, level, problem.data.moment)  # one clock for all levels
-            problems.insert(0, Problem(problem.scene, level, data))
+            data = Data(problem.model, level, problem.data.moment)  # one clock for all levels
+            problems.insert(0, Problem(data))
         except InputError:  # data that only the fine levels resolve
             break
     return problems

@@ -21,9 +21,11 @@ from fenicsx_obstacle.answers.figures import figures_of, with_errors
 from fenicsx_obstacle.answers.origin import command, versions
 from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, peak_memory_mb
-from fenicsx_obstacle.scenes.moments import EQUILIBRIA
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
@@ -34,9 +36,9 @@ from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.bound import Bound, Estimator
-    from fenicsx_obstacle.accuracy.functionals import Report
     from fenicsx_obstacle.answers.course import Course
     from fenicsx_obstacle.answers.march import March
+    from fenicsx_obstacle.scenes.functionals import Report
 
 _log = logging.getLogger(__name__)
 
@@ -45,6 +47,7 @@ class Workbench:
     """A scene's mesh and problem, kept for several solves that differ in eps and method only.
 
     Attributes:
+        scene: What is solved.
         problem: The discrete problem.
     """
 
@@ -65,10 +68,11 @@ class Workbench:
         """
         self.started = time.perf_counter()
         if level is None:
-            level = levels.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
-        self.problem = Problem(scene, level)
+        self.scene = scene
+        self.problem = Problem(Data(scene.model, level))
         self._grids: list[Multigrid] | None = None
         self._problems: list[Problem] | None = None
         self._solved_below = before is not None and nested(scene)
@@ -77,9 +81,9 @@ class Workbench:
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
         if scene.report:
-            from fenicsx_obstacle.accuracy.functionals import Report  # only where a scene names it
+            from fenicsx_obstacle.scenes.functionals import Report  # only where a scene names it
 
-            self._report = Report(self.problem.data)
+            self._report = Report(self.problem.data, scene)
             self._report.check()
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
@@ -96,13 +100,13 @@ class Workbench:
             InputError: For other cells than intervals and triangles.
         """
         level = self.problem.level
-        return Workbench(self.problem.scene, level.comm, levels.refined_where(level, marked), self)
+        return Workbench(self.scene, level.comm, levels.refined_where(level, marked), self)
 
     @property
     def exact(self) -> Exact | None:
         """The exact solution on this mesh, if the scene has one."""
-        if self._exact is None and self.problem.scene.tables.exact is not None:
-            self._exact = Exact(self.problem)
+        if self._exact is None and (solution := self.scene.exact) is not None:
+            self._exact = Exact(self.problem, solution)
         return self._exact
 
     @property
@@ -151,7 +155,7 @@ class Workbench:
             InputError: For a bad eps, or elements that the bound is not for.
             NotConverged: With PETSc's reason.
         """
-        problem, scene = self.problem, scene or self.problem.scene
+        problem, scene = self.problem, scene or self.scene
         estimator = self.estimator if bound else None  # refuses before anything is solved
         levels_serve = nested(scene) and problem.level.coarse is not None
         grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
@@ -206,7 +210,7 @@ class Workbench:
         """The scene's way through time (collective)."""
         from fenicsx_obstacle.answers.march import March  # only where a scene has time
 
-        problem, scene = self.problem, self.problem.scene
+        problem, scene = self.problem, self.scene
         assert scene.time is not None
         grid = grids[-1] if grids and isinstance(grids[-1], Multigrid) else None
         below = [one.problem if isinstance(one, Multigrid) else one for one in grids[:-1]]
@@ -220,7 +224,7 @@ class Workbench:
         """The figures of [report] (collective)."""
         if self._report is None:
             return {}
-        time_, support = self.problem.scene.time, self.problem.elastic.array_r
+        time_, support = self.problem.model.time, self.problem.elastic.array_r
         share = 1.0 if time_ is None else time_.share
         return self._report.evaluate(state.u, state.pressure, state.touching, support * share)
 
@@ -238,7 +242,7 @@ class Workbench:
         if level.pair.stacks:  # P1 on this mesh is above P1 on the other
             assert level.coarse is not None
             below = below[:-1]
-            below = [*below, Multigrid(Problem(self.problem.scene, level.coarse), below[-1])]
+            below = [*below, Multigrid(Problem(Data(self.problem.model, level.coarse)), below[-1])]
         return [*below, Multigrid(self.problem, below[-1])]
 
     def _hierarchy(self) -> list[Multigrid]:
@@ -287,7 +291,7 @@ class Workbench:
         """The fields of an answer, without figures."""
         problem, data = self.problem, self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
-        return Answer(problem.scene, problem.level, state.u, state.pressure, state.touching, *shown, None, (), {})
+        return Answer(self.scene, problem.level, state.u, state.pressure, state.touching, *shown, None, (), {})
 
 
 def close(benches: Sequence[Workbench]) -> None:

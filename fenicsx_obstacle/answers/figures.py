@@ -69,15 +69,16 @@ def with_errors(answer: Answer, exact: Exact) -> Answer:
 
 def _may_jump(problem: Problem) -> bool:
     """Whether boundary values are others than one number, on plane triangles without time."""
-    scene, mesh = problem.scene, problem.level.mesh
-    values = {part.value for part in scene.tables.boundary if part.value is not None}
+    model, mesh = problem.model, problem.level.mesh
+    values = [part.value for part in model.boundary if part.value is not None]
+    numbers = {float(value.at(np.zeros((3, 1)), {})[0]) for value in values if value.uniform and not value.moves}
     plane = releases.cell_name(mesh) == "triangle" and mesh.geometry.dim == 2
-    return plane and scene.time is None and (len(values) > 1 or any(isinstance(value, str) for value in values))
+    return plane and model.time is None and (len(numbers) > 1 or any(not value.uniform for value in values))
 
 
 def _flow(problem: Problem) -> dict[str, float]:
     """The Peclet number, where a scene has drift."""
-    for effect in problem.scene.effects:
+    for effect in problem.model.effects:
         if effect.key == "drift":
             from fenicsx_obstacle.discrete.flow import peclet  # only where a scene names it
 

@@ -7,8 +7,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.samples import array_of
+from fenicsx_obstacle.discrete.data import Data, array_of
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.parallel import largest
 
@@ -22,7 +21,7 @@ def peclet(data: Data, drift: Effect) -> float:
         data: Of the problem.
         drift: Its effect of that name.
     """
-    elastic = next(effect for effect in data.scene.effects if effect.elastic)
+    elastic = data.model.elastic
     ratio = _speeds(data, drift) / (2 * _of_cells(data, elastic.stiffness(data)))  # type: ignore[arg-type]
     size = array_of(data.cell_size)
     size = size[: own_cells(data.level.mesh)] if len(size) > 1 else size
@@ -46,8 +45,8 @@ def depth_of_sources(data: Data, drift: Effect) -> np.ndarray:
     at = corners(mesh)[: own_cells(mesh)]
     dofs = releases.cell_dofs(V)[: len(at), : at.shape[1]]  # those of the vertices are first
     middle = at.mean(axis=1)
-    flow = [np.broadcast_to(_of_cells(data, data.values(part)).mean(axis=1), len(at)) for part in drift.formulas]
-    elastic = next(effect for effect in data.scene.effects if effect.elastic)
+    flow = [np.broadcast_to(_of_cells(data, data.values(part)).mean(axis=1), len(at)) for part in drift.inputs]
+    elastic = data.model.elastic
     tension = _of_cells(data, elastic.stiffness(data)).mean(axis=1)  # type: ignore[arg-type]
     way = sum(b[:, None] * (middle[:, None, axis] - at[:, :, axis]) for axis, b in enumerate(flow)) / tension[:, None]
     sums = []
@@ -66,7 +65,7 @@ def speed(data: Data, drift: Effect) -> float:
 
 
 def _speeds(data: Data, drift: Effect) -> np.ndarray:
-    return np.sqrt(sum(_of_cells(data, data.values(part)) ** 2 for part in drift.formulas))
+    return np.sqrt(sum(_of_cells(data, data.values(part)) ** 2 for part in drift.inputs))
 
 
 def _of_cells(data: Data, values: np.ndarray) -> np.ndarray:

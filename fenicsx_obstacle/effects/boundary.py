@@ -14,7 +14,7 @@ from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.scenes.formulas import Formula
+    from fenicsx_obstacle.effects.field import Field
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,12 @@ class OnPart(Effect):
         part: Which [[boundary]], counted from 0.
     """
 
-    value: Formula
+    value: Field
     part: int
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> OnPart:
-        return cls(reader.formula(raw, place), **more)
+        return cls(reader.field(raw, place), **more)
 
 
 @register

@@ -11,7 +11,8 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import SHOWN, nearest
+from fenicsx_obstacle.scenes.formulas import SHOWN
+from fenicsx_obstacle.words import nearest
 
 Value = float | str  # a number or a formula
 MAX_BYTES = 1_000_000  # of a scene file

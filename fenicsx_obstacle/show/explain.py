@@ -15,10 +15,10 @@ from fenicsx_obstacle.answers.choose import (
     nested,
     stepwise,
 )
-from fenicsx_obstacle.discrete.grids import shape_of
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
-from fenicsx_obstacle.scenes.moments import EQUILIBRIA
+from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
@@ -66,7 +66,7 @@ def _equation(scene: Scene) -> list[str]:
     inside = [effect for effect in scene.effects if effect.table == "effects"]
     left = [effect.equation for effect in inside if effect.left]
     right = [effect.equation for effect in inside if not effect.left and effect.equation]
-    contact = ["p"] if scene.sides and not scene.thin else []
+    contact = ["p"] if scene.sides and not scene.model.thin else []
     return [f"{' + '.join(left).replace('+ -', '- ')} = {' + '.join(right + contact) or '0'}"]
 
 
@@ -142,7 +142,7 @@ def _discrete(scene: Scene) -> list[str]:
     sides = scene.sides
     terms = ["a(u, v)"]
     penalised = scene.tables.solve.method != "vi"
-    rule = "(L/eps) I" if scene.thin else "(1/eps) I"
+    rule = "(L/eps) I" if scene.model.thin else "(1/eps) I"
     if penalised and "upper" in sides:
         terms.append(f"+ {rule}((u - upper)^+, v)")
     if penalised and "lower" in sides:
@@ -156,8 +156,8 @@ def _discrete(scene: Scene) -> list[str]:
     lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in ordered if effect.term))
     if sides:
         of_facets = "nodal rule of the facets where obstacles are; L: longest side of the box around the mesh"
-        lines.append(f"I: {of_facets if scene.thin else scene.pair.words}   (3.5), (3.6)")
-        times = "L " if scene.thin else ""
+        lines.append(f"I: {of_facets if scene.model.thin else scene.pair.words}   (3.5), (3.6)")
+        times = "L " if scene.model.thin else ""
         signs = {"upper": f"-{times}(u - upper)^+ / eps", "lower": f"{times}(lower - u)^+ / eps"}
         pressure = " + ".join(signs[side] for side in sides) if penalised else "(a(u, phi_i) - f(phi_i)) / I(phi_i, 1)"
         if not penalised and not scene.pair.nodal:

@@ -227,7 +227,7 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
     more = record["newton_iterations"] - before.iterations
     return [
         Finding("other units: steps", "equations scale", more if units.shift else abs(more), 1,
-                units.exact(g.problem.scene)),
+                units.exact(g.problem.model)),
         Finding("other units: the same u in the energy norm", "equations scale", distance, R + old.R + known, g.held),
         Finding("other units: the same u at every node", "equations scale", largest(g.comm, np.abs(e) - room), 0.0,
                 g.monotone),

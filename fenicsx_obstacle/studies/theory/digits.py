@@ -34,7 +34,7 @@ def digits(comm: MPI.Comm) -> Found:
     lost = []
     direct = defaults("penalty_", DIRECT), defaults("vi_", DIRECT)
     with direct[0], direct[1], closing(Workbench(sample("disk", 32), comm)) as bench:
-        problem, scene = bench.problem, bench.problem.scene
+        problem, scene = bench.problem, bench.scene
         vi = bench.answer(scene.change({"solve.method": "vi"})).pressure.x.array[: problem.level.owned]
         size = largest(comm, np.abs(vi))
         last_digit = largest(comm, np.spacing(np.abs(problem.obstacles()[1])))

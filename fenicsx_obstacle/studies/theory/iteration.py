@@ -13,9 +13,9 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import solve_penalty
 from fenicsx_obstacle.solvers.snes import defaults
@@ -114,13 +114,13 @@ def nesting(comm: MPI.Comm) -> list[Finding]:
 
 def _runs(scene: Scene, comm: MPI.Comm) -> list[Answer]:
     with closing(Workbench(scene.change({"solve.method": "successive"}), comm)) as bench:
-        return [bench.answer(bench.problem.scene.change({"solve.eps": eps})) for eps in (1e-2, 1e-6, 1e-10)]
+        return [bench.answer(bench.scene.change({"solve.eps": eps})) for eps in (1e-2, 1e-6, 1e-10)]
 
 
 def _sheared(comm: MPI.Comm) -> Scene:
     """A flat ceiling over a parallelogram, whose triangles are all obtuse, the diagonals the longest sides."""
     shape: dict[str, Any] = {"mesh": {"shape": "rectangle", "cells": 16}, "boundary": [{"value": 0}], "tension": 1}
-    mesh = levels.build(Scene(**shape), comm).mesh
+    mesh = meshes.build(Scene(**shape), comm).mesh
     mesh.geometry.x[:, 0] += 0.8 * mesh.geometry.x[:, 1]
     return Scene(**{**shape, "mesh": mesh}, load=4, upper=0.05)
 

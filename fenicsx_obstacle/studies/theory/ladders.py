@@ -79,12 +79,12 @@ def gap(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm) -> Gap:
     found = Gap(ladder)
     for bench in ladder.benches(comm):
         problem = bench.problem
-        distance, reference = Distance(problem), bench.answer(solved_with(problem.scene, VI))
+        distance, reference = Distance(problem), bench.answer(solved_with(bench.scene, VI))
         found.h.append(problem.level.h)
         found.size.append(distance.pressure(reference.pressure.x.array))
         steep = distance.energy(reference.pressure.x.array)  # the nodes of I are those of V_h
         for value in epsilons:
-            answer = bench.answer(solved_with(problem.scene, value))
+            answer = bench.answer(solved_with(bench.scene, value))
             e, d = answer.u.x.array - reference.u.x.array, answer.pressure.x.array - reference.pressure.x.array
             eps = answer.record["eps"]
             found.eps.setdefault(value, []).append(eps)
@@ -120,7 +120,7 @@ def errors(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: boo
         found.h.append(bench.problem.level.h)
         distance = Distance(bench.problem)
         for value in epsilons:
-            answer = bench.answer(solved_with(bench.problem.scene, value))
+            answer = bench.answer(solved_with(bench.scene, value))
             norms = {**answer.record["errors"], "close": distance.energy(_nodal_error(answer))}
             if dual:
                 norms["dual"] = bench.exact.dual.error(answer.pressure, answer.record["eps"])
