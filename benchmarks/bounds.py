@@ -19,7 +19,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.accuracy.bound import Estimator
-from fenicsx_obstacle.accuracy.bound_p2 import Estimator2
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.scenes import catalogue
@@ -68,8 +67,7 @@ def cost(bench: Workbench) -> None:
     solve = bench.answer().record["seconds"]["solve"]
     level = bench.problem.level
     unit = poisson_seconds(level)
-    kind = Estimator2 if scene.pair.stacks else Estimator
-    estimator, once = timed(lambda: kind(bench.problem))
+    estimator, once = timed(lambda: Estimator(bench.problem))
     first, *others = (timed(estimator.bound)[1] for _ in range(4))
     each = min(others)
     show(f"{scene.name}: {level.dofs} unknowns, Poisson {unit:.2f} s, solve {solve:.2f} s; a bound {each:.2f} s = "

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.cell_data import other_effects
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 
 
 def refuse_no_bound(problem: Problem) -> None:
-    """What there is no bound for.
+    """Check that there is a bound for a problem.
 
     Raises:
         InputError: Saying why.
@@ -29,3 +30,6 @@ def refuse_no_bound(problem: Problem) -> None:
         raise InputError(f"{model.source}: the error bound is for plane problems, not for axial symmetry")
     if problem.data.thin:
         raise InputError(f"{model.source}: the error bound is for obstacles in the domain, not on its boundary")
+    others = other_effects(problem.data)
+    if pair.degree == 2 and others:
+        raise InputError(f"{model.source}: with P2 the error bound is for tension and load, not for {others[0].key}")

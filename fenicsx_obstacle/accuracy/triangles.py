@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.quadrature import blocks, rule
@@ -44,6 +45,10 @@ class Triangles:
         values = values.copy()
         values[self._clockwise] = values[self._clockwise][:, [0, 2, 1]]
         return values
+
+    def turned_nodes(self, dofs: np.ndarray) -> np.ndarray:
+        """Dofs of P2, shape (cells, 6), in the order here: at the vertices, then at the middles opposite to them."""
+        return np.hstack([self.turned(dofs[:, :3]), self.turned(dofs[:, 3:])])
 
     def gradient(self, values: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Gradients of a P1 function from its values at local dofs, shape (2, cells)."""
@@ -118,6 +123,14 @@ def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:
         d, e, f = (b + c) / 2, (c + a) / 2, (a + b) / 2
         parts = np.concatenate([np.stack(p, axis=1) for p in ((a, f, e), (f, b, d), (e, d, c), (d, e, f))])
     return (points @ parts).reshape(-1, 3), np.tile(weights, len(parts)) / len(parts)
+
+
+def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:
+    """Values at local dofs from those at owned ones (collective)."""
+    function = fem.Function(V)
+    function.x.array[: len(owned)] = owned
+    function.x.scatter_forward()
+    return function.x.array
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

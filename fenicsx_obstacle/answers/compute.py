@@ -118,9 +118,8 @@ class Workbench:
         """
         if self._estimator is None:
             from fenicsx_obstacle.accuracy.bound import Estimator  # only where it is asked for
-            from fenicsx_obstacle.accuracy.bound_p2 import Estimator2
 
-            self._estimator = (Estimator2 if self.problem.level.pair.stacks else Estimator)(self.problem)
+            self._estimator = Estimator(self.problem)
             if self.problem.affine:
                 self._estimator.lend_load()
         return self._estimator
