@@ -659,9 +659,10 @@ found += [name for name in ("fenicsx_obstacle.discrete.parts", "fenicsx_obstacle
 print(*sorted(name.removeprefix("fenicsx_obstacle.") for name in found))
 """
     for effects, wanted in (
-        ({}, "effects.effect effects.membrane"),
+        ({}, "effects.domain effects.domain.tension effects.effect"),
         ({"foundation": 1, "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": 1}]},
-         "discrete.parts effects.boundary effects.effect effects.membrane effects.support"),
+         "discrete.parts effects.boundary effects.boundary.spring effects.domain effects.domain.foundation "
+         "effects.domain.tension effects.effect"),
     ):  # fmt: skip
         command = [sys.executable, "-c", program, repr(effects)]
         done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=100, check=False)

@@ -19,7 +19,7 @@ from fenicsx_obstacle.answers.course import Course, Frame, Row
 from fenicsx_obstacle.answers.folder import fields_of
 from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.effects.motion import Inertia
+from fenicsx_obstacle.effects.domain.inertia import Inertia
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments

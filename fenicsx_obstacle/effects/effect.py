@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from fenicsx_obstacle.errors import InputError
@@ -20,21 +23,7 @@ if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite
     from fenicsx_obstacle.scenes.formulas import Formula
     from fenicsx_obstacle.scenes.materials import Value
 
-_HOME = {
-    "tension": "membrane",
-    "load": "membrane",
-    "large_slope": "slopes",
-    "power_law": "slopes",
-    "point_load": "points",
-    "axial_symmetry": "axial",
-    "drift": "flow",
-    "rate": "motion",
-    "inertia": "motion",
-    "foundation": "support",
-    "soft_obstacle": "support",
-    "flux": "boundary",
-    "spring": "boundary",
-}
+_FOLDERS = {"effects": "domain", "boundary": "boundary"}  # of this package, by the tables that name their effects
 
 
 class Reader(Protocol):
@@ -272,14 +261,22 @@ def _formulas(data: Iterable[Any]) -> Iterable[Value]:
 _register: dict[str, type[Effect]] = {}
 
 
+@cache
+def _modules(table: str) -> dict[str, str]:
+    """Module of each effect of this package that a table can name, by its key, which is the file's name."""
+    folder = _FOLDERS[table]
+    files = iter_modules([str(Path(__file__).parent / folder)])
+    return {file.name: f"{__package__}.{folder}.{file.name}" for file in files}
+
+
 def register(effect: type[Effect]) -> type[Effect]:
     """Class decorator: scenes may name this effect by its `key`.
 
     Raises:
         InputError: If it has none, or one of this package's own.
     """
-    home = f"{__package__}.{_HOME.get(effect.key, '')}"
-    if not effect.key.isidentifier() or (effect.key in _HOME and effect.__module__ != home):
+    own = {**_modules("effects"), **_modules("boundary")}
+    if not effect.key.isidentifier() or effect.__module__ != own.get(effect.key, effect.__module__):
         raise InputError(f"effect {effect.__name__}: key = {effect.key!r} is taken, or no name")
     _register[effect.key] = effect
     return effect
@@ -287,12 +284,11 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 def known(table: str = "effects") -> set[str]:
     """The keys of all effects that a table can name, imported or not."""
-    there = {key for key, module in _HOME.items() if (module == "boundary") == (table == "boundary")}
-    return there | {key for key, effect in _register.items() if effect.table == table}
+    return {*_modules(table), *(key for key, effect in _register.items() if effect.table == table)}
 
 
 def find(key: str) -> type[Effect]:
     """The effect of a known key; its module is imported now."""
     if key not in _register:
-        import_module(f"fenicsx_obstacle.effects.{_HOME[key]}")
+        import_module({**_modules("effects"), **_modules("boundary")}[key])
     return _register[key]

@@ -7,7 +7,6 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.afloat import LIMIT
-from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -138,7 +137,11 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     """
     level, data, effects = problem.level, problem.data, problem.scene.effects
     drift = next((effect for effect in effects if effect.key == "drift"), None)
-    if drift is None or not (problem.affine and level.pair.nodal) or (number := peclet(data, drift)) <= 1:
+    if drift is None or not (problem.affine and level.pair.nodal):
+        return None
+    from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed  # only where a scene has drift
+
+    if (number := peclet(data, drift)) <= 1:
         return None
     free = ~problem.fixed & (active == 0)
     if largest(level.comm, depth_of_sources(data, drift)[free]) <= DEEP:

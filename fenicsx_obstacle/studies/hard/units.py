@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from fenicsx_obstacle.effects.slopes import FLAT
+from fenicsx_obstacle.effects.domain.power_law import FLAT
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_SHAPE
 

@@ -1,4 +1,4 @@
-"""What holds a membrane from below or above at every point, elastically: a foundation, and obstacles that give way."""
+"""An obstacle that gives way."""
 
 from __future__ import annotations
 
@@ -11,32 +11,6 @@ if TYPE_CHECKING:
     import ufl
 
     from fenicsx_obstacle.scenes.formulas import Formula
-
-
-@register
-class Foundation(Effect):
-    """Winkler's foundation: k u on the left side, int k u v with k >= 0; unit: force per volume.
-
-    By the nodal rule I where the element has one of degree 1: diagonal, so that it keeps the signs of an M-matrix.
-    In other words a reaction term, a rate of decay, or the interest of a value.
-    """
-
-    key = "foundation"
-    equation = "foundation u"
-    left = True
-    term = "+ int foundation u v"
-    leans = True
-    unit = "force/volume"
-    holds = True
-
-    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        return data.cellwise(self.value, least=0.0) * u * v * data.dI
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        return 0.0, 0.0
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI
 
 
 @register
