@@ -52,7 +52,7 @@ class Report:
         if not pair.nests:
             raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}")
         elastic = next(effect for effect in self.scene.effects if effect.elastic)
-        if elastic.key != "tension" or isinstance(elastic.value, tuple):
+        if elastic.isotropic_tension is None:
             for formula in self.scene.report.values():
                 if {"flux", NORMAL_FLUX} & formula.names:
                     raise InputError(f"{formula.place}: flux needs a tension alike in all directions and at all slopes")
@@ -164,7 +164,8 @@ class Report:
         return np.sqrt(np.maximum(np.sum(rises * solved, axis=1), 0.0))
 
     def _tension(self, cells: np.ndarray) -> np.ndarray | float:
-        tension = next(effect.value for effect in self.scene.effects if effect.key == "tension")
+        tension = next(effect.isotropic_tension for effect in self.scene.effects if effect.elastic)
+        assert tension is not None
         values = self.data.cellwise(tension)
         if isinstance(values, fem.Constant):
             return float(values.value)

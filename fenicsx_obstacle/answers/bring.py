@@ -161,7 +161,7 @@ class _Given:
     """The caller's residual as an effect: what a problem is made of."""
 
     key, elastic, affine, holds, radial, leans, order = "solve_form", True, False, False, False, False, 0
-    gives_way = False
+    gives_way, velocity = False, None
 
     def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
         self.F, self.u, self.v, self.functional = F, u, F.arguments()[0], energy

@@ -97,7 +97,7 @@ def _norms(answer: Answer, nodal: np.ndarray) -> dict[str, float]:
     slopes = np.einsum("ci,ci->c", rises, np.linalg.solve(gram, rises[:, :, None])[:, :, 0])
     l2, gradient = total(comm, squared), total(comm, size * slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
-    tension = next((effect.value for effect in answer.scene.effects if effect.key == "tension"), None)
+    tension = next(effect.isotropic_tension for effect in answer.scene.effects if effect.elastic)
     if isinstance(tension, Formula) and "distance" not in answer.scene.needs(tension):
         mu = answer.scene.at_points(tension, np.ascontiguousarray(x.mean(axis=1).T))
         norms["energy"] = math.sqrt(total(comm, mu * size * slopes))

@@ -93,9 +93,10 @@ class Data(Limits):
     @cached_property
     def radius(self) -> Cellwise:
         """Distance from the axis, positive in each cell (first use is collective)."""
+        key = next(effect.key for effect in self.scene.effects if effect.radial)
         if self.level.mesh.geometry.dim > 2:
-            raise InputError(f"{self.scene.source}: [effects] axial_symmetry is for intervals and plane meshes")
-        return self.cellwise(self.scene.formula("x", "[effects] axial_symmetry, radius"), positive=True)
+            raise InputError(f"{self.scene.source}: [effects] {key} is for intervals and plane meshes")
+        return self.cellwise(self.scene.formula("x", f"[effects] {key}, radius"), positive=True)
 
     @cached_property
     def dI(self) -> Any:
@@ -119,6 +120,12 @@ class Data(Limits):
         if value.place not in self._heights:
             self._heights[value.place] = self.follow([value], partial(self.nodal, value))
         return self._heights[value.place]
+
+    def peclet(self, velocity: tuple[Formula, ...]) -> float:
+        """The largest |velocity| h/(2 tension) of all cells (collective)."""
+        from fenicsx_obstacle.discrete.flow import peclet  # only where a scene has drift
+
+        return peclet(self, velocity)
 
     def number(self, value: float) -> fem.Constant:
         """A number that is not compiled into forms."""
@@ -204,7 +211,7 @@ class Data(Limits):
 
         found = []
         for number, part in enumerate(self.scene.tables.boundary):
-            keys = [key for key in ("flux", "spring") if getattr(part, key) is not None]
+            keys = [effect.key for effect in self.scene.effects if getattr(effect, "part", None) == number]
             keys += ["contact"] * (part.lower is not None or part.upper is not None)
             found += [(number, key, self.facets[number]) for key in keys]
         return Parts(self.level, found, radial=self.radial)

@@ -62,10 +62,12 @@ class Problem:
         nodal = level.pair.nodal
         if data.thin and not (nodal and level.pair.degree == 1):
             raise InputError(f"{scene.source}: obstacles on the boundary are for elements P1 and Q1")
-        others = [effect.key for effect in scene.effects if effect.key not in ("tension", "load")]
-        others += ["[time]"] * (scene.time is not None)
-        if level.pair.voronoi and others:
-            raise InputError(f"{scene.source}: element {level.pair.name} is for tension and load, not for {others[0]}")
+        if level.pair.voronoi:
+            others = [effect.key for effect in scene.effects if not effect.in_model_problem]
+            others += ["[time]"] * (scene.time is not None)
+            if others:
+                message = f"element {level.pair.name} is for tension and load, not for {others[0]}"
+                raise InputError(f"{scene.source}: {message}")
         self.forms = forms = (Nodal if self.affine and nodal else Forms)(scene.effects, data)
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above

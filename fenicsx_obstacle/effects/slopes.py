@@ -20,6 +20,7 @@ class OfSlope(Effect):
     unit = "force/length"
     elastic = True
     affine = False
+    no_bound = "the error bound needs the effect 'tension'"
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0

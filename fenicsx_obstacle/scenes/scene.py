@@ -235,10 +235,9 @@ class Scene(Vocabulary):
         if len(elastic) > 1:
             raise InputError(f"{self.source}: [effects] names {' and '.join(elastic)}: a membrane has one tension")
         effects = [find(key).read(value, f"[effects] {key}", self) for key, value in self.tables.effects.items()]
-        if "drift" in self.tables.effects and elastic != ["tension"]:
-            raise InputError(f"{self.source}: [effects] drift goes with tension, not with {elastic[0]}")
-        if {"axial_symmetry", "point_load"} <= set(self.tables.effects):
-            raise InputError(f"{self.source}: [effects] point_load: with axial_symmetry a point is a ring")
+        for effect in effects:
+            if (why := effect.conflict(effects)) is not None:
+                raise InputError(f"{self.source}: [effects] {why}")
         for number, part in enumerate(self.tables.boundary):
             for key in sorted(known("boundary")):
                 raw = getattr(part, key)

@@ -195,7 +195,7 @@ def _size(scene: Scene) -> list[str]:
     shape, degree = shape_of(scene), scene.pair.degree
     dim = len(shape.cells)
     unknowns = shape.vertices(degree * 2.0**scene.tables.mesh.refine)
-    more = 1.0 if {effect.key for effect in scene.effects} <= {"tension", "load"} else OTHERS
+    more = 1.0 if all(effect.in_model_problem for effect in scene.effects) else OTHERS
     megabytes = max(unknowns * more * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
     return [f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB beside the libraries"]
 

@@ -23,6 +23,7 @@ class Flux(OnPart):
     equation = "flux"
     term = "- int flux v over its part"
     unit = "force/length"
+    dimension = (-1, 1, 1)
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key)

@@ -25,6 +25,7 @@ class Spring(OnPart):
     term = "+ int spring u v over its part, nodal rule"
     unit = "force/area"
     holds = True
+    dimension = (-1, 0, 1)
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)

@@ -25,6 +25,7 @@ class Foundation(Effect):
     leans = True
     unit = "force/volume"
     holds = True
+    dimension = (-2, 0, 1)
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, least=0.0) * u * v * data.dI

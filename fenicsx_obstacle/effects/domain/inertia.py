@@ -25,6 +25,7 @@ class Inertia(Effect):
     term = "+ int inertia u_tt v, nodal rule"
     unit = "mass/length^2"
     holds = True
+    dimension = (-2, 0, 1)
     order = 2
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, NodalSampler, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, Sampler, register
 
 if TYPE_CHECKING:
-    import numpy as np
     import ufl
+
+    from fenicsx_obstacle.scenes.materials import Value
 
 
 @register
@@ -20,6 +21,11 @@ class Load(Effect):
     term = "- int load v"
     leans = True
     unit = "force/area"
+    dimension = (-2, 1, 1)
+
+    @property
+    def area_load(self) -> Value:
+        return self.value
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.cellwise(self.value) * v * data.dx
@@ -30,6 +36,3 @@ class Load(Effect):
     def push(self, data: Sampler) -> tuple[float, float]:
         values = data.values(self.value)
         return float(values.min(initial=0.0)), float(values.max(initial=0.0))
-
-    def density(self, data: NodalSampler) -> np.ndarray:
-        return data.at_nodes(self.value)

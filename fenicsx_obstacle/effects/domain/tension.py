@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     import numpy as np
     import ufl
 
+    from fenicsx_obstacle.scenes.materials import Value
+
 
 @register
 class Tension(Effect):
@@ -25,6 +27,7 @@ class Tension(Effect):
     term = "int tension grad u . grad v"
     unit = "force/length"
     elastic = True
+    dimension = (0, 0, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
@@ -33,6 +36,10 @@ class Tension(Effect):
 
             return Anisotropic.read(raw, place, reader)
         return cls(reader.value(raw, place))
+
+    @property
+    def isotropic_tension(self) -> Value:
+        return self.value
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
