@@ -15,8 +15,7 @@ def refuse_no_bound(problem: Problem) -> None:
     """
     scene, level = problem.scene, problem.level
     mesh, pair = level.mesh, level.pair
-    known = (pair.degree == 1 and not pair.voronoi) or pair.stacks
-    if releases.cell_name(mesh) != "triangle" or mesh.geometry.dim != 2 or not known:
+    if releases.cell_name(mesh) != "triangle" or mesh.geometry.dim != 2 or not pair.bounded:
         what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
         raise InputError(f"{scene.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}")
     for effect in sorted(scene.effects, key=lambda effect: not effect.elastic):

@@ -102,8 +102,7 @@ class Data(Limits):
     def dI(self) -> Any:
         """The same by the pair's rule, where its points are the nodes of V_h."""
         pair = self.level.pair
-        nodal = pair.nodal and pair.degree == 1
-        return pair.rule(releases.cell_name(self.level.mesh)).on(self.dx) if nodal else self.dx
+        return pair.rule(releases.cell_name(self.level.mesh)).on(self.dx) if pair.at_vertices else self.dx
 
     def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
         """Forces at points as forces at owned nodes, by barycentric coordinates (collective).

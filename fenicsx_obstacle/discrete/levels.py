@@ -188,7 +188,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
         dim = level.mesh.topology.dim
         check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
         level = refined(level)
-    return level if pair is P1 else of_pair(level, pair)
+    return of_pair(level, pair)
 
 
 def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
@@ -198,7 +198,7 @@ def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
         InputError: As `build`.
     """
     level, _ = _begin(scene, comm)
-    return level if scene.pair is P1 else of_pair(level, scene.pair)
+    return of_pair(level, scene.pair)
 
 
 def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
@@ -230,6 +230,8 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
 
 def of_pair(level: Level, pair: Pair) -> Level:
     """The same mesh with the spaces of another pair: P2 hangs on the level itself, what does not nest stands alone."""
+    if pair is level.pair:
+        return level
     if not pair.nests:
         below = level if pair.stacks else None
         return replace(level, pair=pair, coarse=below, parents=None, places=None, named=level.facets,

@@ -60,9 +60,9 @@ class Problem:
         check_admissible(data)
         self.affine = all(effect.affine for effect in scene.effects)
         nodal = level.pair.nodal
-        if data.thin and not (nodal and level.pair.degree == 1):
+        if data.thin and not level.pair.at_vertices:
             raise InputError(f"{scene.source}: obstacles on the boundary are for elements P1 and Q1")
-        if level.pair.voronoi:
+        if level.pair.own_weights:
             others = [effect.key for effect in scene.effects if not effect.in_model_problem]
             others += ["[time]"] * (scene.time is not None)
             if others:
@@ -275,7 +275,7 @@ class Problem:
 
     def _at_points(self, values: np.ndarray) -> np.ndarray:
         """A function of V_h, ghosts included, at the points of I; inf at dofs that are none."""
-        if self.level.pair.nodal and self.level.pair.degree == 1:  # all dofs are points
+        if self.level.pair.at_vertices:  # all dofs are points
             return values[: self.level.owned]
         if self.level.pair.nodal:
             return np.where(self.weights > 0, values[: self.level.owned], np.inf)

@@ -147,7 +147,7 @@ def _discrete(scene: Scene) -> list[str]:
         terms.append(f"+ {rule}((u - upper)^+, v)")
     if penalised and "lower" in sides:
         terms.append(f"- {rule}((lower - u)^+, v)")
-    space = f"V_h, continuous {scene.pair.name.partition('-')[0]}"
+    space = f"V_h, continuous {scene.pair.space}"
     lines = [f"{' '.join(terms)} = f(v) for all v in {space}, v = 0 where u is given" + "   (3.4)" * bool(sides)]
     if not penalised and sides:
         lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]

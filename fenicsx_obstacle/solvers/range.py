@@ -45,7 +45,7 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     other side: an error as large as the solution is none.
     """
     comm, pair = problem.level.comm, problem.level.pair
-    if total(comm, np.count_nonzero(active)) > 0 and not (pair.nodal and pair.degree == 1):
+    if total(comm, np.count_nonzero(active)) > 0 and not pair.at_vertices:
         return None  # u is not between the obstacles where it is free of them, at vertices of P2
     low, high = range_of_data(problem, active)
     u = problem.w.x.array + problem.reference.x.array
