@@ -235,14 +235,15 @@ class Scene(Vocabulary):
         if len(elastic) > 1:
             raise InputError(f"{self.source}: [effects] names {' and '.join(elastic)}: a membrane has one tension")
         effects = [find(key).read(value, f"[effects] {key}", self) for key, value in self.tables.effects.items()]
-        for effect in effects:
-            if (why := effect.conflict(effects)) is not None:
-                raise InputError(f"{self.source}: [effects] {why}")
         for number, part in enumerate(self.tables.boundary):
             for key in sorted(known("boundary")):
                 raw = getattr(part, key)
                 if raw is not None:
                     effects.append(find(key).read(raw, f"{part_place(number)} {key}", self, part=number))
+        for effect in effects:
+            if (why := effect.conflict(effects)) is not None:
+                place = "[effects]" if effect.table == "effects" else "[[boundary]]"
+                raise InputError(f"{self.source}: {place} {why}")
         return tuple(effects)
 
     def value(self, value: Any, place: str) -> Value:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from fenicsx_obstacle.effects.effect import Effect, Sampler, register
@@ -27,6 +28,10 @@ class Inertia(Effect):
     holds = True
     dimension = (-2, 0, 1)
     order = 2
+
+    def conflict(self, effects: Sequence[Effect]) -> str | None:
+        others = [effect.key for effect in effects if not (effect.affine and effect.symmetric)]
+        return f"{self.key} does not go with {others[0]}: no energy is kept" if others else None
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, positive=True) * data.motion.acceleration(u) * v * data.dI
