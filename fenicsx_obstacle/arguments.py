@@ -12,8 +12,10 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import pairs
 
 MOST = 1000  # values of one key
+_ELEMENTS = " or ".join(", ".join(pairs()).rsplit(", ", 1))
 CHANGES = ("set", "cells", "refine", "element", "method", "start", "eps")  # of the scene
 
 
@@ -50,7 +52,7 @@ def options(*names: str) -> Callable[[Any], Any]:
         "element": click.option(
             "--element",
             metavar="NAME",
-            help="Pair of spaces and rule: P1, Q1, P2, Q2, P1-voronoi or Q1-gauss.  [P1 or Q1, by the cells]",
+            help=f"Pair of spaces and rule: {_ELEMENTS}.  [P1 or Q1, by the cells]",
         ),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
         "start": click.option("--start", metavar="NAME", help="nested (from coarse grids on) or cold.  [nested]"),

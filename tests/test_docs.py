@@ -20,7 +20,7 @@ from test_cli import CLEAN
 
 from fenicsx_obstacle import Answer, Scene, __all__, solve
 from fenicsx_obstacle.cli import commands
-from fenicsx_obstacle.effects.effect import _HOME
+from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import tables
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, FUNCTIONS
@@ -162,10 +162,10 @@ def test_scenes_are_described():
     for table in vars(tables).values():
         if isinstance(table, type) and table.__name__.endswith("Table"):
             assert set(table.__struct_fields__) <= words, table.__name__
-    assert {*_HOME, *FUNCTIONS, *FUNCTIONALS, *FIELDS} <= words
+    assert {*known(), *known("boundary"), *FUNCTIONS, *FUNCTIONALS, *FIELDS} <= words
     assert set(pairs()) <= words
     names = (ROOT / "docs" / "effects.md").read_text()
-    assert all(key in names for key in _HOME)
+    assert all(key in names for key in known() | known("boundary"))
 
 
 def keys_of(record):

@@ -12,10 +12,11 @@ from test_cli import CLEAN, run
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.effects.effect import Effect, _register, register
+from fenicsx_obstacle.effects.effect import Effect, _register, find, known, register
 from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
+from fenicsx_obstacle.studies.hard.units import Units, all_units
 from fenicsx_obstacle.studies.orders import order
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
@@ -659,9 +660,10 @@ found += [name for name in ("fenicsx_obstacle.discrete.parts", "fenicsx_obstacle
 print(*sorted(name.removeprefix("fenicsx_obstacle.") for name in found))
 """
     for effects, wanted in (
-        ({}, "effects.effect effects.field effects.membrane"),
+        ({}, "effects.domain effects.domain.tension effects.effect effects.field"),
         ({"foundation": 1, "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": 1}]},
-         "discrete.parts effects.boundary effects.effect effects.field effects.membrane effects.support"),
+         "discrete.parts effects.boundary effects.boundary.spring effects.domain effects.domain.foundation "
+         "effects.domain.tension effects.effect effects.field"),
     ):  # fmt: skip
         command = [sys.executable, "-c", program, repr(effects)]
         done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=100, check=False)
@@ -715,6 +717,95 @@ def test_an_effect_from_outside(tmp_path):
             (tmp_path / name).write_text(program)
         with pytest.raises(InputError, match=message):
             load_plugin(tmp_path / name)
+
+
+@pytest.mark.parametrize("table", ["effects", "boundary"])
+def test_an_effect_is_a_file_named_as_its_key(table):
+    """Whatever a table can name is found by its name; each says how its data are written in other units."""
+    for key in known(table):
+        effect = find(key)
+        assert (effect.key, effect.table) == (key, table) and effect.__module__.endswith(f".{key}")
+        assert effect.dimension is not None
+
+
+MOVING = """
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from fenicsx_obstacle.effects.effect import Effect, keys_of, register
+
+@register
+@dataclass(frozen=True)
+class Moving(Effect):
+    speed: float = 0.0
+
+    key = "moving_load"
+    equation = "moving_load(x - speed t)"
+    term = "- int moving_load(x - speed t) v"
+    dimension = (-2, 1, 1)
+
+    @classmethod
+    def read(cls, raw, place, reader, **more):
+        given = keys_of(raw, place, reader, ("force", "speed"))
+        speed = reader.number(given["speed"], f"{place}.speed")
+        force = re.sub(r"\\bx\\b", f"(x - {speed!r}*t)", str(given["force"])) if speed else given["force"]
+        return cls(reader.field(force, f"{place}.force"), speed)
+
+    @classmethod
+    def in_units(cls, raw, units, dim):
+        force = super().in_units(raw["force"], units, dim)
+        return {"force": force, "speed": units.scaled(raw["speed"], units.length)}
+
+    @property
+    def area_load(self):
+        return self.value
+
+    def conflict(self, effects):
+        rival = [effect.key for effect in effects if effect.order > 1]
+        return f"{self.key} does not go with {rival[0]}" if rival else None
+
+    def outputs(self, data):
+        return {"speed": self.speed}
+
+    def terms(self, u, v, data):
+        return -data.cellwise(self.value) * v * data.dx
+
+    def energy(self, u, data):
+        return -data.cellwise(self.value) * u * data.dx
+"""
+
+
+@pytest.fixture
+def moving_load(tmp_path):
+    """A load that travels, from a file."""
+    (tmp_path / "moving.py").write_text(MOVING)
+    load_plugin(tmp_path / "moving.py")
+    yield
+    del _register["moving_load"]
+
+
+@pytest.mark.usefixtures("moving_load")
+def test_one_class_is_a_whole_effect():
+    """What others ask of an effect, its class answers: values, other units, weights of a pair's own, conflicts."""
+    force = "-8*sin(pi*x)"
+    still, load = (membrane(lower=-0.1, **one) for one in (
+        {"moving_load": {"force": force, "speed": 0}}, {"load": force}))  # fmt: skip
+    for element in ("P1", "P1-voronoi"):  # Voronoi areas are for loads per area
+        mine, theirs = (solve(scene, element=element).record for scene in (still, load))
+        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-12) and mine["speed"] == 0
+    assert len(all_units(still, 1.0)) == 7
+    there = Units("there", length=4.0, height=8.0, force=2.0)
+    other = solve(there.of(still)).u.x.array / there.height
+    assert largest(COMM, np.abs(other - solve(still).u.x.array)) < 1e-12
+    with pytest.raises(InputError, match="moving_load does not go with inertia"):
+        membrane(moving_load={"force": 1, "speed": 1}, inertia=1)
+    moving = membrane(moving_load={"force": "-8*exp(-30*(x - 0.2)^2)", "speed": 0.6}, lower=-0.1,
+                      time={"end": 1, "steps": 2})  # fmt: skip
+    record = solve(moving).record  # from the left to where it would be from the right
+    assert record["speed"] == 0.6
+    there = membrane(load="-8*exp(-30*(x - 0.8)^2)", lower=-0.1)
+    assert record["energy"] == pytest.approx(solve(there).record["energy"])
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, study
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.answers.linear import linear
+from fenicsx_obstacle.discrete.cells import volumes
 from fenicsx_obstacle.forms.pairs import Pair, _register, pairs, register
 from fenicsx_obstacle.forms.rules import Rule, nodal_rule
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -166,6 +167,27 @@ def test_a_pair_of_ones_own():
     finally:
         _register.pop("mine")
     assert mine["energy"] == theirs["energy"] and mine["element"] == "mine"
+
+
+class Barycentric(Pair):
+    """A third of each triangle at its vertices: what the vertex rule gives, said as weights."""
+
+    def cell_weights(self, corners):
+        return np.repeat(volumes(corners)[:, None] / corners.shape[1], corners.shape[1], axis=1)
+
+
+def test_a_pair_with_weights_of_its_own():
+    """A subclass says what weights the cells give to their nodes; nothing else asks which pair it is."""
+    register(Barycentric("mine", 1, {"triangle": nodal_rule("triangle")}, ("Lagrange", 1)))
+    try:
+        scene = DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "effects.load": -4})
+        mine, theirs = (solve(scene, element=name, bound=True).record for name in ("mine", "P1"))
+        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-10)
+        assert mine["bound"]["total"] == pytest.approx(theirs["bound"]["total"], rel=1e-6)
+        with pytest.raises(InputError, match="element mine is for tension and load, not for foundation"):
+            solve(scene.change({"effects.foundation": 1}), element="mine")
+    finally:
+        _register.pop("mine")
 
 
 @pytest.mark.parametrize("name", ["Q1", "Q2", "P2", "Q1-gauss"])

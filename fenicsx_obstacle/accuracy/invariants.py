@@ -89,7 +89,7 @@ def _equilibrium(s: Solved) -> Finding:
         forces = effect.vector(data)
         if forces is not None:  # of no form
             net -= total(g.comm, forces)
-        density = effect.density(data) if problem.level.pair.voronoi else None
+        density = effect.density(data) if problem.level.pair.own_weights else None
         form = effect.terms(u, one, data)
         if density is not None:  # lumped with the weights of its pair
             net -= total(g.comm, density * g.D)

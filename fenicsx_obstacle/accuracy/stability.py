@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy import singular
-from fenicsx_obstacle.discrete.voronoi import voronoi_areas
+from fenicsx_obstacle.discrete.own_weights import own_weights
 from fenicsx_obstacle.forms.pairs import Pair
 
 RICHER = 2  # degrees above V_h of the space that stands for H^1_0
@@ -102,7 +102,7 @@ class Stability:
     @cached_property
     def _I(self) -> PETSc.Mat:
         """I(q, v), rows of all of Q_h."""
-        if self.pair.voronoi:
+        if self.pair.own_weights:
             return _part(self._lumped, None, self._free)
         return _part(_matrix(self._q * ufl.TrialFunction(self.V) * self.rule.on(ufl.dx)), None, self._free)
 
@@ -124,10 +124,10 @@ class Stability:
     def _lumped(self) -> PETSc.Mat:
         """I(q, r) on all of Q_h."""
         D = _matrix(self._q * ufl.TrialFunction(self.Q) * self.rule.on(ufl.dx))
-        if self.pair.voronoi:
-            areas = D.getDiagonal()
-            areas.array[:] = voronoi_areas(self.V)
-            D.setDiagonal(areas)
+        if self.pair.own_weights:
+            weights = D.getDiagonal()
+            weights.array[:] = own_weights(self.pair, self.V)
+            D.setDiagonal(weights)
         return D
 
     def _seen(self, A: PETSc.Mat) -> PETSc.Mat:

@@ -59,10 +59,7 @@ class Cloud:
         dim, count = level.mesh.topology.dim, own_cells(level.mesh)
         inside, shares = rule(dim, 2 * level.pair.degree if dim < 3 else 2 * level.pair.degree - 2)
         elastic = next(effect for effect in answer.scene.effects if effect.elastic)
-        if isinstance(elastic.value, tuple):
-            tension = [[data.cellwise(entry) for entry in row] for row in elastic.value]
-        else:
-            tension = [[data.cellwise(elastic.value, positive=True)]]
+        tension = elastic.norm_matrix(data)
         found = []
         for block in [*blocks(count)] or [slice(0, 0)]:
             x = corners(level.mesh, block)

@@ -14,7 +14,6 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.points import values_at
-from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.signatures import checked
@@ -97,8 +96,8 @@ def _norms(answer: Answer, nodal: np.ndarray) -> dict[str, float]:
     slopes = np.einsum("ci,ci->c", rises, np.linalg.solve(gram, rises[:, :, None])[:, :, 0])
     l2, gradient = total(comm, squared), total(comm, size * slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
-    tension = next((effect.value for effect in answer.scene.effects if effect.key == "tension"), None)
-    if isinstance(tension, Field) and tension.parts is None and not tension.needs_distance:
+    tension = answer.scene.model.elastic.isotropic_tension
+    if tension is not None and tension.parts is None and not tension.needs_distance:
         mu = tension.at(np.ascontiguousarray(x.mean(axis=1).T), {})
         norms["energy"] = math.sqrt(total(comm, mu * size * slopes))
     return norms

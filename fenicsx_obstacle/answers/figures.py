@@ -35,7 +35,7 @@ def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) 
         "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
         "cells_total": level.cells, "dofs": level.dofs,
         "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
-        "h": level.h, "h_max": level.h_max, "eps": eps, **_flow(problem), "energy": state.energy,
+        "h": level.h, "h_max": level.h_max, "eps": eps, **_of_effects(problem), "energy": state.energy,
         "penetration": contact.penetration,
         "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
         "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
@@ -76,11 +76,7 @@ def _may_jump(problem: Problem) -> bool:
     return plane and model.time is None and (len(numbers) > 1 or any(not value.uniform for value in values))
 
 
-def _flow(problem: Problem) -> dict[str, float]:
-    """The Peclet number, where a scene has drift."""
-    for effect in problem.model.effects:
-        if effect.key == "drift":
-            from fenicsx_obstacle.discrete.flow import peclet  # only where a scene names it
-
-            return {"peclet": peclet(problem.data, effect)}
-    return {}
+def _of_effects(problem: Problem) -> dict[str, float]:
+    """Those that belong to effects (collective)."""
+    outputs = (effect.outputs(problem.data) for effect in problem.model.effects)
+    return {name: value for found in outputs for name, value in found.items()}

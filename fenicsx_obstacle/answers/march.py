@@ -20,7 +20,6 @@ from fenicsx_obstacle.answers.folder import fields_of
 from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.effects.motion import Inertia
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.snes import Outcome
@@ -275,8 +274,8 @@ class March:
         data = self.problem.data
         data.motion.velocity.x.array[:] = self.steps.velocity
         if self._kinetic_energy is None:
-            mass = next(effect for effect in self.problem.model.effects if isinstance(effect, Inertia))
-            self._kinetic_energy = releases.form(mass.energy_of_motion(data.motion.velocity, data))
+            parts = (effect.energy_of_motion(data.motion.velocity, data) for effect in self.problem.model.effects)
+            self._kinetic_energy = releases.form(sum(part for part in parts if part is not None))
         return total(self.problem.level.comm, fem.assemble_scalar(self._kinetic_energy))
 
     def _keep(self, folder: Path | None) -> None:

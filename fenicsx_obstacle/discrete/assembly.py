@@ -19,7 +19,7 @@ from ufl.algorithms import expand_derivatives
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.voronoi import voronoi_areas
+from fenicsx_obstacle.discrete.own_weights import own_weights
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
 from fenicsx_obstacle.parallel import largest, total
@@ -197,8 +197,8 @@ class Nodal(Forms):
         self._loads = releases.form(loads) if loaded else None
         self._load()
         self._D = super().weights()
-        if data.level.pair.voronoi:
-            self._lump(voronoi_areas(data.level.V))
+        if data.level.pair.own_weights:
+            self._lump(own_weights(data.level.pair, data.level.V))
 
     def _load(self) -> None:
         if self._loads is None:

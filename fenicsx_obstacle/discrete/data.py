@@ -245,22 +245,28 @@ class Data:
     @cached_property
     def radius(self) -> Cellwise:
         """Distance from the axis, positive in each cell (first use is collective)."""
+        key = next(effect.key for effect in self.model.effects if effect.radial)
         if self.level.mesh.geometry.dim > 2:
-            raise InputError(f"{self.model.source}: [effects] axial_symmetry is for intervals and plane meshes")
-        return self.cellwise(_Radius(f"{self.model.source}: [effects] axial_symmetry, radius"), positive=True)
+            raise InputError(f"{self.model.source}: [effects] {key} is for intervals and plane meshes")
+        return self.cellwise(_Radius(f"{self.model.source}: [effects] {key}, radius"), positive=True)
 
     @cached_property
     def dI(self) -> Any:
         """The same by the pair's rule, where its points are the nodes of V_h."""
         pair = self.level.pair
-        nodal = pair.nodal and pair.degree == 1
-        return pair.rule(releases.cell_name(self.level.mesh)).on(self.dx) if nodal else self.dx
+        return pair.rule(releases.cell_name(self.level.mesh)).on(self.dx) if pair.at_vertices else self.dx
 
     @cached_property
     def extent(self) -> float:
         """Longest side of the box around the mesh: makes an area of a length of contact (first use is collective)."""
         x, comm = self.level.points, self.level.comm
         return max(largest(comm, axis) - smallest(comm, axis) for axis in x)
+
+    def peclet(self, velocity: tuple[Field, ...]) -> float:
+        """The largest |velocity| h/(2 tension) of all cells (collective)."""
+        from fenicsx_obstacle.discrete.flow import peclet  # only where a model has drift
+
+        return peclet(self, velocity)
 
     @cached_property
     def cell_size(self) -> Cellwise:

@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.data import Data, array_of
-from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.parallel import largest
 
 LEAK = 0.1  # of what flows out of a patch of cells: less that flows in is due to where its midpoints are
 
+Velocity: TypeAlias = tuple[Field, ...]
 
-def peclet(data: Data, drift: Effect) -> float:
+
+def peclet(data: Data, velocity: Velocity) -> float:
     """The largest |drift| h/(2 tension), by the largest tension of each cell (collective).
 
     Args:
         data: Of the problem.
-        drift: Its effect of that name.
+        velocity: Components of the drift.
     """
-    elastic = data.model.elastic
-    ratio = _speeds(data, drift) / (2 * _of_cells(data, elastic.stiffness(data)))  # type: ignore[arg-type]
+    ratio = _speeds(data, velocity) / (2 * _of_cells(data, data.model.elastic.stiffness(data)))  # type: ignore[arg-type]
     size = array_of(data.cell_size)
     size = size[: own_cells(data.level.mesh)] if len(size) > 1 else size
     return largest(data.level.comm, (ratio * size[:, None]).ravel())
 
 
-def depth_of_sources(data: Data, drift: Effect) -> np.ndarray:
+def depth_of_sources(data: Data, velocity: Velocity) -> np.ndarray:
     """The mean of drift . (x - x_i)/tension over the cells at a vertex x_i from which drift flows away on all sides.
 
     u grows by the exponential of it, and of what follows downstream. At midpoints x of cells; 0 at vertices into whose
@@ -36,7 +39,7 @@ def depth_of_sources(data: Data, drift: Effect) -> np.ndarray:
 
     Args:
         data: Of the problem.
-        drift: Its effect of that name.
+        velocity: Components of the drift.
 
     Returns:
         Values at owned dofs of V (collective).
@@ -45,7 +48,7 @@ def depth_of_sources(data: Data, drift: Effect) -> np.ndarray:
     at = corners(mesh)[: own_cells(mesh)]
     dofs = releases.cell_dofs(V)[: len(at), : at.shape[1]]  # those of the vertices are first
     middle = at.mean(axis=1)
-    flow = [np.broadcast_to(_of_cells(data, data.values(part)).mean(axis=1), len(at)) for part in drift.inputs]
+    flow = [np.broadcast_to(_of_cells(data, data.values(part)).mean(axis=1), len(at)) for part in velocity]
     elastic = data.model.elastic
     tension = _of_cells(data, elastic.stiffness(data)).mean(axis=1)  # type: ignore[arg-type]
     way = sum(b[:, None] * (middle[:, None, axis] - at[:, :, axis]) for axis, b in enumerate(flow)) / tension[:, None]
@@ -59,13 +62,13 @@ def depth_of_sources(data: Data, drift: Effect) -> np.ndarray:
     return np.where(back <= LEAK * out, out / np.maximum(cells, 1.0), 0.0)
 
 
-def speed(data: Data, drift: Effect) -> float:
+def speed(data: Data, velocity: Velocity) -> float:
     """The largest |drift| (collective)."""
-    return largest(data.level.comm, _speeds(data, drift).ravel())
+    return largest(data.level.comm, _speeds(data, velocity).ravel())
 
 
-def _speeds(data: Data, drift: Effect) -> np.ndarray:
-    return np.sqrt(sum(_of_cells(data, data.values(part)) ** 2 for part in drift.inputs))
+def _speeds(data: Data, velocity: Velocity) -> np.ndarray:
+    return np.sqrt(sum(_of_cells(data, data.values(part)) ** 2 for part in velocity))
 
 
 def _of_cells(data: Data, values: np.ndarray) -> np.ndarray:

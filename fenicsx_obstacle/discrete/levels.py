@@ -173,6 +173,8 @@ class Level:
 
 def of_pair(level: Level, pair: Pair) -> Level:
     """The same mesh with the spaces of another pair: P2 hangs on the level itself, what does not nest stands alone."""
+    if pair is level.pair:
+        return level
     if not pair.nests:
         below = level if pair.stacks else None
         return replace(level, pair=pair, coarse=below, parents=None, places=None, named=level.facets,

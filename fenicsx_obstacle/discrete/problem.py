@@ -59,12 +59,14 @@ class Problem:
         check_admissible(data)
         self.affine = all(effect.affine for effect in model.effects)
         nodal = level.pair.nodal
-        if data.thin and not (nodal and level.pair.degree == 1):
+        if data.thin and not level.pair.at_vertices:
             raise InputError(f"{model.source}: obstacles on the boundary are for elements P1 and Q1")
-        others = [effect.key for effect in model.effects if effect.key not in ("tension", "load")]
-        others += ["[time]"] * (model.time is not None)
-        if level.pair.voronoi and others:
-            raise InputError(f"{model.source}: element {level.pair.name} is for tension and load, not for {others[0]}")
+        if level.pair.own_weights:
+            others = [effect.key for effect in model.effects if not effect.in_model_problem]
+            others += ["[time]"] * (model.time is not None)
+            if others:
+                message = f"element {level.pair.name} is for tension and load, not for {others[0]}"
+                raise InputError(f"{model.source}: {message}")
         self.forms = forms = (Nodal if self.affine and nodal else Forms)(model.effects, data)
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above
@@ -272,7 +274,7 @@ class Problem:
 
     def _at_points(self, values: np.ndarray) -> np.ndarray:
         """A function of V_h, ghosts included, at the points of I; inf at dofs that are none."""
-        if self.level.pair.nodal and self.level.pair.degree == 1:  # all dofs are points
+        if self.level.pair.at_vertices:  # all dofs are points
             return values[: self.level.owned]
         if self.level.pair.nodal:
             return np.where(self.weights > 0, values[: self.level.owned], np.inf)

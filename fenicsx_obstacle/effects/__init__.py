@@ -1,5 +1,7 @@
 """One class for each physical effect a scene can name; nothing else is ever assembled.
 
+Each effect is a file: `domain/KEY.py` for a key of [effects], `boundary/KEY.py` for one of [[boundary]].
+
 Enters: terms, energies, flags, the reading of their data. Stays out: meshes and formulas, which a Sampler turns into
 Functions; the obstacle, which is a constraint and no effect.
 """

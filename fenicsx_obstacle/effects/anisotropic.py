@@ -34,6 +34,8 @@ class Anisotropic(Effect):
     term = "int (tension grad u) . grad v"
     unit = "force/length"
     elastic = True
+    dimension = (0, 0, 1)
+    no_bound = "the error bound needs a tension alike in all directions"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Anisotropic:
@@ -60,6 +62,9 @@ class Anisotropic(Effect):
 
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.eigenvalues(self.value)[:, -1]
+
+    def norm_matrix(self, data: Sampler) -> list[list[Any]]:
+        return [[data.cellwise(entry) for entry in row] for row in self.value]
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner

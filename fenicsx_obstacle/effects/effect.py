@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from fenicsx_obstacle.effects.field import Field, fields_in
@@ -18,21 +21,7 @@ if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite
     import numpy as np
     import ufl
 
-_HOME = {
-    "tension": "membrane",
-    "load": "membrane",
-    "large_slope": "slopes",
-    "power_law": "slopes",
-    "point_load": "points",
-    "axial_symmetry": "axial",
-    "drift": "flow",
-    "rate": "motion",
-    "inertia": "motion",
-    "foundation": "support",
-    "soft_obstacle": "support",
-    "flux": "boundary",
-    "spring": "boundary",
-}
+_FOLDERS = {"effects": "domain", "boundary": "boundary"}  # of this package, by the tables that name their effects
 
 
 class Reader(Protocol):
@@ -102,6 +91,39 @@ class Sampler(Protocol):
         """Integration over the part that a [[boundary]] gives a key, by the nodal rule of its facets if asked for."""
 
 
+class OutputSampler(Sampler, Protocol):
+    """Gives an effect besides what its output quantities are made of."""
+
+    def peclet(self, velocity: tuple[Field, ...]) -> float:
+        """The largest |velocity| h/(2 tension) of all cells (collective)."""
+
+
+class Units(Protocol):
+    """Other units of length, height and force, and another height of 0: how the data of an effect are written there."""
+
+    @property
+    def length(self) -> float:
+        """How many new units of length make an old one."""
+
+    @property
+    def height(self) -> float:
+        """The same for heights: u and the obstacles."""
+
+    @property
+    def force(self) -> float:
+        """The same for forces."""
+
+    @property
+    def pressure(self) -> float:
+        """How many new units of force per area make an old one."""
+
+    def scaled(self, value: Any, factor: float) -> Any:
+        """A number or a formula times a factor, at the same places; or each of those in a list or a table."""
+
+    def height_of(self, value: Any) -> Any:
+        """A number or a formula for a height."""
+
+
 class NodalSampler(Protocol):
     """Gives an effect its data at nodes."""
 
@@ -136,6 +158,11 @@ class Effect:
     convex: ClassVar[bool] = True  # it has a convex energy
     gives_way: ClassVar[bool] = False  # an obstacle that pushes back in proportion to the distance beyond it
     pointwise: ClassVar[bool] = False  # each node answers its own height alone, and the more the higher it is
+    no_bound: ClassVar[str] = ""  # why there is no bound of the error in energy with it
+    # powers of the units of length, height and force in the unit of its value; None: its scene has no other units
+    dimension: ClassVar[tuple[int, int, int] | None] = None
+    keeps_slopes: ClassVar[bool] = False  # it is the same in other units only where slopes are
+    rounds_slopes: ClassVar[bool] = False  # in units with other slopes its powers of them are rounded anew
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
@@ -152,6 +179,23 @@ class Effect:
         """
         return cls(reader.value(raw, place), **more)
 
+    @classmethod
+    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
+        """What stands in the scene, in other units; only where it has a `dimension`.
+
+        Args:
+            raw: In the old units.
+            units: The new ones.
+            dim: Dimension of the mesh.
+        """
+        assert cls.dimension is not None
+        length, height, force = cls.dimension
+        return units.scaled(raw, units.length**length * units.height**height * units.force**force)
+
+    def conflict(self, effects: Sequence[Effect]) -> str | None:
+        """Why it does not go with the other effects of a scene, naming its key; None where it does."""
+        return None
+
     @property
     def text(self) -> str:
         """Its data as the user wrote them."""
@@ -166,6 +210,30 @@ class Effect:
     def integrals(self) -> int:
         """How many integrals the residual has of it."""
         return int(type(self).terms is not Effect.terms)
+
+    @property
+    def isotropic_tension(self) -> Field | None:
+        """mu, where its part of a(u, v) is int mu grad u . grad v."""
+        return None
+
+    @property
+    def area_load(self) -> Field | None:
+        """f, where its part of f(v) is int f v, and it has none of a(u, v)."""
+        return None
+
+    @property
+    def velocity(self) -> tuple[Field, ...] | None:
+        """b, where its part of a(u, v) is int (b . grad u) v."""
+        return None
+
+    @property
+    def in_model_problem(self) -> bool:
+        """Whether (2.2) has it: -div(mu grad u) = f with a linear tension mu, maybe a matrix, and a load per area f."""
+        return (self.elastic and self.affine) or self.area_load is not None
+
+    def outputs(self, data: OutputSampler) -> dict[str, float]:
+        """Output quantities of a result that belong to it, by their names there (collective)."""
+        return {}
 
     def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
         """Its part of the residual a(u, v) - f(v), as far as it is a form."""
@@ -204,6 +272,15 @@ class Effect:
         energy = self.energy(e, data)
         return None if energy is None else 2 * energy
 
+    def norm_matrix(self, data: Sampler) -> list[list[Any]]:
+        """The rows of the matrix M of that norm, |e|^2 = int (M grad e) . grad e; one number stands for its multiples
+        of the identity."""
+        return [[data.cellwise(self.value, positive=True)]]
+
+    def energy_of_motion(self, velocity: Any, data: Sampler) -> ufl.Form | None:
+        """Its part of the energy of motion, where u_t is the velocity."""
+        return None
+
     def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
         """What it adds to the test functions of the terms that lean, or None."""
         return None
@@ -218,7 +295,7 @@ class Effect:
 
     def density(self, data: NodalSampler) -> np.ndarray | None:
         """Its values at owned nodes where it is a load per area, else None: for lumping with other weights."""
-        return None
+        return None if self.area_load is None else data.at_nodes(self.area_load)
 
 
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
@@ -262,14 +339,22 @@ def keys_of(
 _register: dict[str, type[Effect]] = {}
 
 
+@cache
+def _modules(table: str) -> dict[str, str]:
+    """Module of each effect of this package that a table can name, by its key, which is the file's name."""
+    folder = _FOLDERS[table]
+    files = iter_modules([str(Path(__file__).parent / folder)])
+    return {file.name: f"{__package__}.{folder}.{file.name}" for file in files}
+
+
 def register(effect: type[Effect]) -> type[Effect]:
     """Class decorator: scenes may name this effect by its `key`.
 
     Raises:
         InputError: If it has none, or one of this package's own.
     """
-    home = f"{__package__}.{_HOME.get(effect.key, '')}"
-    if not effect.key.isidentifier() or (effect.key in _HOME and effect.__module__ != home):
+    own = {**_modules("effects"), **_modules("boundary")}
+    if not effect.key.isidentifier() or effect.__module__ != own.get(effect.key, effect.__module__):
         raise InputError(f"effect {effect.__name__}: key = {effect.key!r} is taken, or no name")
     _register[effect.key] = effect
     return effect
@@ -277,12 +362,11 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 def known(table: str = "effects") -> set[str]:
     """The keys of all effects that a table can name, imported or not."""
-    there = {key for key, module in _HOME.items() if (module == "boundary") == (table == "boundary")}
-    return there | {key for key, effect in _register.items() if effect.table == table}
+    return {*_modules(table), *(key for key, effect in _register.items() if effect.table == table)}
 
 
 def find(key: str) -> type[Effect]:
     """The effect of a known key; its module is imported now."""
     if key not in _register:
-        import_module(f"fenicsx_obstacle.effects.{_HOME[key]}")
+        import_module({**_modules("effects"), **_modules("boundary")}[key])
     return _register[key]

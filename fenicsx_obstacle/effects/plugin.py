@@ -1,7 +1,8 @@
-"""Effects from outside the package: Python files that register their classes."""
+"""Effects and pairs from outside the package: Python files that register their classes."""
 
 from __future__ import annotations
 
+import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from fenicsx_obstacle.errors import InputError, ObstacleError
 
 
 def load_plugin(file: str | Path) -> None:
-    """Run a Python file, whose classes decorated with `register` scenes may name then (every rank reads it).
+    """Run a Python file, whose registered effects and pairs scenes may name then (every rank reads it).
 
     Raises:
         InputError: If there is no such file, or it fails.
@@ -18,8 +19,9 @@ def load_plugin(file: str | Path) -> None:
     spec = spec_from_file_location(f"fenicsx_obstacle_plugin_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(f"--plugin {path}: no such Python file")
+    module = sys.modules[spec.name] = module_from_spec(spec)  # dataclasses look for the module of their class
     try:
-        spec.loader.exec_module(module_from_spec(spec))
+        spec.loader.exec_module(module)
     except ObstacleError:
         raise
     except Exception as error:  # whatever the file does wrong is its author's to read

@@ -1,18 +1,15 @@
-"""Tensions that depend on the slope: surfaces of least area, and power laws."""
+"""What tensions that depend on the slope have in common."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.effects.effect import Effect, Sampler
 
 if TYPE_CHECKING:
     import numpy as np
     import ufl
-
-FLAT = 1e-6  # slope below which a power law is that of a linear membrane
 
 
 @dataclass(frozen=True)
@@ -23,6 +20,7 @@ class OfSlope(Effect):
     unit = "force/length"
     elastic = True
     affine = False
+    no_bound = "the error bound needs the effect 'tension'"
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
@@ -34,84 +32,3 @@ class OfSlope(Effect):
         from ufl import grad, inner
 
         return data.cellwise(self.value, positive=True) * inner(grad(e), grad(e)) * data.dx
-
-
-@register
-@dataclass(frozen=True)
-class LargeSlope(OfSlope):
-    """-div(s grad u/sqrt(1 + |grad u|^2)), s the surface tension: int s grad u . grad v/sqrt(1 + |grad u|^2).
-
-    The tension of a film whose slopes are no longer small; its energy s times the area is convex. Without load it is a
-    surface of least area. Newton's matrix is the exact derivative.
-    """
-
-    key = "large_slope"
-    equation = "-div(large_slope grad u/sqrt(1 + |grad u|^2))"
-    term = "int large_slope grad u . grad v/sqrt(1 + |grad u|^2)"
-
-    def greatest(self, data: Sampler) -> Any:
-        return data.cellwise(self.value, positive=True)
-
-    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner, sqrt
-
-        s = data.cellwise(self.value, positive=True)
-        return s * inner(grad(u), grad(v)) / sqrt(1 + inner(grad(u), grad(u))) * data.dx
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner, sqrt
-
-        return data.cellwise(self.value, positive=True) * sqrt(1 + inner(grad(u), grad(u))) * data.dx
-
-
-@register
-@dataclass(frozen=True)
-class PowerLaw(OfSlope):
-    """-div(k |grad u|^(n-2) grad u), 1 < n < 4: int k (|grad u|^2 + d^2)^((n-2)/2) grad u . grad v.
-
-    The n-Laplacian (Glowinski and Marrocco 1975): fluids, ice and torsion that creep by power laws. Where u is flat it
-    would have no stiffness (n > 2), or an infinite one (n < 2): the regularisation d is a slope below which it is that
-    of a linear membrane; energies change by less than k d^n area. Newton's matrix is the exact derivative.
-
-    Attributes:
-        exponent: n.
-        regularisation: d > 0, a slope.
-    """
-
-    exponent: float = 2.0
-    regularisation: float = FLAT
-
-    key = "power_law"
-    equation = "-div(coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u)"
-    term = "int coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u . grad v"
-
-    @classmethod
-    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PowerLaw:
-        given = keys_of(raw, place, reader, ("exponent",), ("coefficient", "regularisation"))
-        exponent = reader.number(given["exponent"], f"{place}.exponent")
-        flat = reader.number(given.get("regularisation", FLAT), f"{place}.regularisation")
-        if not 1 < exponent < 4:
-            raise InputError(f"{reader.source}: {place}.exponent = {exponent:g}: must be between 1 and 4")
-        if flat <= 0:
-            raise InputError(f"{reader.source}: {place}.regularisation = {flat:g}: must be positive")
-        return cls(reader.value(given.get("coefficient", 1.0), f"{place}.coefficient"), exponent, flat)
-
-    @property
-    def text(self) -> str:
-        return (
-            f"{{exponent = {self.exponent:g}, coefficient = {self.value.text}, "
-            f"regularisation = {self.regularisation:g}}}"
-        )
-
-    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
-        squared = inner(grad(u), grad(u)) + data.number(self.regularisation) ** 2
-        k = data.cellwise(self.value, positive=True)
-        return k * squared ** ((self.exponent - 2) / 2) * inner(grad(u), grad(v)) * data.dx
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
-        squared = inner(grad(u), grad(u)) + data.number(self.regularisation) ** 2
-        return data.cellwise(self.value, positive=True) * squared ** (self.exponent / 2) / self.exponent * data.dx

@@ -1,16 +1,22 @@
 """The pairs of the paper's Examples 1-3: a space V_h, a quadrature rule I, and the space Q_h of pressures.
 
-Adding a pair is adding a row: `register(Pair(...))`, also from outside the package.
+Adding a pair is adding a row, `register(Pair(...))`, and a subclass of Pair where its weights are not those of its
+rule; also from outside the package.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import factorial
 from types import MappingProxyType
+from typing import TYPE_CHECKING, ClassVar
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import Rule, midpoint_rule, nodal_rule
+
+if TYPE_CHECKING:
+    import numpy as np
 
 SIMPLICES = ("interval", "triangle", "tetrahedron")
 TENSORS = ("quadrilateral", "hexahedron")
@@ -25,7 +31,6 @@ class Pair:
         degree: Of the Lagrange space V_h.
         rules: I for each cell, by its name: positive weights (3.6).
         pressure: Family and degree of Q_h, whose nodes are the points of I: then I is diagonal in nodal values.
-        voronoi: D_i is the Voronoi area of the node instead of the rule's weights.
         words: What it is, in a few words.
     """
 
@@ -33,8 +38,9 @@ class Pair:
     degree: int
     rules: Mapping[str, Rule]
     pressure: tuple[str, int]
-    voronoi: bool = False
     words: str = ""
+
+    not_positive: ClassVar[str] = "a weight is not positive"  # what is wrong with a mesh where that is so
 
     def rule(self, cell: str) -> Rule:
         """I on a cell.
@@ -45,6 +51,32 @@ class Pair:
         if cell not in self.rules:
             raise InputError(f"element {self.name} is for {', '.join(self.rules)} cells, not for a {cell}")
         return self.rules[cell]
+
+    def cell_weights(self, corners: np.ndarray) -> np.ndarray:
+        """What D_i gets from each cell at the node i, where D_i is not the sum of the rule's weights; for P1 alone.
+
+        Args:
+            corners: Coordinates of the vertices of cells, shape (cells, vertices, 3).
+
+        Returns:
+            Shape (cells, vertices).
+        """
+        raise NotImplementedError
+
+    @property
+    def own_weights(self) -> bool:
+        """Whether it says what weights D_i the cells give."""
+        return type(self).cell_weights is not Pair.cell_weights
+
+    @property
+    def space(self) -> str:
+        """V_h in short: P1, Q2."""
+        return f"{'P' if any(cell in SIMPLICES for cell in self.rules) else 'Q'}{self.degree}"
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there is a bound of the error in energy, on triangles in the plane."""
+        return self.nests or self.stacks
 
     @property
     def nests(self) -> bool:
@@ -60,6 +92,37 @@ class Pair:
     def nodal(self) -> bool:
         """Whether the points of I are nodes of V_h, so that u may touch the obstacle node by node."""
         return self.pressure[0] != "DG"
+
+    @property
+    def at_vertices(self) -> bool:
+        """Whether the points of I are the vertices, and these all nodes of V_h: terms without gradients of u take I."""
+        return self.nodal and self.degree == 1
+
+
+class Voronoi(Pair):
+    """P1 with the Voronoi areas of the nodes: the lumped Laplacian is consistent on any Delaunay mesh.
+
+    -(A I_h w)_i / D_i is to tend to the Laplacian of w: D is chosen so that it is right for w = |x - x_i|^2, whose
+    Laplacian is 2 dim, D_i = -(1 / (2 dim)) sum_j A_ij |x_i - x_j|^2, A the Laplacian. In the plane these are the areas
+    of the Voronoi cells. The weights |T|/(dim + 1) of the vertex rule are right only where all vertices have as many
+    neighbours.
+    """
+
+    bounded = False
+    not_positive = "the mesh is not Delaunay, so that a Voronoi area is not positive"
+
+    def cell_weights(self, corners: np.ndarray) -> np.ndarray:
+        import numpy as np
+
+        x, dim = corners, corners.shape[1] - 1
+        edges = x[:, 1:] - x[:, :1]
+        gram = edges @ edges.transpose(0, 2, 1)
+        volumes = np.sqrt(np.linalg.det(gram)) / factorial(dim)
+        inner = np.linalg.solve(gram, edges)  # gradients of all barycentric coordinates but one
+        slopes = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
+        stiffness = volumes[:, None, None] * (slopes @ slopes.transpose(0, 2, 1))
+        squares = ((x[:, :, None] - x[:, None, :]) ** 2).sum(axis=3)
+        return -(stiffness * squares).sum(axis=2) / (2 * dim)
 
 
 _register: dict[str, Pair] = {}
@@ -96,11 +159,11 @@ P1 = register(Pair("P1", 1, {cell: nodal_rule(cell) for cell in SIMPLICES}, ("La
               words="vertex rule, the weights |T|/(dim + 1) at the vertices of each cell T"))  # fmt: skip
 register(Pair("Q1", 1, {cell: nodal_rule(cell) for cell in TENSORS}, ("Lagrange", 1),
               words="trapezoid rule, weights detJ(x_i)/2^dim at the vertices of each cell"))  # fmt: skip
-register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in TENSORS}, ("Lagrange", 2),
-              words="Simpson's rule in each direction"))  # fmt: skip
 register(Pair("P2", 2, {"triangle": midpoint_rule("triangle")}, ("CR", 1),
               words="rule at edge midpoints, obstacle and pressure there"))  # fmt: skip
-register(Pair("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1), voronoi=True,
-              words="vertex rule with Voronoi areas: consistent on any Delaunay mesh"))  # fmt: skip
+register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in TENSORS}, ("Lagrange", 2),
+              words="Simpson's rule in each direction"))  # fmt: skip
+register(Voronoi("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1),
+                 words="vertex rule with Voronoi areas: consistent on any Delaunay mesh"))  # fmt: skip
 register(Pair("Q1-gauss", 1, {"quadrilateral": midpoint_rule("quadrilateral")}, ("DG", 0),
               words="one-point Gauss rule: unstable, p_h shows a chessboard"))  # fmt: skip

@@ -52,8 +52,7 @@ class Report:
         dim, pair = self.level.mesh.geometry.dim, self.level.pair
         if not pair.nests:
             raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}")
-        elastic = self.data.model.elastic
-        if elastic.key != "tension" or isinstance(elastic.value, tuple):
+        if self.data.model.elastic.isotropic_tension is None:
             for formula in self.scene.report.values():
                 if {"flux", NORMAL_FLUX} & formula.names:
                     raise InputError(f"{formula.place}: flux needs a tension alike in all directions and at all slopes")
@@ -165,7 +164,8 @@ class Report:
         return np.sqrt(np.maximum(np.sum(rises * solved, axis=1), 0.0))
 
     def _tension(self, cells: np.ndarray) -> np.ndarray | float:
-        tension = self.data.model.elastic.value
+        tension = self.data.model.elastic.isotropic_tension
+        assert tension is not None
         values = self.data.cellwise(tension)
         if isinstance(values, fem.Constant):
             return float(values.value)

@@ -12,7 +12,7 @@ from fenicsx_obstacle.discrete.grids import coarsest_grid
 from fenicsx_obstacle.discrete.levels import Level, of_mesh, of_pair, refined
 from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import P1, SIMPLICES
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.scenes.scene import Scene
 
 
@@ -30,7 +30,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
         dim = level.mesh.topology.dim
         check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
         level = refined(level)
-    return level if pair is P1 else of_pair(level, pair)
+    return of_pair(level, pair)
 
 
 def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
@@ -40,7 +40,7 @@ def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
         InputError: As `build`.
     """
     level, _ = _begin(scene, comm)
-    return level if scene.pair is P1 else of_pair(level, scene.pair)
+    return of_pair(level, scene.pair)
 
 
 def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:

@@ -44,10 +44,6 @@ def moments(scene: Scene) -> Moments | None:
             raise InputError(f"{source}: [time] {key}: {why}")
     if order > EQUILIBRIA and table.start is None:
         raise InputError(f"{source}: [time]: the key 'start' is missing, u at t = 0")
-    if order == INERTIA:
-        for effect in scene.effects:
-            if not (effect.affine and effect.symmetric):
-                raise InputError(f"{source}: [effects] inertia does not go with {effect.key}: no energy is kept")
     fields = {key: None if (value := getattr(table, key)) is None else scene.field(value, f"[time] {key}")
               for key in ("start", "velocity")}  # fmt: skip
     for field in fields.values():

@@ -253,15 +253,15 @@ class Scene(Vocabulary):
         if len(elastic) > 1:
             raise InputError(f"{self.source}: [effects] names {' and '.join(elastic)}: a membrane has one tension")
         effects = [find(key).read(value, f"[effects] {key}", self) for key, value in self.tables.effects.items()]
-        if "drift" in self.tables.effects and elastic != ["tension"]:
-            raise InputError(f"{self.source}: [effects] drift goes with tension, not with {elastic[0]}")
-        if {"axial_symmetry", "point_load"} <= set(self.tables.effects):
-            raise InputError(f"{self.source}: [effects] point_load: with axial_symmetry a point is a ring")
         for number, part in enumerate(self.tables.boundary):
             for key in sorted(known("boundary")):
                 raw = getattr(part, key)
                 if raw is not None:
                     effects.append(find(key).read(raw, f"{part_place(number)} {key}", self, part=number))
+        for effect in effects:
+            if (why := effect.conflict(effects)) is not None:
+                place = "[effects]" if effect.table == "effects" else "[[boundary]]"
+                raise InputError(f"{self.source}: {place} {why}")
         return tuple(effects)
 
     def field(self, value: float | str, place: str) -> FormulaField:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
+from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import SHOWN
 from fenicsx_obstacle.words import nearest
@@ -51,19 +52,28 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     upper: Value | None = None
 
 
-class BoundaryTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] beside `value`: effects, obstacles
+
+
+class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[[boundary]]: where, and the value of u there, or what acts: tension du/dn = flux - spring u + p of obstacles."""
 
     on: str | tuple[str, ...] | None = None
     where: str | None = None
     value: Value | None = None
-    flux: Value | None = None
-    spring: Value | None = None
-    lower: Value | None = None
-    upper: Value | None = None
 
 
-ACTING = ("flux", "spring", "lower", "upper")  # keys of [[boundary]] beside `value`
+if TYPE_CHECKING:
+
+    class BoundaryTable(_PartTable, frozen=True):
+        lower: Value | None = None
+        upper: Value | None = None
+
+else:
+    BoundaryTable = msgspec.defstruct(
+        "BoundaryTable", [(key, Value | None, None) for key in ACTING], bases=(_PartTable,), module=__name__,
+        frozen=True, forbid_unknown_fields=True, omit_defaults=True,
+    )  # fmt: skip
 
 
 class TimeTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

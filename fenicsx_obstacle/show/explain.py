@@ -147,7 +147,7 @@ def _discrete(scene: Scene) -> list[str]:
         terms.append(f"+ {rule}((u - upper)^+, v)")
     if penalised and "lower" in sides:
         terms.append(f"- {rule}((lower - u)^+, v)")
-    space = f"V_h, continuous {scene.pair.name.partition('-')[0]}"
+    space = f"V_h, continuous {scene.pair.space}"
     lines = [f"{' '.join(terms)} = f(v) for all v in {space}, v = 0 where u is given" + "   (3.4)" * bool(sides)]
     if not penalised and sides:
         lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]
@@ -195,7 +195,7 @@ def _size(scene: Scene) -> list[str]:
     shape, degree = shape_of(scene), scene.pair.degree
     dim = len(shape.cells)
     unknowns = shape.vertices(degree * 2.0**scene.tables.mesh.refine)
-    more = 1.0 if {effect.key for effect in scene.effects} <= {"tension", "load"} else OTHERS
+    more = 1.0 if all(effect.in_model_problem for effect in scene.effects) else OTHERS
     megabytes = max(unknowns * more * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
     return [f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB beside the libraries"]
 

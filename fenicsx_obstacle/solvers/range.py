@@ -45,7 +45,7 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     other side: an error as large as the solution is none.
     """
     comm, pair = problem.level.comm, problem.level.pair
-    if total(comm, np.count_nonzero(active)) > 0 and not (pair.nodal and pair.degree == 1):
+    if total(comm, np.count_nonzero(active)) > 0 and not pair.at_vertices:
         return None  # u is not between the obstacles where it is free of them, at vertices of P2
     low, high = range_of_data(problem, active)
     u = problem.w.x.array + problem.reference.x.array
@@ -136,15 +136,15 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     unit load makes u far larger than the time in which the drift crosses the domain.
     """
     level, data, effects = problem.level, problem.data, problem.model.effects
-    drift = next((effect for effect in effects if effect.key == "drift"), None)
-    if drift is None or not (problem.affine and level.pair.nodal):
+    velocity = next((found for effect in effects if (found := effect.velocity) is not None), None)
+    if velocity is None or not (problem.affine and level.pair.nodal):
         return None
-    from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed  # only where a model names drift
+    from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed  # only where a model has drift
 
-    if (number := peclet(data, drift)) <= 1:
+    if (number := peclet(data, velocity)) <= 1:
         return None
     free = ~problem.fixed & (active == 0)
-    if largest(level.comm, depth_of_sources(data, drift)[free]) <= DEEP:
+    if largest(level.comm, depth_of_sources(data, velocity)[free]) <= DEEP:
         problem.nodal.spring(problem.A, np.where(active != 0, np.inf, 0.0))
         z, load = problem.A.createVecs()
         load.array[:] = np.where(free, problem.nodal.unit_load(), 0.0)
@@ -152,7 +152,7 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
         most = largest(level.comm, np.abs(z.array_r))
         for vector in (z, load):
             vector.destroy()
-        if not solved or most * speed(data, drift) <= TRAPPED * data.extent:
+        if not solved or most * speed(data, velocity) <= TRAPPED * data.extent:
             return None
     return (
         "the drift flows away from some places on all sides, or in circles, so that u is large there, and the cells "

@@ -15,13 +15,12 @@ from typing import Any
 import msgspec
 
 from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.effects.slopes import FLAT
+from fenicsx_obstacle.effects.effect import find
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_SHAPE
 
 BILLION = 2.0**30
 MILLION = 2.0**20
-COUNTED = {"foundation", "spring"}  # effects that count heights from 0
 _LENGTHS = re.compile(r"\b(x|y|z|r|distance)\b")
 
 
@@ -62,7 +61,7 @@ class Units:
         where slopes bend, so are shifted heights."""
         if self.shift != 0.0:
             return all(effect.affine for effect in model.effects)
-        return self.height == self.length or all(effect.key != "power_law" for effect in model.effects)
+        return self.height == self.length or not any(effect.rounds_slopes for effect in model.effects)
 
     def of(self, scene: Scene) -> Scene:
         """The scene in these units, without its exact solution and report; meshes of files keep their length."""
@@ -78,53 +77,22 @@ class Units:
         changes: dict[str, Any] = {f"mesh.{key}": value for key, value in mesh.items()}
         changes |= {f"define.{key}": self._old(value) for key, value in tables.get("define", {}).items()}
         dim = {"interval": 1, "box": 3}.get(mesh.get("shape", ""), 2)
-        changes["effects"] = {key: self._effect(key, value, dim) for key, value in tables.get("effects", {}).items()}
-        changes |= {f"obstacle.{key}": self._height(value) for key, value in obstacle.items()}
-        new = {"value": self._height, "lower": self._height, "upper": self._height, "where": self._old}
-        new |= {key: partial(self._all, factor=factor) for key, factor in self._factors.items()}
+        given = tables.get("effects", {})
+        changes["effects"] = {key: find(key).in_units(value, self, dim) for key, value in given.items()}
+        changes |= {f"obstacle.{key}": self.height_of(value) for key, value in obstacle.items()}
+        new = {"value": self.height_of, "lower": self.height_of, "upper": self.height_of, "where": self._old}
+        acting = {effect.key for effect in scene.effects if effect.table == "boundary"}
+        new |= {key: partial(find(key).in_units, units=self, dim=dim) for key in acting}
         parts = tables.get("boundary", ())
         changes["boundary"] = [{k: new[k](v) if k in new else v for k, v in part.items()} for part in parts]
         return scene.change({**changes, "exact": None, "report": {}})
 
-    @property
-    def _factors(self) -> dict[str, float]:
-        """By what the value of an effect is multiplied."""
-        tension, length = self.force, self.length
-        return {
-            "tension": tension, "large_slope": tension, "load": self.pressure, "drift": tension / length,
-            "foundation": tension / length**2, "spring": tension / length, "flux": tension * self.height / length,
-        }  # fmt: skip
-
-    def _effect(self, key: str, value: Any, dim: int) -> Any:
-        """What stands in [effects], in these units."""
-        if key == "point_load":
-            factor = self.pressure * self.length**dim
-            ats = [one["at"] if isinstance(one["at"], list) else [one["at"]] for one in value]
-            return [
-                {"at": [self._times(x, self.length) for x in at], "force": self._times(one["force"], factor)}
-                for at, one in zip(ats, value, strict=True)
-            ]
-        if key == "soft_obstacle":
-            stiffness = self._all(value["stiffness"], self.force / self.length**2)
-            sides = {side: self._height(g) for side, g in value.items() if side != "stiffness"}
-            return {**sides, "stiffness": stiffness}
-        if key == "power_law":
-            slope = self.height / self.length
-            # a power of two for exponents with one digit: nothing is rounded
-            factor = self.force * 2.0 ** round(math.log2(slope) * (2 - float(value["exponent"])), 6)
-            flat = value.get("regularisation", FLAT)
-            return {
-                **value, "coefficient": self._all(value.get("coefficient", 1.0), factor),
-                "regularisation": self._times(flat, slope),
-            }  # fmt: skip
-        return value if key == "axial_symmetry" else self._all(value, self._factors[key])
-
-    def _all(self, value: Any, factor: float) -> Any:
-        """A number or a formula times a factor, or each of those in a list or a table."""
+    def scaled(self, value: Any, factor: float) -> Any:
+        """A number or a formula times a factor, at the same places; or each of those in a list or a table."""
         if isinstance(value, dict):
-            return {name: self._all(part, factor) for name, part in value.items()}
+            return {name: self.scaled(part, factor) for name, part in value.items()}
         if isinstance(value, list):
-            return [self._all(part, factor) for part in value]
+            return [self.scaled(part, factor) for part in value]
         return self._times(self._old(value), factor)
 
     def _old(self, value: Any) -> Any:
@@ -134,7 +102,8 @@ class Units:
     def _times(self, value: Any, factor: float) -> Any:
         return f"({value})*{factor!r}" if isinstance(value, str) else value * factor
 
-    def _height(self, value: Any) -> Any:
+    def height_of(self, value: Any) -> Any:
+        """A number or a formula for a height."""
         scaled = self._times(self._old(value), self.height)
         if self.shift == 0.0:
             return scaled
@@ -145,19 +114,21 @@ def all_units(scene: Scene, size: float) -> list[Units]:
     """The units in which a scene is the same.
 
     Args:
-        scene: Meshes of files keep their lengths.
+        scene: Meshes of files keep their lengths; none are known for effects without a `dimension`.
         size: Of its solution.
     """
-    shape, effects = scene.tables.mesh.shape is not None, {effect.key for effect in scene.effects}
+    shape, effects = scene.tables.mesh.shape is not None, scene.effects
+    if any(effect.dimension is None for effect in effects):
+        return []
     found = []
     for key in ("length", "height", "force"):
         for sign, factor in (("-", 1 / BILLION), ("", BILLION)):
             scaled = {key: factor}
-            if "large_slope" in effects and key != "force":
+            if any(effect.keeps_slopes for effect in effects) and key != "force":
                 scaled = {"length": factor, "height": factor}
             if shape or "length" not in scaled:
                 found.append(Units(f"{' and '.join(f'{one}s' for one in scaled)} x 2^{sign}30", **scaled))
-    if effects & COUNTED:
+    if any(effect.holds and effect.order == 0 for effect in effects):  # heights count from 0 there
         return list(dict.fromkeys(found))
     power = 2.0 ** round(math.log2(size)) if size > 0 else 1.0
     return [*dict.fromkeys(found), Units("heights + 2^20 sizes", shift=MILLION * power)]

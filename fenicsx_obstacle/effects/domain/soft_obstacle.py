@@ -1,42 +1,16 @@
-"""What holds a membrane from below or above at every point, elastically: a foundation, and obstacles that give way."""
+"""An obstacle that gives way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, Units, keys_of, register
 
 if TYPE_CHECKING:
     import ufl
 
     from fenicsx_obstacle.effects.field import Field
-
-
-@register
-class Foundation(Effect):
-    """Winkler's foundation: k u on the left side, int k u v with k >= 0; unit: force per volume.
-
-    By the nodal rule I where the element has one of degree 1: diagonal, so that it keeps the signs of an M-matrix.
-    In other words a reaction term, a rate of decay, or the interest of a value.
-    """
-
-    key = "foundation"
-    equation = "foundation u"
-    left = True
-    term = "+ int foundation u v"
-    leans = True
-    unit = "force/volume"
-    holds = True
-
-    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        return data.cellwise(self.value, least=0.0) * u * v * data.dI
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        return 0.0, 0.0
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI
 
 
 @register
@@ -63,12 +37,18 @@ class SoftObstacle(Effect):
     affine = False
     gives_way = True
     pointwise = True
+    dimension = (-2, 0, 1)  # of the stiffness
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> SoftObstacle:
         given = keys_of(raw, place, reader, ("stiffness",), ("lower", "upper"), one_of=("lower", "upper"))
         sides = {side: reader.field(given[side], f"{place}.{side}") for side in ("lower", "upper") if side in given}
         return cls(reader.value(given["stiffness"], f"{place}.stiffness"), **sides)
+
+    @classmethod
+    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
+        sides = {side: units.height_of(g) for side, g in raw.items() if side != "stiffness"}
+        return {**sides, "stiffness": super().in_units(raw["stiffness"], units, dim)}
 
     @property
     def text(self) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, Units, keys_of, register
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ class PointLoad(Effect):
     equation = "sum of point_load delta"
     term = "- sum point_load v(point)"
     unit = "force"
+    dimension = (0, 1, 1)  # of the force, on a plane mesh
+    no_bound = "the energy of a point load is infinite: there is no bound of its error"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PointLoad:
@@ -45,6 +48,19 @@ class PointLoad(Effect):
             force = reader.number(given["force"], f"{here}.force")
             found.append((tuple(reader.number(x, f"{here}.at") for x in at), force))
         return cls(tuple(found))
+
+    @classmethod
+    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
+        factor = units.pressure * units.length**dim
+        return [
+            {"at": [units.scaled(x, units.length) for x in (at if isinstance(at, list) else [at])],
+             "force": units.scaled(one["force"], factor)}
+            for one in raw for at in [one["at"]]
+        ]  # fmt: skip
+
+    def conflict(self, effects: Sequence[Effect]) -> str | None:
+        radial = [effect.key for effect in effects if effect.radial]
+        return f"{self.key}: with {radial[0]} a point is a ring" if radial else None
 
     @property
     def text(self) -> str:

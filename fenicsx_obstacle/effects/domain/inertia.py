@@ -1,36 +1,14 @@
-"""What makes a scene move: a rate of change, and inertia. How they become differences is `data.motion`'s affair."""
+"""Mass. How it becomes a difference is `data.motion`'s affair."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from fenicsx_obstacle.effects.effect import Effect, Sampler, register
 
 if TYPE_CHECKING:
     import ufl
-
-
-@register
-class Rate(Effect):
-    """Resistance to change: c u_t on the left side, int c u_t v with c > 0; unit: force time/length^3.
-
-    By the nodal rule I where the element has one of degree 1: a diagonal keeps the signs of an M-matrix, so that
-    implicit Euler is monotone. A step is a static problem with the foundation c/dt, and falls in energy.
-    """
-
-    key = "rate"
-    equation = "rate u_t"
-    left = True
-    term = "+ int rate u_t v, nodal rule"
-    unit = "force time/length^3"
-    holds = True
-    order = 1
-
-    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        return data.cellwise(self.value, positive=True) * data.motion.rate(u) * v * data.dI
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return data.cellwise(self.value, positive=True) * data.motion.rate_energy(u) * data.dI
 
 
 @register
@@ -48,7 +26,12 @@ class Inertia(Effect):
     term = "+ int inertia u_tt v, nodal rule"
     unit = "mass/length^2"
     holds = True
+    dimension = (-2, 0, 1)
     order = 2
+
+    def conflict(self, effects: Sequence[Effect]) -> str | None:
+        others = [effect.key for effect in effects if not (effect.affine and effect.symmetric)]
+        return f"{self.key} does not go with {others[0]}: no energy is kept" if others else None
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, positive=True) * data.motion.acceleration(u) * v * data.dI

@@ -1,14 +1,16 @@
-"""The membrane: tension and load."""
+"""The tension of a membrane."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, NodalSampler, Reader, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 
 if TYPE_CHECKING:
     import numpy as np
     import ufl
+
+    from fenicsx_obstacle.effects.field import Field
 
 
 @register
@@ -25,6 +27,7 @@ class Tension(Effect):
     term = "int tension grad u . grad v"
     unit = "force/length"
     elastic = True
+    dimension = (0, 0, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
@@ -33,6 +36,10 @@ class Tension(Effect):
 
             return Anisotropic.read(raw, place, reader)
         return cls(reader.value(raw, place))
+
+    @property
+    def isotropic_tension(self) -> Field:
+        return self.value
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
@@ -53,27 +60,3 @@ class Tension(Effect):
         from ufl import grad, inner
 
         return 0.5 * data.cellwise(self.value, positive=True) * inner(grad(u), grad(u)) * data.dx
-
-
-@register
-class Load(Effect):
-    """The load f of f(v) = int f v, sampled as `Level.W` is; unit: force per area."""
-
-    key = "load"
-    equation = "load"
-    term = "- int load v"
-    leans = True
-    unit = "force/area"
-
-    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        return -data.cellwise(self.value) * v * data.dx
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return -data.cellwise(self.value) * u * data.dx
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        values = data.values(self.value)
-        return float(values.min(initial=0.0)), float(values.max(initial=0.0))
-
-    def density(self, data: NodalSampler) -> np.ndarray:
-        return data.at_nodes(self.value)

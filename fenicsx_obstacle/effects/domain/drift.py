@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, OutputSampler, Reader, Sampler, register
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ class Drift(Effect):
     symmetric = False
     convex = False
     leans = True
+    dimension = (-1, 0, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Drift:
@@ -53,6 +55,17 @@ class Drift(Effect):
             wanted = "a list of one number or formula per coordinate"
             raise InputError(f"{reader.source}: {place} = {raw!r}: expected {wanted}")
         return cls(tuple(reader.field(part, f"{place}[{axis}]") for axis, part in enumerate(raw)))
+
+    def conflict(self, effects: Sequence[Effect]) -> str | None:
+        bent = [effect.key for effect in effects if effect.elastic and not effect.affine]
+        return f"{self.key} goes with tension, not with {bent[0]}" if bent else None
+
+    @property
+    def velocity(self) -> tuple[Field, ...]:
+        return self.value
+
+    def outputs(self, data: OutputSampler) -> dict[str, float]:
+        return {"peclet": data.peclet(self.value)}
 
     @property
     def text(self) -> str:

@@ -1,0 +1,36 @@
+"""A flux through a part of the boundary."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Sampler, register
+
+if TYPE_CHECKING:
+    import ufl
+
+
+@register
+class Flux(OnPart):
+    """tension du/dn = flux: the Neumann condition, - int flux v; unit: force per length.
+
+    The formula is interpolated between the nodes of the part. Source: natural condition of (2.2).
+    """
+
+    key = "flux"
+    table = "boundary"
+    equation = "flux"
+    term = "- int flux v over its part"
+    unit = "force/length"
+    dimension = (-1, 1, 1)
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key)
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        values = data.on_part(self.value, self.part).x.array
+        return float(values.min(initial=0.0)), float(values.max(initial=0.0))
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        return -data.on_part(self.value, self.part) * u * data.over(self.part, self.key)

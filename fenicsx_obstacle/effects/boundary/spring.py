@@ -1,0 +1,39 @@
+"""Springs on a part of the boundary."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Sampler, register
+
+if TYPE_CHECKING:
+    import ufl
+
+
+@register
+class Spring(OnPart):
+    """tension du/dn = -spring u: Robin's condition, int spring u v with spring >= 0; unit: force per area.
+
+    By the nodal rule of the facets, so that it is diagonal like the penalty and keeps the signs of an M-matrix; with a
+    flux `spring*g` beside it the springs rest at the height g.
+    """
+
+    key = "spring"
+    table = "boundary"
+    equation = "- spring u"
+    term = "+ int spring u v over its part, nodal rule"
+    unit = "force/area"
+    holds = True
+    dimension = (-1, 0, 1)
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        k = data.on_part(self.value, self.part, least=0.0)
+        return k * u * v * data.over(self.part, self.key, nodal=True)
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        k = data.on_part(self.value, self.part, least=0.0)
+        return 0.5 * k * u**2 * data.over(self.part, self.key, nodal=True)

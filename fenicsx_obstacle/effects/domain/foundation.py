@@ -1,0 +1,37 @@
+"""An elastic foundation."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Effect, Sampler, register
+
+if TYPE_CHECKING:
+    import ufl
+
+
+@register
+class Foundation(Effect):
+    """Winkler's foundation: k u on the left side, int k u v with k >= 0; unit: force per volume.
+
+    By the nodal rule I where the element has one of degree 1: diagonal, so that it keeps the signs of an M-matrix.
+    In other words a reaction term, a rate of decay, or the interest of a value.
+    """
+
+    key = "foundation"
+    equation = "foundation u"
+    left = True
+    term = "+ int foundation u v"
+    leans = True
+    unit = "force/volume"
+    holds = True
+    dimension = (-2, 0, 1)
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return data.cellwise(self.value, least=0.0) * u * v * data.dI
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        return 0.0, 0.0
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI

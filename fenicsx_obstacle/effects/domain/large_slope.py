@@ -1,0 +1,42 @@
+"""A surface tension, where slopes are large."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Sampler, register
+from fenicsx_obstacle.effects.slopes import OfSlope
+
+if TYPE_CHECKING:
+    import ufl
+
+
+@register
+@dataclass(frozen=True)
+class LargeSlope(OfSlope):
+    """-div(s grad u/sqrt(1 + |grad u|^2)), s the surface tension: int s grad u . grad v/sqrt(1 + |grad u|^2).
+
+    The tension of a film whose slopes are no longer small; its energy s times the area is convex. Without load it is a
+    surface of least area. Newton's matrix is the exact derivative.
+    """
+
+    key = "large_slope"
+    equation = "-div(large_slope grad u/sqrt(1 + |grad u|^2))"
+    term = "int large_slope grad u . grad v/sqrt(1 + |grad u|^2)"
+    dimension = (0, 0, 1)
+    keeps_slopes = True
+
+    def greatest(self, data: Sampler) -> Any:
+        return data.cellwise(self.value, positive=True)
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner, sqrt
+
+        s = data.cellwise(self.value, positive=True)
+        return s * inner(grad(u), grad(v)) / sqrt(1 + inner(grad(u), grad(u))) * data.dx
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner, sqrt
+
+        return data.cellwise(self.value, positive=True) * sqrt(1 + inner(grad(u), grad(u))) * data.dx

@@ -1,0 +1,38 @@
+"""A load per area."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Effect, Sampler, register
+
+if TYPE_CHECKING:
+    import ufl
+
+    from fenicsx_obstacle.effects.field import Field
+
+
+@register
+class Load(Effect):
+    """The load f of f(v) = int f v, sampled as `Level.W` is; unit: force per area."""
+
+    key = "load"
+    equation = "load"
+    term = "- int load v"
+    leans = True
+    unit = "force/area"
+    dimension = (-2, 1, 1)
+
+    @property
+    def area_load(self) -> Field:
+        return self.value
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return -data.cellwise(self.value) * v * data.dx
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        return -data.cellwise(self.value) * u * data.dx
+
+    def push(self, data: Sampler) -> tuple[float, float]:
+        values = data.values(self.value)
+        return float(values.min(initial=0.0)), float(values.max(initial=0.0))

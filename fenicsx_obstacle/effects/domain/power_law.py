@@ -1,0 +1,81 @@
+"""A tension that is a power of the slope."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.effect import Reader, Sampler, Units, keys_of, register
+from fenicsx_obstacle.effects.slopes import OfSlope
+from fenicsx_obstacle.errors import InputError
+
+if TYPE_CHECKING:
+    import ufl
+
+FLAT = 1e-6  # slope below which a power law is that of a linear membrane
+
+
+@register
+@dataclass(frozen=True)
+class PowerLaw(OfSlope):
+    """-div(k |grad u|^(n-2) grad u), 1 < n < 4: int k (|grad u|^2 + d^2)^((n-2)/2) grad u . grad v.
+
+    The n-Laplacian (Glowinski and Marrocco 1975): fluids, ice and torsion that creep by power laws. Where u is flat it
+    would have no stiffness (n > 2), or an infinite one (n < 2): the regularisation d is a slope below which it is that
+    of a linear membrane; energies change by less than k d^n area. Newton's matrix is the exact derivative.
+
+    Attributes:
+        exponent: n.
+        regularisation: d > 0, a slope.
+    """
+
+    exponent: float = 2.0
+    regularisation: float = FLAT
+
+    key = "power_law"
+    equation = "-div(coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u)"
+    term = "int coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u . grad v"
+    dimension = (0, 0, 1)  # of the coefficient, where slopes stay
+    rounds_slopes = True
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PowerLaw:
+        given = keys_of(raw, place, reader, ("exponent",), ("coefficient", "regularisation"))
+        exponent = reader.number(given["exponent"], f"{place}.exponent")
+        flat = reader.number(given.get("regularisation", FLAT), f"{place}.regularisation")
+        if not 1 < exponent < 4:
+            raise InputError(f"{reader.source}: {place}.exponent = {exponent:g}: must be between 1 and 4")
+        if flat <= 0:
+            raise InputError(f"{reader.source}: {place}.regularisation = {flat:g}: must be positive")
+        return cls(reader.value(given.get("coefficient", 1.0), f"{place}.coefficient"), exponent, flat)
+
+    @classmethod
+    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
+        slope = units.height / units.length
+        # a power of two for exponents with one digit: nothing is rounded
+        factor = units.force * 2.0 ** round(math.log2(slope) * (2 - float(raw["exponent"])), 6)
+        return {
+            **raw, "coefficient": units.scaled(raw.get("coefficient", 1.0), factor),
+            "regularisation": units.scaled(raw.get("regularisation", FLAT), slope),
+        }  # fmt: skip
+
+    @property
+    def text(self) -> str:
+        return (
+            f"{{exponent = {self.exponent:g}, coefficient = {self.value.text}, "
+            f"regularisation = {self.regularisation:g}}}"
+        )
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        squared = inner(grad(u), grad(u)) + data.number(self.regularisation) ** 2
+        k = data.cellwise(self.value, positive=True)
+        return k * squared ** ((self.exponent - 2) / 2) * inner(grad(u), grad(v)) * data.dx
+
+    def energy(self, u: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        squared = inner(grad(u), grad(u)) + data.number(self.regularisation) ** 2
+        return data.cellwise(self.value, positive=True) * squared ** (self.exponent / 2) / self.exponent * data.dx
