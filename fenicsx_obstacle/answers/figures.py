@@ -15,19 +15,19 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
 
 
-def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) -> dict[str, Any]:
+def figures_of(problem: Problem, options: SolverOptions, eps: float | None, state: State) -> dict[str, Any]:
     """Part of answer.json (collective).
 
     Args:
         problem: Just solved.
-        scene: With the [solve] table that it was solved with.
+        options: That it was solved with.
         eps: Penalty parameter, or None.
         state: What came out.
     """
-    level, asked, contact = problem.level, scene.tables.solve.method, state.contact
+    scene, level, asked, contact = problem.scene, problem.level, options.method, state.contact
     figures: dict[str, Any] = {
         "scene": scene.name, "title": scene.tables.title, "method": asked,
         **({"m_matrix": problem.m_matrix} if asked == "successive" else {}),

@@ -12,6 +12,7 @@ from msgspec import Meta, Struct
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import SHOWN, nearest
+from fenicsx_obstacle.solvers.options import MethodName, StartName
 
 Value = float | str  # a number or a formula
 MAX_BYTES = 1_000_000  # of a scene file
@@ -123,8 +124,8 @@ class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     """[solve]: how to solve; the command line wins."""
 
     element: str | None = None
-    method: Literal["penalty", "successive", "vi"] = "penalty"
-    start: Literal["nested", "cold"] = "nested"
+    method: MethodName = "penalty"
+    start: StartName = "nested"
     eps: Value = "auto"
 
 
