@@ -39,7 +39,7 @@ def test_eps_of_options():
     assert penalty_parameter(problem, scene.options) == pytest.approx(2 * h**2 / 4, rel=1e-14)
     own = SolverOptions(eps=EpsFormula("2*h^2", lambda h: 2 * h**2))
     assert penalty_parameter(problem, own) == penalty_parameter(problem, scene.options)
-    assert penalty_parameter(problem, SolverOptions()) == pytest.approx(h**2 / 400, rel=1e-14)
+    assert penalty_parameter(problem, SolverOptions()) == penalty_parameter(problem, scene.options_with(eps="h^2/100"))
     assert penalty_parameter(problem, SolverOptions(eps=1e-3)) == 1e-3
     assert penalty_parameter(problem, scene.options_with(eps="c/1000")) == 2e-3
 

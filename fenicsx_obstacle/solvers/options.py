@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
+import numpy as np
+
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.words import plain
 
@@ -30,7 +32,7 @@ class EpsFormula:
 
 
 # as small as makes its error a few per cent of the mesh's: solvers do not mind how small
-AUTO = EpsFormula("h^2/100", lambda h: h**2 / 100)
+AUTO = EpsFormula("h^2/100", lambda h: float(np.power(h, 2.0) / 100))  # digit for digit what a scene makes of the text
 
 
 @dataclass(frozen=True)
