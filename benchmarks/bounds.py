@@ -51,7 +51,7 @@ def effectivities(bench: Workbench, many: list) -> None:
     """Bounds beside true errors (collective)."""
     scene = bench.scene
     for eps in many:
-        answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+        answer = bench.answer(scene.options_with(eps=eps), bound=True)
         bound, error = answer.bound, answer.record["errors"]["energy"]
         of_v = bench.exact.errors(bound.admissible, answer.pressure, answer.record["eps"])["energy"]
         error_v = of_v if scene.pair.degree == 1 else float("nan")  # v is no function of P2

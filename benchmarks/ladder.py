@@ -46,11 +46,11 @@ def main() -> None:
     parser.add_argument("--beside", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    ways: dict[str, dict[str, Any]] = {f"eps={eps}": {"solve.eps": eps} for eps in values_of(options.eps, "eps")}
-    ways["vi"] = {"solve.method": "vi"}
+    ways: dict[str, dict[str, Any]] = {f"eps={eps}": {"eps": eps} for eps in values_of(options.eps, "eps")}
+    ways["vi"] = {"method": "vi"}
     if options.beside:
-        ways["vi-amg-grids"] = {"solve.method": "vi"}
-        ways["vi-amg-cold"] = {"solve.method": "vi", "solve.start": "cold"}
+        ways["vi-amg-grids"] = {"method": "vi"}
+        ways["vi-amg-cold"] = {"method": "vi", "start": "cold"}
     show(COLUMNS)
     for cells in values_of(options.cells, "cells"):
         scene = Scene.read(options.scene).change({"mesh.cells": cells})
@@ -59,7 +59,9 @@ def main() -> None:
         for name, changes in ways.items():
             try:
                 with algebraic(name.startswith("vi-amg")):
-                    records = [solved(scene.change(changes), level) for _ in range(options.times)]
+                    records = [
+                        solved(scene.with_options(scene.options_with(**changes)), level) for _ in range(options.times)
+                    ]
             except NotConverged as error:
                 show(f"{cells:6} {name:>12}: {error}")
                 continue

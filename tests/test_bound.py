@@ -89,7 +89,7 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
     found, scene = {}, scenes()[name]
     bench = Workbench(scene)
     for eps in EPS:
-        answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+        answer = bench.answer(scene.options_with(eps=eps), bound=True)
         of_v = bench.exact.errors(answer.bound.admissible, answer.pressure, answer.record["eps"])
         found[eps] = SimpleNamespace(
             bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
@@ -380,7 +380,7 @@ def test_nodal_enclosure(name, sign):
     """u_eps - eps max|p_eps| <= u_h <= u_eps at every node where the stiffness is an M-matrix; mirrored for lower."""
     scene = catalogue.scene(name).change({"mesh.cells": 16, "solve.eps": 1e-3})
     bench = Workbench(scene)
-    answer, reference = bench.answer(bound=True), bench.answer(scene.change({"solve.method": "vi"}))
+    answer, reference = bench.answer(bound=True), bench.answer(scene.options_with(method="vi"))
     enclosure, distance = answer.record["enclosure"], sign * (reference.u.x.array - answer.u.x.array)
     assert enclosure["guaranteed"] and "at most" in answer.summary()
     assert smallest(COMM, distance) >= -1e-10

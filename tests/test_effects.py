@@ -510,7 +510,7 @@ def test_demo_pollutant():
     assert "streamline upwinding" in text and "GMRES" in text and "no energy" in text
     scene = scene.change({"mesh.cells": 32, "solve.eps": 1e-8})
     with closing(Workbench(scene)) as bench:
-        ours, theirs = (bench.answer(scene.change({"solve.method": method})) for method in METHODS)
+        ours, theirs = (bench.answer(scene.options_with(method=method)) for method in METHODS)
     assert "GMRES" in ours.summary() and "Peclet" in ours.summary()
     assert smallest(COMM, theirs.u.x.array) >= 0 and largest(COMM, theirs.u.x.array) <= 1
     assert largest(COMM, np.abs(ours.u.x.array - theirs.u.x.array)) < 1e-6

@@ -91,7 +91,7 @@ def answers(scene, *epsilons):
     ground = Ground(bench.problem)
     found = []
     for eps in (None, *epsilons):
-        bench.answer(scene.change({"solve.method": "vi"} if eps is None else {"solve.eps": eps}))
+        bench.answer(scene.options_with(method="vi") if eps is None else scene.options_with(eps=eps))
         found.append(take(bench, ground, eps))
     return found
 

@@ -87,7 +87,7 @@ def test_no_known_error_is_above_its_bound(name):
     scene = quadratic(name)
     with closing(Workbench(scene)) as bench:
         for eps in ("h", "h^2", "1e-10"):
-            answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+            answer = bench.answer(scene.options_with(eps=eps), bound=True)
             bound, error = answer.bound, answer.record["errors"]["energy"]
             assert bound.words.startswith("certified for the sampled ")
             assert error <= bound.total <= 6 * error

@@ -72,10 +72,10 @@ def test_reference_of_each_pair(name):
     """Theorem 3.1: u_eps tends to the solution of the inequality, whose constraints hold at the points of I alone."""
     bench = Workbench(DISK.change({"mesh.cells": 12, "solve.element": name}))
     scene = bench.scene
-    reference = bench.answer(scene.change({"solve.method": "vi"}))
+    reference = bench.answer(scene.options_with(method="vi"))
     distance = []
     for eps in (1e-5, 1e-7):
-        answer = bench.answer(scene.change({"solve.eps": eps}))
+        answer = bench.answer(scene.options_with(eps=eps))
         distance.append(largest(COMM, np.abs(answer.u.x.array - reference.u.x.array)))
     assert distance[0] < 1e-3 and abs(np.log10(distance[0] / distance[1]) / 2 - 1) < 0.1
     assert reference.record["penetration"] < 1e-9

@@ -17,7 +17,7 @@ def ladder():
     """disk.toml, 32 cells: eight solutions of the penalty."""
     bench = Workbench(Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 32}))
     scene = bench.scene
-    answers = {eps: bench.answer(scene.change({"solve.eps": eps})) for eps in [10.0**-k for k in range(1, 9)]}
+    answers = {eps: bench.answer(scene.options_with(eps=eps)) for eps in [10.0**-k for k in range(1, 9)]}
     return bench, answers
 
 

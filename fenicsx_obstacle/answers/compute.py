@@ -30,6 +30,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
+from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import Watch
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
@@ -44,10 +45,11 @@ _log = logging.getLogger(__name__)
 
 
 class Workbench:
-    """A scene's mesh and problem, kept for several solves that differ in eps and method only.
+    """A scene's mesh and problem, kept for several solves that differ in their options only.
 
     Attributes:
         scene: What is solved.
+        options: Those of the scene, or given instead.
         problem: The discrete problem.
     """
 
@@ -57,6 +59,7 @@ class Workbench:
         comm: MPI.Comm = MPI.COMM_WORLD,
         level: levels.Level | None = None,
         before: Workbench | None = None,
+        options: SolverOptions | None = None,
     ):
         """Assemble (collective).
 
@@ -65,17 +68,18 @@ class Workbench:
             comm: Communicator; a mesh of the scene's own brings its own.
             level: The scene's mesh, where it is made already.
             before: A workbench on the level below, whose solution is the start.
+            options: Of the solves, instead of those of the scene.
         """
+        self.scene, self.options = scene, options or scene.options
         self.started = time.perf_counter()
         if level is None:
             level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
-        self.scene = scene
         self.problem = Problem(Data(scene.model, level))
         self._grids: list[Multigrid] | None = None
         self._problems: list[Problem] | None = None
-        self._solved_below = before is not None and nested(scene)
+        self._solved_below = before is not None and nested(scene, self.options)
         if before is not None and self._solved_below:
             self._grids = self._above(before)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
@@ -100,7 +104,7 @@ class Workbench:
             InputError: For other cells than intervals and triangles.
         """
         level = self.problem.level
-        return Workbench(self.scene, level.comm, levels.refined_where(level, marked), self)
+        return Workbench(self.scene, level.comm, levels.refined_where(level, marked), self, self.options)
 
     @property
     def exact(self) -> Exact | None:
@@ -130,7 +134,7 @@ class Workbench:
 
     def answer(
         self,
-        scene: Scene | None = None,
+        options: SolverOptions | None = None,
         *,
         yardstick: bool = False,
         bound: bool = False,
@@ -139,10 +143,10 @@ class Workbench:
         watch: Watch | None = None,
         errors: bool = True,
     ) -> Answer:
-        """Solve with the [solve] table of `scene` (collective).
+        """Solve (collective).
 
         Args:
-            scene: The same scene with another [solve] table; by default the one of the problem.
+            options: How; by default as the workbench was made for.
             yardstick: Time one linear Poisson solve as well.
             bound: Bound the energy error as well.
             restart: With [time]: folder with the state to begin from.
@@ -154,12 +158,12 @@ class Workbench:
             InputError: For a bad eps, or elements that the bound is not for.
             NotConverged: With PETSc's reason.
         """
-        problem, scene = self.problem, scene or self.scene
+        problem, scene, options = self.problem, self.scene, options or self.options
         estimator = self.estimator if bound else None  # refuses before anything is solved
-        levels_serve = nested(scene) and problem.level.coarse is not None
+        levels_serve = nested(scene, options) and problem.level.coarse is not None
         grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
         at_rest = scene.time is None or scene.time.order == EQUILIBRIA
-        if at_rest and stepwise(scene) and problem.level.coarse is not None:
+        if at_rest and stepwise(scene, options) and problem.level.coarse is not None:
             grids = self._chain()
         start = time.perf_counter()
         if problem.forms.multiplier is not None:  # of an earlier solve
@@ -169,7 +173,7 @@ class Workbench:
             moment.go_back(scene.time)
             for one in (*(grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]), problem):
                 one.move(one.cold_start())
-        method, course = method_of(problem, scene), None
+        method, course = method_of(problem, options), None
         if watch is not None:
             method = replace(method, solve=partial(method.solve, watch=watch))
         if scene.time is None:
@@ -187,7 +191,7 @@ class Workbench:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         certified = None if estimator is None else estimator.bound()
-        answer = self._answer(scene, last, counts, method, state, seconds, certified, course)
+        answer = self._answer(options, last, counts, method, state, seconds, certified, course)
         return self.measured(answer) if errors else answer
 
     def measured(self, answer: Answer) -> Answer:
@@ -254,7 +258,7 @@ class Workbench:
 
     def _answer(
         self,
-        scene: Scene,
+        options: SolverOptions,
         outcome: Outcome,
         counts: dict[str, int],
         method: Method,
@@ -266,7 +270,7 @@ class Workbench:
         problem, level, eps = self.problem, self.problem.level, method.eps
         seconds += self.setup_seconds
         record = {
-            **figures_of(problem, scene, eps, state),
+            **figures_of(problem, self.scene, options, eps, state),
             "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
             "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, **counts,
             "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
@@ -284,6 +288,7 @@ class Workbench:
             record["report"] = self._reported(state)
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
+        scene = self.scene.with_options(options)
         return replace(self._fields(state), history=history, record=record, bound=bound, course=course, scene=scene)
 
     def _fields(self, state: State) -> Answer:

@@ -16,18 +16,22 @@ from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
 
 
-def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) -> dict[str, Any]:
+def figures_of(
+    problem: Problem, scene: Scene, options: SolverOptions, eps: float | None, state: State
+) -> dict[str, Any]:
     """Part of answer.json (collective).
 
     Args:
         problem: Just solved.
-        scene: With the [solve] table that it was solved with.
+        scene: Its scene.
+        options: That it was solved with.
         eps: Penalty parameter, or None.
         state: What came out.
     """
-    level, asked, contact = problem.level, scene.tables.solve.method, state.contact
+    level, asked, contact = problem.level, options.method, state.contact
     figures: dict[str, Any] = {
         "scene": scene.name, "title": scene.tables.title, "method": asked,
         **({"m_matrix": problem.m_matrix} if asked == "successive" else {}),

@@ -5,7 +5,9 @@ from __future__ import annotations
 import keyword
 import unicodedata
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +29,12 @@ from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.signatures import checked
-from fenicsx_obstacle.words import nearest, plain, shown
+from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
+from fenicsx_obstacle.words import nearest, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.norms import ExactSolution
 
-AUTO = "h^2/100"  # eps as small as makes its error a few per cent of the mesh's: solvers do not mind how small
 MAX_OPERATIONS = 5000  # of an exact solution: it is differentiated and compiled
 RESERVED = {
     *COORDINATES,
@@ -60,6 +62,7 @@ class Scene(Vocabulary):
         effects: One object per effect that the scene names.
         pair: V_h, the rule I and Q_h.
         report: Figures of the solution, in order.
+        options: The table [solve], without the element.
         mesh: A DOLFINx mesh of the caller's own, or None.
         folder: Where relative file names start.
     """
@@ -72,6 +75,7 @@ class Scene(Vocabulary):
     define: Mapping[str, Formula]
     report: Mapping[str, Formula]
     model: Model
+    options: SolverOptions
     mesh: Any = None
     folder: Path = Path()
 
@@ -179,9 +183,8 @@ class Scene(Vocabulary):
             if typed.exact.pressure is not None:
                 self._check_exact(self.formula(typed.exact.pressure, "[exact] pressure"))
         set_("report", parse_report(self, typed.report, RESERVED))
-        eps = self.number(self.eps, "[solve] eps", {"h": 1.0})
-        if eps <= 0:
-            raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
+        solve, place = typed.solve, f"{source}: [solve]"
+        set_("options", SolverOptions(solve.method, self._eps(solve.eps), solve.start, place))
         check_parts(self)
         set_("model", replace(self.model, time=moments(self)))
 
@@ -210,13 +213,36 @@ class Scene(Vocabulary):
     @property
     def penalised(self) -> bool:
         """Whether there is an eps."""
-        return bool(self.sides) and self.tables.solve.method != "vi"
+        return bool(self.sides) and self.options.method != "vi"
 
-    @property
-    def eps(self) -> float | str:
-        """The penalty parameter: a number in units of u/p, or a formula in h, yet to be divided by the tension."""
-        asked = self.tables.solve.eps
-        return AUTO if asked == "auto" else asked
+    def options_with(self, **changes: Any) -> SolverOptions:
+        """`options` with other values, as in [solve]: `scene.options_with(method="penalty", eps="h^2")`.
+
+        Raises:
+            InputError: If a value does not fit its key.
+        """
+        if "eps" in changes:
+            changes["eps"] = self._eps(changes["eps"])
+        return replace(self.options, **changes)
+
+    def with_options(self, options: SolverOptions) -> Scene:
+        """The same scene with these in its table [solve]."""
+        eps = options.eps.text if isinstance(options.eps, EpsFormula) else options.eps
+        solve = msgspec.structs.replace(self.tables.solve, method=options.method, start=options.start, eps=eps)
+        new = copy(self)
+        object.__setattr__(new, "tables", msgspec.structs.replace(self.tables, solve=solve))
+        object.__setattr__(new, "options", options)
+        return new
+
+    def _eps(self, value: float | str) -> float | str | EpsFormula:
+        """A value of [solve] eps as options take it: a formula may use names of [define]."""
+        if not isinstance(value, str) or value == "auto":
+            return value
+        formula = self.formula(value, "[solve] eps")
+        return EpsFormula(value, partial(self._eps_at, value), "h" in formula.names)
+
+    def _eps_at(self, text: str, h: float) -> float:
+        return self.number(text, "[solve] eps", {"h": h})
 
     def _definitions(self) -> dict[str, Formula]:
         definitions: dict[str, Formula] = {}

@@ -21,7 +21,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
 from fenicsx_obstacle.solvers.vi import residual_pressure
-from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, row_of
+from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, asked, row_of
 
 
 def judge_moving(
@@ -29,13 +29,12 @@ def judge_moving(
 ) -> Iterator[Row]:
     """Solve a scene with time by SNES VI, and by each method for each eps; a row for each answer (collective)."""
     known: tuple[Answer, Solved] | None = None
-    asked = [("vi", None), *((method, eps) for eps in epsilons for method in methods)]
+    ways = [("vi", None), *((method, eps) for eps in epsilons for method in methods)]
     with closing(Workbench(scene, comm)) as bench:
-        for method, eps in asked:
+        for method, eps in ways:
             start = time.perf_counter()
-            change = {"solve.method": method, **({} if eps is None else {"solve.eps": eps})}
             try:
-                answer = bench.answer(scene.change(change))
+                answer = bench.answer(asked(bench.options, method, eps))
             except (InputError, NotConverged) as error:
                 verdict = REFUSED if FLOOR in str(error) else FAILED
                 yield row_of(scene, method, eps, verdict, start, message=str(error))

@@ -16,6 +16,7 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.scenes.catalogue import scene
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
 
 VI = "u_h"  # stands among values of eps for no penalty
 Eps = float | str  # a number, a formula in h, or VI
@@ -130,9 +131,9 @@ def errors(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: boo
     return found
 
 
-def solved_with(scene: Scene, eps: Eps) -> Scene:
-    """The scene with this eps, or solved as the variational inequality."""
-    return scene.change({"solve.method": "vi"} if eps == VI else {"solve.eps": eps})
+def solved_with(scene: Scene, eps: Eps) -> SolverOptions:
+    """The options of a scene with this eps, or for the variational inequality."""
+    return scene.options_with(method="vi") if eps == VI else scene.options_with(eps=eps)
 
 
 def _nodal_error(answer: Answer) -> np.ndarray:
