@@ -15,9 +15,6 @@ if TYPE_CHECKING:  # reading a scene imports no finite elements
     import numpy as np
     from dolfinx import fem
 
-    from fenicsx_obstacle.discrete.fields import Symbols
-    from fenicsx_obstacle.discrete.levels import Level
-
 Names = Mapping[str, Any]  # what a datum may depend on besides x: t, eps, `distance` as a function of points (n, 3)
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 
@@ -102,8 +99,8 @@ class Field:
         """
         return self.at(x, names)
 
-    def on(self, level: Level) -> Field:
-        """The same on a mesh: what lives on another one is interpolated (collective)."""
+    def on(self, level: Any) -> Field:
+        """The same on the mesh of a `discrete.levels.Level`: what lives on another one is interpolated (collective)."""
         return self
 
     def margins(self, x: np.ndarray, names: Names) -> list[np.ndarray]:
@@ -114,8 +111,8 @@ class Field:
         """Bounds over simplices of given corners, shape (simplices, corners, 2); None where none are known."""
         return None
 
-    def expression(self, symbols: Symbols) -> Any:
-        """As a UFL expression that can be differentiated.
+    def expression(self, symbols: Any) -> Any:
+        """As a UFL expression that can be differentiated, made of `discrete.fields.Symbols`.
 
         Raises:
             InputError: If it cannot be.
@@ -153,7 +150,7 @@ class ByCells(Field):
     def needs_distance(self) -> bool:  # type: ignore[override]
         return any(part.needs_distance for part in self._parts.values())
 
-    def on(self, level: Level) -> Field:
+    def on(self, level: Any) -> Field:
         return ByCells({name: part.on(level) for name, part in self._parts.items()}, self.source)
 
 
