@@ -1,0 +1,166 @@
+"""The core takes data from its caller: with the layer of scenes out of reach a problem is made, solved and bounded."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import InputError
+from fenicsx_obstacle.accuracy.bound import Estimator
+from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.fields import field
+from fenicsx_obstacle.discrete.levels import of_mesh, of_pair, refined
+from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.effect import find
+from fenicsx_obstacle.forms.pairs import pairs
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.releases import functionspace, settle
+from fenicsx_obstacle.solvers.newton import solve_penalty
+from fenicsx_obstacle.solvers.vi import solve_vi
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture(autouse=True)
+def no_scenes(monkeypatch):
+    """Imports of the layer of scenes fail, also late ones."""
+    for name in [name for name in sys.modules if name.startswith("fenicsx_obstacle.scenes")]:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, "fenicsx_obstacle.scenes", None)
+
+
+def square(n=16):
+    return settle(dmesh.create_unit_square(COMM, n, n))
+
+
+def membrane(level, *, tension=1.0, load=-8.0, lower=-0.1, upper=None, boundary=None):
+    """-div(tension grad u) = load + p, lower <= u <= upper."""
+    given = {"tension": tension, "load": load, "lower": lower, "upper": upper}
+    fields = {key: None if value is None else field(value, f"test: {key}") for key, value in given.items()}
+    effects = tuple(find(key)(fields[key]) for key in ("tension", "load"))
+    parts = [Part("the boundary", value=field(0.0, "test: value"))] if boundary is None else boundary
+    return Problem(Data(Model(effects, fields["lower"], fields["upper"], parts, source="test"), level))
+
+
+def heights(problem):
+    return problem.heights().x.array[: problem.level.owned]
+
+
+def norm(problem, values):
+    return np.sqrt(total(COMM, values**2 * problem.weights))
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_a_problem_from_fields_is_solved_and_bounded(element):
+    """u_eps tends to u of SNES VI at the rate of eps; all data are numbers, and the mesh is the caller's."""
+    level = of_pair(of_mesh(square(), "test"), pairs()[element])
+    problem = membrane(level)
+    problem.refer(problem.cold_start())
+    solve_vi(problem)
+    exact = heights(problem).copy()
+    assert largest(COMM, -0.1 - exact[problem.weights > 0]) <= 1e-12
+    bound = Estimator(problem).bound()
+    assert 0 < bound.relative < (0.4 if element == "P1" else 0.1)
+    assert bound.words == "certified on the polygon of the mesh"
+    for eps in (1e-3, 1e-6):
+        problem.refer(problem.cold_start())
+        solve_penalty(problem, eps)
+        assert norm(problem, heights(problem) - exact) <= 10 * eps
+
+
+def values():
+    """The load -8 (1 + x) and the tension 2 in every form that a caller may have."""
+    mesh = square()
+    x = ufl.SpatialCoordinate(mesh)
+    V = functionspace(mesh, "Lagrange", 1)
+    load = fem.Function(V)
+    load.interpolate(lambda x: -8 * (1 + x[0]))
+    other = fem.Function(functionspace(settle(dmesh.create_unit_square(COMM, 5, 7)), "Lagrange", 1))
+    other.interpolate(lambda x: -8 * (1 + x[0]))
+    return mesh, {
+        "callable": (2.0, lambda x: -8 * (1 + x[0])),
+        "Constant": (fem.Constant(mesh, PETSc.ScalarType(2)), lambda x: -8 * (1 + x[0])),
+        "Function": (2.0, load),
+        "Function on another mesh": (2.0, other),
+        "UFL": (2.0 + 0 * x[0], -8 * (1 + x[0])),
+    }
+
+
+def test_data_may_come_in_any_form():
+    """A number, a Constant, a callable, a Function and UFL that mean the same give the same u."""
+    mesh, forms = values()
+    found = {}
+    for name, (tension, load) in forms.items():
+        problem = membrane(of_mesh(mesh, "test"), tension=tension, load=load)
+        problem.refer(problem.cold_start())
+        solve_penalty(problem, 1e-6)
+        found[name] = heights(problem).copy()
+    for name, u in found.items():
+        assert largest(COMM, np.abs(u - found["callable"])) <= 1e-9, name
+
+
+def test_obstacles_and_boundary_values_may_be_functions():
+    """A Function, a callable and UFL as obstacle and as boundary value give what the formula gives, on any level."""
+    mesh = square(8)
+    x = ufl.SpatialCoordinate(mesh)
+    psi = fem.Function(functionspace(mesh, "Lagrange", 1))
+    psi.interpolate(lambda x: 0.2 - np.hypot(x[0] - 0.5, x[1] - 0.5))
+    found = []
+    for lower, value in (
+        (psi, lambda x: 0.1 * x[0]),
+        (lambda x: 0.2 - np.hypot(x[0] - 0.5, x[1] - 0.5), 0.1 * x[0]),
+    ):
+        part = Part("all", value=field(value, "test: value"))
+        problem = membrane(of_mesh(mesh, "test"), load=0.0, lower=lower, boundary=[part])
+        problem.refer(problem.cold_start())
+        solve_vi(problem)
+        found.append(heights(problem).copy())
+    assert largest(COMM, np.abs(found[0] - found[1])) <= 1e-10
+
+
+def test_data_follow_to_a_finer_mesh():
+    """A Function of the caller's mesh is taken to a refined one: the Functions there are the same ones."""
+    level = of_mesh(square(8), "test")
+    load = fem.Function(functionspace(level.mesh, "DG", 0))
+    load.interpolate(lambda x: np.where(x[0] < 0.5, -1.0, -3.0))
+    fine = refined(level)
+    problem = membrane(fine, load=load, lower=None)
+    taken = problem.data.values(problem.model.effects[1].value)
+    where = fine.W.tabulate_dof_coordinates()[:, 0] < 0.5
+    assert largest(COMM, np.abs(taken - np.where(where, -1.0, -3.0))) <= 1e-12
+
+
+def test_materials_by_name():
+    """A dict gives each group of cells its own datum, whatever its form."""
+    mesh = square(8)
+    left = corners(mesh)[: own_cells(mesh)].mean(axis=1)[:, 0] < 0.5
+    groups = {"left": np.flatnonzero(left), "right": np.flatnonzero(~left)}
+    level = of_mesh(mesh, "test", None, groups)
+    problem = membrane(level, tension={"left": 2.0, "right": lambda x: 1 + x[0]}, lower=None)
+    taken = problem.data.values(problem.model.effects[0].value)
+    points = level.W.tabulate_dof_coordinates()[:, 0]
+    assert largest(COMM, np.abs(taken - np.where(points < 0.5, 2.0, 1 + points))) <= 1e-12
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("1 + x", "expected a number, a Constant"),
+        (lambda x: np.zeros(3), "returns n values"),
+        (lambda x: 1 / 0, "ZeroDivisionError"),
+        (lambda x: np.where(x[0] > 0.5, np.nan, -1.0), "is not a finite number"),
+    ],
+)
+def test_data_that_are_none(value, message):
+    """What cannot be a datum is refused on all ranks, with the name its giver gave it."""
+    with pytest.raises(InputError, match="test: load.*" + message):
+        membrane(of_mesh(square(8), "test"), load=value)
