@@ -19,7 +19,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.accuracy.bound import Estimator
-from fenicsx_obstacle.accuracy.bound_p2 import Estimator2
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.scenes import catalogue
@@ -50,9 +49,9 @@ def main() -> None:
 
 def effectivities(bench: Workbench, many: list) -> None:
     """Bounds beside true errors (collective)."""
-    scene = bench.problem.scene
+    scene = bench.scene
     for eps in many:
-        answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+        answer = bench.answer(scene.options_with(eps=eps), bound=True)
         bound, error = answer.bound, answer.record["errors"]["energy"]
         of_v = bench.exact.errors(bound.admissible, answer.pressure, answer.record["eps"])["energy"]
         error_v = of_v if scene.pair.degree == 1 else float("nan")  # v is no function of P2
@@ -64,12 +63,11 @@ def effectivities(bench: Workbench, many: list) -> None:
 
 def cost(bench: Workbench) -> None:
     """Seconds and Poisson units (collective)."""
-    scene: Scene = bench.problem.scene
+    scene: Scene = bench.scene
     solve = bench.answer().record["seconds"]["solve"]
     level = bench.problem.level
     unit = poisson_seconds(level)
-    kind = Estimator2 if scene.pair.stacks else Estimator
-    estimator, once = timed(lambda: kind(bench.problem))
+    estimator, once = timed(lambda: Estimator(bench.problem))
     first, *others = (timed(estimator.bound)[1] for _ in range(4))
     each = min(others)
     show(f"{scene.name}: {level.dofs} unknowns, Poisson {unit:.2f} s, solve {solve:.2f} s; a bound {each:.2f} s = "

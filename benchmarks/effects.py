@@ -74,8 +74,8 @@ def measure(name: str, count: int, repeat: int) -> dict[str, Any]:
 
     from fenicsx_obstacle import Scene
     from fenicsx_obstacle.answers.compute import Workbench
-    from fenicsx_obstacle.discrete import levels
     from fenicsx_obstacle.parallel import peak_memory_mb
+    from fenicsx_obstacle.scenes import meshes
     from fenicsx_obstacle.show.explain import integrals
     from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
@@ -84,7 +84,7 @@ def measure(name: str, count: int, repeat: int) -> dict[str, Any]:
     with closing(Workbench(scene)) as small:
         small.answer()
     scene = scene.change({"mesh.cells": count})
-    level = levels.build(scene, MPI.COMM_WORLD)
+    level = meshes.build(scene, MPI.COMM_WORLD)
     mesh = peak_memory_mb(MPI.COMM_WORLD)
     with closing(Workbench(scene, level=level)) as bench:  # first: what comes later may reuse memory
         record = bench.answer().record
@@ -95,7 +95,7 @@ def measure(name: str, count: int, repeat: int) -> dict[str, Any]:
             record = bench.answer().record
             found.append((record["seconds"]["solve"], bench.setup_seconds))
     solve, setup = min(found)
-    unit = poisson_seconds(levels.build(scene, MPI.COMM_WORLD))
+    unit = poisson_seconds(meshes.build(scene, MPI.COMM_WORLD))
     return {
         "effect": name, "dofs": record["dofs"], "integrals": integrals(scene), "newton": record["newton_iterations"],
         "krylov": record["krylov_iterations"], "assembly": setup, "solve": solve - setup, "poisson_seconds": unit,

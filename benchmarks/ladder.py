@@ -26,6 +26,7 @@ from fenicsx_obstacle import NotConverged, Scene
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 COLUMNS = (
@@ -45,20 +46,22 @@ def main() -> None:
     parser.add_argument("--beside", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    ways: dict[str, dict[str, Any]] = {f"eps={eps}": {"solve.eps": eps} for eps in values_of(options.eps, "eps")}
-    ways["vi"] = {"solve.method": "vi"}
+    ways: dict[str, dict[str, Any]] = {f"eps={eps}": {"eps": eps} for eps in values_of(options.eps, "eps")}
+    ways["vi"] = {"method": "vi"}
     if options.beside:
-        ways["vi-amg-grids"] = {"solve.method": "vi"}
-        ways["vi-amg-cold"] = {"solve.method": "vi", "solve.start": "cold"}
+        ways["vi-amg-grids"] = {"method": "vi"}
+        ways["vi-amg-cold"] = {"method": "vi", "start": "cold"}
     show(COLUMNS)
     for cells in values_of(options.cells, "cells"):
         scene = Scene.read(options.scene).change({"mesh.cells": cells})
-        level = levels.build(scene, MPI.COMM_WORLD)
+        level = meshes.build(scene, MPI.COMM_WORLD)
         poisson = poisson_seconds(level)
         for name, changes in ways.items():
             try:
                 with algebraic(name.startswith("vi-amg")):
-                    records = [solved(scene.change(changes), level) for _ in range(options.times)]
+                    records = [
+                        solved(scene.with_options(scene.options_with(**changes)), level) for _ in range(options.times)
+                    ]
             except NotConverged as error:
                 show(f"{cells:6} {name:>12}: {error}")
                 continue

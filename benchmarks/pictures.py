@@ -137,7 +137,7 @@ def over(_: Any) -> str:
         with closing(Workbench(scene)) as bench:
             sides.append(bench.problem.level.h)
             for line, eps in enumerate(EPS):
-                errors = bench.answer(scene.change({"solve.eps": float(eps)})).record["errors"]
+                errors = bench.answer(scene.options_with(eps=float(eps))).record["errors"]
                 for norm, values in found.items():
                     values[line, column] = errors[norm]
     h = np.array(sides)

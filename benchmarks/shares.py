@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 # the functions that take a share each; none calls another of the list
@@ -49,7 +49,7 @@ def main() -> None:
     with closing(Workbench(scene.change({"mesh.cells": 64}))) as small:
         small.answer()
     scene = scene.change({"mesh.cells": options.cells})
-    level = levels.build(scene, MPI.COMM_WORLD)
+    level = meshes.build(scene, MPI.COMM_WORLD)
     poisson = poisson_seconds(level)
     before = krylov()
     profiler = cProfile.Profile()

@@ -13,11 +13,10 @@ from typing import Any, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import nearest
+from fenicsx_obstacle.words import nearest, shown
 
 P = ParamSpec("P")
 T = TypeVar("T")
-SHOWN = 60  # characters of a value
 _WORDS = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", Mapping: "a dict",
           Path: "a path"}  # fmt: skip
 
@@ -55,12 +54,6 @@ def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
         return call
 
     return decorate
-
-
-def shown(value: Any) -> str:
-    """A value, or its beginning, in one line."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."
 
 
 def _options(kind: Any) -> tuple[Any, ...]:

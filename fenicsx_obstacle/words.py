@@ -1,10 +1,13 @@
-"""Numbers in sentences."""
+"""Numbers and names in sentences."""
 
 from __future__ import annotations
 
+import difflib
 import unicodedata
 from typing import Any
 
+LISTED = 40  # known names in a message
+SHOWN = 60  # characters of a value
 LONGEST = 160  # characters of a title or name where it is shown
 
 
@@ -38,3 +41,22 @@ def plain(value: Any) -> str:
 def short(value: Any) -> str:
     """A number or formula in few characters."""
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def nearest(word: str, known: Any) -> str:
+    """A hint naming the known word most like `word`, or what is known."""
+    alike = {name.lower(): name for name in sorted(known)}
+    close = difflib.get_close_matches(word.lower(), alike, 1, 0.6)
+    if close:
+        return f"; did you mean '{alike[close[0]]}'?"
+    if not known:
+        return " (there are none)"
+    names = sorted(known)
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return f" (known: {', '.join(names[:LISTED])}{more})"
+
+
+def shown(value: Any) -> str:
+    """A value, or its beginning, in one line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."

@@ -10,6 +10,7 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete import levels, parents
 from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes import meshes
 
 MESHES = {
     "rectangle": {"shape": "rectangle", "cells": 8},
@@ -28,7 +29,7 @@ def near_a_point(level, radius):
 
 
 def refined(comm, mesh, times=4):
-    level = levels.build(Scene(mesh=mesh, tension=1, upper=1), comm)
+    level = meshes.build(Scene(mesh=mesh, tension=1, upper=1), comm)
     for k in range(times):
         level = levels.refined_where(level, near_a_point(level, 0.1 + 0.4 * 0.5**k))
     return level
@@ -85,7 +86,7 @@ def test_angles_stay_bounded():
 
 def test_solids_are_refused():
     """Tetrahedra are not cut here: a message, no wrong mesh."""
-    level = levels.build(Scene(mesh={"shape": "box", "cells": 2}, tension=1, upper=1), COMM)
+    level = meshes.build(Scene(mesh={"shape": "box", "cells": 2}, tension=1, upper=1), COMM)
     with pytest.raises(InputError, match="intervals or triangles"):
         levels.refined_where(level, np.ones(own_cells(level.mesh), dtype=bool))
 
@@ -101,7 +102,7 @@ def test_solves_go_on_from_the_coarser_mesh(ball, method):
         bench = bench.refined(np.abs(np.linalg.norm(middles[:, :2], axis=1) - 0.7) < 0.2)
         answer = bench.answer()
         assert answer.record["newton_iterations"] <= 6
-    cold = Workbench(bench.problem.scene.change({"solve.start": "cold"}), level=bench.problem.level).answer()
+    cold = Workbench(bench.scene.change({"solve.start": "cold"}), level=bench.problem.level).answer()
     assert cold.record["dofs"] == answer.record["dofs"] > 1500
     assert np.isclose(cold.record["energy"], answer.record["energy"], rtol=1e-11)
     assert np.isclose(cold.record["contact"]["lower"]["force"], answer.record["contact"]["lower"]["force"], rtol=1e-9)

@@ -89,7 +89,7 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
     found, scene = {}, scenes()[name]
     bench = Workbench(scene)
     for eps in EPS:
-        answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+        answer = bench.answer(scene.options_with(eps=eps), bound=True)
         of_v = bench.exact.errors(answer.bound.admissible, answer.pressure, answer.record["eps"])
         found[eps] = SimpleNamespace(
             bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
@@ -104,12 +104,12 @@ def test_the_flux_is_in_balance():
         scene = scenes()[name].change({"mesh.perturb": perturb})
         bench = Workbench(scene)
         bench.answer()
-        problem, estimator = bench.problem, bench.estimator
-        triangles, equilibration = estimator.triangles, estimator.equilibration
+        problem, element = bench.problem, bench.estimator.element
+        triangles, equilibration = element.triangles, element.equilibration
         lower, upper = problem.gaps()
         flux = equilibration.flux(problem.heights().x.array, lower <= 0, upper <= 0)
         pressure = (flux.lower - flux.upper + flux.rest)[triangles.dofs].mean(axis=1)
-        load = equilibration.moments.sum(axis=1) / triangles.area  # f_0
+        load = equilibration.load.moments.sum(axis=1) / triangles.area  # f_0
         scale = largest(COMM, np.abs(load)) + largest(COMM, np.abs(pressure))
         balance = flux.normal.sum(axis=1) / triangles.area + load + pressure
         assert largest(COMM, np.abs(balance)) < 1e-13 * max(scale, 1.0) * 10
@@ -162,11 +162,11 @@ def test_admissible_state_is_admissible():
         scene = scenes()[name]
         bench = Workbench(scene)
         v = bench.answer(bound=True).bound.admissible.x.array
-        triangles, (points, _) = bench.estimator.triangles, halved_rule(2)
+        triangles, (points, _) = bench.estimator.element.triangles, halved_rule(2)
         for side, sign in (("lower", 1), ("upper", -1)):
             text = getattr(scene.tables.obstacle, side)
             if text is not None:
-                obstacle = triangles.values(scene.formula(text, side), points)
+                obstacle = triangles.values(scene.field(text, side), points)
                 gap = sign * (v[triangles.dofs] @ points.T - obstacle)
                 assert smallest(COMM, gap) > -ROUND_OFF
         dofs, values = bench.problem.data.fixed
@@ -325,7 +325,7 @@ def random_case(**given) -> tuple[Bound, float, float]:
         u.x.array[~fixed(problem)] += (given["noise"] * np.sin(37 * x + 11 * y) * np.cos(91 * y))[~fixed(problem)]
         problem.refer(u.x.array)
     bound = bench.estimator.bound()
-    triangles, (points, weights) = bench.estimator.triangles, halved_rule(1)
+    triangles, (points, weights) = bench.estimator.element.triangles, halved_rule(1)
     x, y = np.moveaxis(points @ triangles.x, 2, 0)
     slope = d * np.cos(k * x + m * y + phase)
     exact = np.stack([b + k * slope, c + m * slope])
@@ -380,7 +380,7 @@ def test_nodal_enclosure(name, sign):
     """u_eps - eps max|p_eps| <= u_h <= u_eps at every node where the stiffness is an M-matrix; mirrored for lower."""
     scene = catalogue.scene(name).change({"mesh.cells": 16, "solve.eps": 1e-3})
     bench = Workbench(scene)
-    answer, reference = bench.answer(bound=True), bench.answer(scene.change({"solve.method": "vi"}))
+    answer, reference = bench.answer(bound=True), bench.answer(scene.options_with(method="vi"))
     enclosure, distance = answer.record["enclosure"], sign * (reference.u.x.array - answer.u.x.array)
     assert enclosure["guaranteed"] and "at most" in answer.summary()
     assert smallest(COMM, distance) >= -1e-10

@@ -89,7 +89,7 @@ def test_compare_on_one_mesh():
     """penalty against VI: the distances of the eps-study, sets that differ by a layer."""
     scene = Scene.read(DEMOS / "disk.toml").change({"solve.eps": 1e-4, "mesh.cells": 32})
     bench = Workbench(scene)
-    penalty, vi = bench.answer(), bench.answer(scene.change({"solve.method": "vi"}))
+    penalty, vi = bench.answer(), bench.answer(scene.options_with(method="vi"))
     found = compare(penalty, vi)
     assert np.isclose(found["u"]["max"], 4e-4, rtol=1e-3)
     assert 0 < found["u"]["l2"] < found["u"]["h1"]

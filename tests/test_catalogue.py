@@ -161,7 +161,7 @@ def errors_of(name):
         for cells in grids:
             with closing(Workbench(scene.change({"mesh.cells": cells}))) as bench:
                 for method in rows:
-                    answer = bench.answer(bench.problem.scene.change({"solve.method": method, "solve.eps": "h^2"}))
+                    answer = bench.answer(bench.scene.options_with(method=method, eps="h^2"))
                     row = {"h": answer.record["h"], **answer.record["errors"]}
                     if dual:
                         row["pressure_dual"] = bench.exact.dual.error(answer.pressure, answer.record["eps"])

@@ -38,7 +38,7 @@ def test_norms_are_those_of_the_mesh(name):
     scene = SCENES[name]
     with closing(Workbench(scene, COMM)) as bench:
         one = bench.answer()
-        two = bench.answer(scene.change({"solve.eps": 100 * (one.record["eps"] or 1e-3)}))
+        two = bench.answer(scene.options_with(eps=100 * (one.record["eps"] or 1e-3)))
         e = one.u.x.array - 0.9 * two.u.x.array
         two.u.x.array[:] *= 0.9
         found, distance = Nearby(Cloud.of(one), two.level).norms(two.u), Distance(bench.problem)

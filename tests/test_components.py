@@ -11,8 +11,8 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, Scene, releases, solve, solve_form
 from fenicsx_obstacle.discrete.components import components
-from fenicsx_obstacle.discrete.levels import coarsest
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes.meshes import coarsest
 
 KINDS = {2: "interval", 3: "triangle", 4: "tetrahedron"}
 

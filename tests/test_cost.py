@@ -12,9 +12,8 @@ from test_rows import kill
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.accuracy.truth import contact_truth
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
-from fenicsx_obstacle.scenes import catalogue
+from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import Ladder
 from fenicsx_obstacle.studies.rows import RowStore
@@ -73,10 +72,12 @@ def test_contact_of_exact_solutions():
     """Cells that the free boundary crosses are halved until area and force of the ball, pi a^2 and 2 pi A, are right to
     1e-6; of a string, which leaves its obstacle like d^2, to the root of the round-off of heights."""
     ball, string = catalogue.scene("ball"), catalogue.scene("string_torsion")
-    found, a = contact_truth(ball, levels.coarsest(ball, COMM)), 0.6979651482233736
+    found, a = contact_truth(ball.model, ball.exact, meshes.coarsest(ball, COMM)), 0.6979651482233736
     assert found["area"] == pytest.approx(math.pi * a**2, rel=1e-6)
     assert found["force"] == pytest.approx(2 * math.pi * a**2 / math.sqrt(1 - a**2), rel=1e-6)
-    assert contact_truth(string, levels.coarsest(string, COMM))["area"] == pytest.approx(0.6, abs=2e-7)
+    assert contact_truth(string.model, string.exact, meshes.coarsest(string, COMM))["area"] == pytest.approx(
+        0.6, abs=2e-7
+    )
 
 
 def ladder(scene, folder, budget=SMALL, stop=None):

@@ -510,7 +510,7 @@ def test_demo_pollutant():
     assert "streamline upwinding" in text and "GMRES" in text and "no energy" in text
     scene = scene.change({"mesh.cells": 32, "solve.eps": 1e-8})
     with closing(Workbench(scene)) as bench:
-        ours, theirs = (bench.answer(scene.change({"solve.method": method})) for method in METHODS)
+        ours, theirs = (bench.answer(scene.options_with(method=method)) for method in METHODS)
     assert "GMRES" in ours.summary() and "Peclet" in ours.summary()
     assert smallest(COMM, theirs.u.x.array) >= 0 and largest(COMM, theirs.u.x.array) <= 1
     assert largest(COMM, np.abs(ours.u.x.array - theirs.u.x.array)) < 1e-6
@@ -660,10 +660,10 @@ found += [name for name in ("fenicsx_obstacle.discrete.parts", "fenicsx_obstacle
 print(*sorted(name.removeprefix("fenicsx_obstacle.") for name in found))
 """
     for effects, wanted in (
-        ({}, "effects.domain effects.domain.tension effects.effect"),
+        ({}, "effects.domain effects.domain.tension effects.effect effects.field"),
         ({"foundation": 1, "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": 1}]},
          "discrete.parts effects.boundary effects.boundary.spring effects.domain effects.domain.foundation "
-         "effects.domain.tension effects.effect"),
+         "effects.domain.tension effects.effect effects.field"),
     ):  # fmt: skip
         command = [sys.executable, "-c", program, repr(effects)]
         done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=100, check=False)
@@ -750,7 +750,7 @@ class Moving(Effect):
         given = keys_of(raw, place, reader, ("force", "speed"))
         speed = reader.number(given["speed"], f"{place}.speed")
         force = re.sub(r"\\bx\\b", f"(x - {speed!r}*t)", str(given["force"])) if speed else given["force"]
-        return cls(reader.formula(force, f"{place}.force"), speed)
+        return cls(reader.field(force, f"{place}.force"), speed)
 
     @classmethod
     def in_units(cls, raw, units, dim):

@@ -166,7 +166,7 @@ def answers():
     bench = Workbench(scene, COMM)
     ground = Ground(bench.problem)
     for eps in (None, 1e-2, 1e-4, 1e-8):
-        bench.answer(scene.change({"solve.method": "vi"} if eps is None else {"solve.eps": eps}))
+        bench.answer(scene.options_with(method="vi") if eps is None else scene.options_with(eps=eps))
         found[eps] = take(bench, ground, eps)
     return found
 

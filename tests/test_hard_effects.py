@@ -29,7 +29,7 @@ def test_every_effect_has_a_hard_scene():
     assert named >= known() | known("boundary")
     assert {scene.time.order for scene in scenes if scene.time is not None} == {0, 1, 2}
     assert any(isinstance(scene.tables.effects.get("tension"), list) for scene in scenes)
-    thin = [scene for scene in scenes if scene.thin]
+    thin = [scene for scene in scenes if scene.model.thin]
     assert any(scene.tables.mesh.file for scene in thin) and any(scene.tables.mesh.shape for scene in thin)
 
 
@@ -91,7 +91,7 @@ def answers(scene, *epsilons):
     ground = Ground(bench.problem)
     found = []
     for eps in (None, *epsilons):
-        bench.answer(scene.change({"solve.method": "vi"} if eps is None else {"solve.eps": eps}))
+        bench.answer(scene.options_with(method="vi") if eps is None else scene.options_with(eps=eps))
         found.append(take(bench, ground, eps))
     return found
 

@@ -6,8 +6,8 @@ from conftest import COMM, membrane
 
 from fenicsx_obstacle import NotConverged, solve
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.hard import case
 from fenicsx_obstacle.solvers.newton import solve_penalty
 from fenicsx_obstacle.solvers.snes import defaults
@@ -32,7 +32,7 @@ SQUARES = {"shape": "rectangle", "cell": "quadrilateral", "cells": 8}
 
 def sheared(by):
     """The mesh of `membrane` with x moved by so many y; its diagonals go up to the right."""
-    mesh = levels.build(membrane(), COMM).mesh
+    mesh = meshes.build(membrane(), COMM).mesh
     mesh.geometry.x[:, 0] += by * mesh.geometry.x[:, 1]
     return mesh
 

@@ -7,8 +7,8 @@ from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.scenes import meshes
 
 MESHES = {
     "interval": ({"shape": "interval", "cells": 9}, 1.0),
@@ -26,7 +26,7 @@ def measure(level, form=1.0):
 
 
 def build(mesh):
-    return levels.build(Scene(mesh=mesh, tension=1), COMM)
+    return meshes.build(Scene(mesh=mesh, tension=1), COMM)
 
 
 @pytest.mark.parametrize("name", MESHES)

@@ -7,6 +7,7 @@ from conftest import COMM, membrane
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.studies.theory.limits import approach, extremes
 from fenicsx_obstacle.studies.theory.samples import sample
 
@@ -64,7 +65,7 @@ def test_obstacle_below_the_boundary_values_is_refused():
 
 def test_full_contact_and_none():
     """f = -1 on psi = 0 = g: u = 0 and p = 1; psi = -1: the Poisson solution after one linear solve, p = 0."""
-    full = Workbench(membrane(load=-1, lower=0)).answer(membrane(load=-1, lower=0).change({"solve.method": "vi"}))
+    full = Workbench(membrane(load=-1, lower=0)).answer(SolverOptions(method="vi"))
     assert largest(COMM, np.abs(full.u.x.array)) == 0
     inside = full.contact.x.array > 0
     assert np.allclose(full.pressure.x.array[inside], 1)

@@ -7,8 +7,8 @@ import pytest
 from conftest import COMM, slow_except
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.discrete.levels import build
 from fenicsx_obstacle.parallel import on_root, total
+from fenicsx_obstacle.scenes.meshes import build
 
 FORMATS = [(2.2, 0, 0), (2.2, 1, 1), (4.1, 1, 0), (4.1, 0, 1)]  # version, binary, also what is in no group
 

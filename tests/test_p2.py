@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.accuracy import rt1
+from fenicsx_obstacle.accuracy.contact import touching
 from fenicsx_obstacle.accuracy.triangles import lattice
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.compute import Workbench
@@ -60,10 +61,10 @@ def test_the_flux_is_in_balance(perturb):
     for name in ("ball", "two_obstacle_square"):
         with closing(Workbench(quadratic(name, **{"mesh.perturb": perturb}))) as bench:
             bench.answer(bound=True)
-            estimator, problem = bench.estimator, bench.problem
-            flux = estimator.equilibration2.flux(problem.heights().x.array, *estimator._touching())
-            triangles = estimator.triangles
-            load = estimator.equilibration2.load.sum(axis=(1, 2))
+            element, problem = bench.estimator.element, bench.problem
+            flux = element.equilibration.flux(problem.heights().x.array, *touching(problem))
+            triangles = element.triangles
+            load = element.equilibration.load.moments.sum(axis=(1, 2))
             others = (flux.lower - flux.upper + flux.rest).mean(axis=1) * triangles.area
             scale = largest(COMM, np.abs(flux.normal))
             assert largest(COMM, np.abs(flux.normal.sum(axis=1) + load + others)) < 1e-14 * max(scale, 1)
@@ -86,7 +87,7 @@ def test_no_known_error_is_above_its_bound(name):
     scene = quadratic(name)
     with closing(Workbench(scene)) as bench:
         for eps in ("h", "h^2", "1e-10"):
-            answer = bench.answer(scene.change({"solve.eps": eps}), bound=True)
+            answer = bench.answer(scene.options_with(eps=eps), bound=True)
             bound, error = answer.bound, answer.record["errors"]["energy"]
             assert bound.words.startswith("certified for the sampled ")
             assert error <= bound.total <= 6 * error

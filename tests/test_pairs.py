@@ -11,11 +11,11 @@ from petsc4py import PETSc
 from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, study
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.answers.linear import linear
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.cells import volumes
 from fenicsx_obstacle.forms.pairs import Pair, _register, pairs, register
 from fenicsx_obstacle.forms.rules import Rule, nodal_rule
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.solvers.newton import penalty_pressure
 from fenicsx_obstacle.studies.orders import order
 
@@ -30,7 +30,7 @@ CASES = [(name, {**mesh, "cell": cell, "perturb": 0.2}) for name, pair in pairs(
 
 def level_of(name, mesh, **more):
     scene = Scene(mesh={**mesh, **more}, tension=1, upper=1).change({"solve.element": name})
-    return levels.build(scene, COMM)
+    return meshes.build(scene, COMM)
 
 
 @pytest.mark.parametrize("name, mesh", CASES)
@@ -71,11 +71,11 @@ def test_orders_of_each_pair(name):
 def test_reference_of_each_pair(name):
     """Theorem 3.1: u_eps tends to the solution of the inequality, whose constraints hold at the points of I alone."""
     bench = Workbench(DISK.change({"mesh.cells": 12, "solve.element": name}))
-    scene = bench.problem.scene
-    reference = bench.answer(scene.change({"solve.method": "vi"}))
+    scene = bench.scene
+    reference = bench.answer(scene.options_with(method="vi"))
     distance = []
     for eps in (1e-5, 1e-7):
-        answer = bench.answer(scene.change({"solve.eps": eps}))
+        answer = bench.answer(scene.options_with(eps=eps))
         distance.append(largest(COMM, np.abs(answer.u.x.array - reference.u.x.array)))
     assert distance[0] < 1e-3 and abs(np.log10(distance[0] / distance[1]) / 2 - 1) < 0.1
     assert reference.record["penetration"] < 1e-9
@@ -210,8 +210,8 @@ def test_perturbed_meshes_are_the_same_on_all_ranks():
     """The random shift of a vertex is a function of its place."""
     level = level_of("P1", SQUARE, perturb=0.25)
     scene = Scene(mesh={**SQUARE, "perturb": 0.25}, tension=1, upper=1)
-    alone = levels.build(scene, MPI.COMM_SELF)
+    alone = meshes.build(scene, MPI.COMM_SELF)
     points = {tuple(x) for x in np.round(alone.points.T, 12)}
     assert all(tuple(x) in points for x in np.round(level.points.T, 12))
-    grid = levels.build(Scene(mesh=SQUARE, tension=1, upper=1), MPI.COMM_SELF)
+    grid = meshes.build(Scene(mesh=SQUARE, tension=1, upper=1), MPI.COMM_SELF)
     assert 0.15 / 6 < np.abs(alone.points - grid.points).max() <= 0.25 / 6

@@ -11,9 +11,9 @@ import pytest
 from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.distance import distance_to_simplices
+from fenicsx_obstacle.scenes import meshes
 
 # what this process's MPI has put into the environment would confuse the one started here
 CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}
@@ -212,8 +212,8 @@ def test_answer_at(folder):
 
 
 def nodal_distance(mesh):
-    level = levels.build(Scene(mesh=mesh, tension=1), COMM)
-    distance = Data(Scene(mesh=mesh, tension=1), level).distance
+    level = meshes.build(Scene(mesh=mesh, tension=1), COMM)
+    distance = Data(Scene(mesh=mesh, tension=1).model, level).distance
     return distance.x.array, level.V.tabulate_dof_coordinates().T
 
 
@@ -279,7 +279,7 @@ def test_nothing_that_is_not_named():
         "import sys; from fenicsx_obstacle import Scene, solve\n"
         "answer = solve(Scene(mesh={'shape': 'interval', 'cells': 4}, tension=1))\n"
         "assert 'report' not in answer.record and answer.report == {}\n"
-        "print([m for m in sys.modules if m in ('fenicsx_obstacle.accuracy.functionals', "
+        "print([m for m in sys.modules if m in ('fenicsx_obstacle.scenes.functionals', "
         "'fenicsx_obstacle.discrete.distance', 'fenicsx_obstacle.discrete.points')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)

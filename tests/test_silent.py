@@ -62,4 +62,4 @@ def test_jumps_of_the_tension_keep_quadratic_elements_definite():
     scene = Scene(mesh=mesh, **data).change({"solve.element": "P2"})
     with closing(Workbench(scene)) as bench:
         assert smallest(COMM, bench.problem.nodal.diagonal) > 0
-        assert bench.answer(scene.change({"solve.method": "vi"})).record["converged"]
+        assert bench.answer(scene.options_with(method="vi")).record["converged"]

@@ -31,7 +31,7 @@ def test_petsc_defaults_give_wrong_answers_as_converged_and_ours_do_not(ball):
 def both(scene, eps):
     """The penalty's answer and the reference on one mesh: two meshes of one scene can be partitioned differently."""
     bench = Workbench(scene.change({"solve.eps": eps}))
-    return bench.answer(), bench.answer(scene.change({"solve.method": "vi"}))
+    return bench.answer(), bench.answer(scene.options_with(method="vi"))
 
 
 @pytest.mark.parametrize("eps", [1e-8, 1e-12, 1e-14])
@@ -133,9 +133,9 @@ def test_unconverged_is_no_answer(ball, method, prefix):
 def test_state_of_an_eps_ladder_is_independent_of_its_order(ball):
     """Each value starts cold: a row does not depend on the rows before it."""
     bench = Workbench(ball)
-    first = bench.answer(ball.change({"solve.eps": 1e-3})).record
-    bench.answer(ball.change({"solve.eps": 1e-9}))
-    again = bench.answer(ball.change({"solve.eps": 1e-3})).record
+    first = bench.answer(ball.options_with(eps=1e-3)).record
+    bench.answer(ball.options_with(eps=1e-9))
+    again = bench.answer(ball.options_with(eps=1e-3)).record
     assert first["newton_iterations"] == again["newton_iterations"]
     assert np.isclose(first["energy"], again["energy"], rtol=1e-12)
 

@@ -9,8 +9,8 @@ from conftest import COMM
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.accuracy.stability import Stability
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.forms.pairs import pairs
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.studies.theory.statement import slope
 
 RIGHT, CROSSED, SQUARES = {}, {"diagonal": "crossed"}, {"cell": "quadrilateral"}
@@ -26,7 +26,7 @@ FAMILIES = {
 def stability(family: str, n: int) -> Stability:
     name, mesh = FAMILIES[family]
     scene = Scene(mesh={"shape": "rectangle", "cells": n, **mesh}, tension=1)
-    return Stability(levels.build(scene, COMM).mesh, pairs()[name])
+    return Stability(meshes.build(scene, COMM).mesh, pairs()[name])
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -140,7 +140,7 @@ def test_ranks():
     from mpi4py import MPI
 
     scene = Scene(mesh={"shape": "rectangle", "cells": 8, "perturb": 0.25}, tension=1)
-    alone = Stability(levels.build(scene, MPI.COMM_SELF).mesh, pairs()["P1"])
+    alone = Stability(meshes.build(scene, MPI.COMM_SELF).mesh, pairs()["P1"])
     one = stability("P1 perturbed", 8)
     for dense in (True, False):
         assert one.alpha(dense) == pytest.approx(alone.alpha(dense), rel=1e-9)

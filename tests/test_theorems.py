@@ -16,8 +16,8 @@ from fenicsx_obstacle.studies.orders import order
 def ladder():
     """disk.toml, 32 cells: eight solutions of the penalty."""
     bench = Workbench(Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 32}))
-    scene = bench.problem.scene
-    answers = {eps: bench.answer(scene.change({"solve.eps": eps})) for eps in [10.0**-k for k in range(1, 9)]}
+    scene = bench.scene
+    answers = {eps: bench.answer(scene.options_with(eps=eps)) for eps in [10.0**-k for k in range(1, 9)]}
     return bench, answers
 
 

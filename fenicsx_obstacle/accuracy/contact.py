@@ -36,6 +36,15 @@ class Contact:
     penetration: float
 
 
+def touching(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the problem's state is at the lower obstacle or beyond it, at owned points of I, and at the upper one
+    (collective)."""
+    gaps = problem.gaps()
+    finite = [np.abs(gap[np.isfinite(gap)]) for gap in gaps]
+    near = TOUCHES * max(largest(problem.level.comm, np.concatenate(finite)), 0.0)
+    return gaps[0] <= near, gaps[1] <= near
+
+
 def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
     """Contact set, area and forces of the problem's state (collective).
 
@@ -45,12 +54,11 @@ def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
     """
     comm, D = problem.level.comm, problem.weights
     above_lower, below_upper = problem.gaps()
-    reach = [np.abs(gap[np.isfinite(gap)]) for gap in (above_lower, below_upper)]
-    near = TOUCHES * max(largest(comm, np.concatenate(reach)), 0.0)
+    at_lower, at_upper = touching(problem)
     least = PRESSES * max(largest(comm, np.abs(pressure)), 0.0)
     free = problem.touchable
-    lower = free & (above_lower <= near) & (pressure > least)
-    upper = free & (below_upper <= near) & (-pressure > least)
+    lower = free & at_lower & (pressure > least)
+    upper = free & at_upper & (-pressure > least)
     beyond = largest(comm, np.concatenate([-above_lower[free], -below_upper[free]]))
     return Contact(
         pressure=pressure,

@@ -15,11 +15,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.triangles import Triangles
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes.enclosures import Cells
-from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.parts import part_place
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
 WIDER = 64  # and so many times farther from it
@@ -67,48 +65,48 @@ class Jumps:
         """Nothing so far.
 
         Args:
-            data: Of the scene.
+            data: Of the problem.
             scale: Largest boundary value.
         """
         self.data, self.scale = data, scale
-        self.worst: tuple[float, tuple[float, float], np.ndarray, Formula] | None = None
+        self.worst: tuple[float, tuple[float, float], np.ndarray, Field] | None = None
 
-    def look(self, formula: Formula, edges: Edges, ends: np.ndarray) -> None:
+    def look(self, field: Field, edges: Edges, ends: np.ndarray) -> None:
         """Compare values on both sides wherever conditions change, and at the ends with the nodal values.
 
         Args:
-            formula: Of the boundary value.
+            field: Of the boundary value.
             edges: Where it holds.
             ends: Nodal values at start and end, shape (edges, 2).
         """
         count = len(edges.start)
         every = np.arange(count)
-        if self.data.uniform(formula):
-            value = self._values(formula, edges, every, np.zeros(count))
+        if field.uniform:
+            value = self._values(field, edges, every, np.zeros(count))
             for k in range(2):
-                self._judge(formula, (value, ends[:, k]), (value, ends[:, k]), edges.at(every, np.full(count, k)))
+                self._judge(field, (value, ends[:, k]), (value, ends[:, k]), edges.at(every, np.full(count, k)))
             return
         near = self._finest(edges)
         for k, direction in ((0, 1.0), (1, -1.0)):
-            inside = [self._values(formula, edges, every, k + direction * s * near) for s in (1, WIDER)]
+            inside = [self._values(field, edges, every, k + direction * s * near) for s in (1, WIDER)]
             places = edges.at(every, np.full(count, k))
-            self._judge(formula, (inside[0], ends[:, k]), (inside[1], ends[:, k]), places)
-        which, low, high = self._changes(formula, edges, near)
+            self._judge(field, (inside[0], ends[:, k]), (inside[1], ends[:, k]), places)
+        which, low, high = self._changes(field, edges, near)
         room = np.maximum(high - low, near[which])
         close, far = (
-            (self._values(formula, edges, which, low - r), self._values(formula, edges, which, high + r))
+            (self._values(field, edges, which, low - r), self._values(field, edges, which, high + r))
             for r in (room, WIDER * room)
         )
-        self._judge(formula, close, far, edges.at(which, (low + high) / 2))
+        self._judge(field, close, far, edges.at(which, (low + high) / 2))
 
     def in_words(self) -> str | None:
         """Place and size of the largest jump on all ranks; None where there is none (collective)."""
         found = [one for one in self.data.level.comm.allgather(self.worst) if one is not None]
         if not found:
             return None
-        _, (one, other), place, formula = max(found, key=lambda candidate: candidate[0])
+        _, (one, other), place, field = max(found, key=lambda candidate: candidate[0])
         return (
-            f"{formula.place} = {formula.text}: the boundary values jump at {self.data.at(place)}, from {one:.9g} to "
+            f"{field}: the boundary values jump at {self.data.place(place)}, from {one:.9g} to "
             f"{other:.9g}; no u with such values has a finite energy"
         )
 
@@ -124,16 +122,16 @@ class Jumps:
                 f"{words}, so that no error bound and no tolerance is possible: let the value change continuously"
             )
 
-    def _changes(self, formula: Formula, edges: Edges, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _changes(self, field: Field, edges: Edges, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where conditions change: edges, and ends of a short part of each."""
         count = len(edges.start)
         which, low, high = np.arange(count), np.zeros(count), np.ones(count)
-        cut = self._cut(formula, edges, which, low, high)
+        cut = self._cut(field, edges, which, low, high)
         which, low, high = which[cut], low[cut], high[cut]
         found = []
         while 0 < len(which) <= MAX_PIECES:
             middle = (low + high) / 2
-            halves = [self._cut(formula, edges, which, *ends) for ends in ((low, middle), (middle, high))]
+            halves = [self._cut(field, edges, which, *ends) for ends in ((low, middle), (middle, high))]
             ended = ~(halves[0] | halves[1]) | (high - low <= near[which])
             found.append((which[ended], low[ended], high[ended]))
             kept = [half & ~ended for half in halves]
@@ -149,10 +147,12 @@ class Jumps:
             np.concatenate([f[2] for f in found]),
         )
 
-    def _cut(self, formula: Formula, edges: Edges, which: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    def _cut(self, field: Field, edges: Edges, which: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Whether a condition is undecided in part of an edge, or a value may be infinite there."""
-        distance = self.data.boundary_distance if "distance" in self.data.scene.needs(formula) else None
-        bounds = Cells(self.data.scene, edges.pieces(which, low, high), distance).once(formula)
+        known = field.over(edges.pieces(which, low, high), self.data.names(field))
+        if known is None:
+            return np.zeros(len(which), dtype=bool)
+        bounds = known.once()
         return ~(bounds.whole & bounds.finite)
 
     def _finest(self, edges: Edges) -> np.ndarray:
@@ -160,16 +160,14 @@ class Jumps:
         size = np.abs(edges.corners).max(axis=(1, 2), initial=0.0)
         return np.clip(FINEST * size / np.linalg.norm(edges.end - edges.start, axis=1), FINEST, 1e-3)
 
-    def _values(self, formula: Formula, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
+    def _values(self, field: Field, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
         x = np.zeros((3, len(which)))
         x[:2] = edges.at(which, t).T
-        scene = self.data.scene
-        known = {"distance": self.data.boundary_distance(x.T)} if "distance" in scene.needs(formula) else {}
-        return scene.at_points(formula, x, known)
+        return self.data.at(field, x)
 
     def _judge(
         self,
-        formula: Formula,
+        field: Field,
         close: tuple[np.ndarray, np.ndarray],
         far: tuple[np.ndarray, np.ndarray],
         places: np.ndarray,
@@ -184,18 +182,17 @@ class Jumps:
         first = int(np.argmax(np.where(jumps, np.where(np.isfinite(small), small, np.inf), -1.0)))
         if self.worst is None or small[first] > self.worst[0]:
             pair = float(close[0][first]), float(close[1][first])
-            self.worst = (float(small[first]), pair, np.append(places[first], 0.0), formula)
+            self.worst = (float(small[first]), pair, np.append(places[first], 0.0), field)
 
 
 def boundary_jump(data: Data) -> str | None:
-    """Where the boundary values of a scene without time jump, in words; None where they do not (collective).
+    """Where the boundary values of a model without time jump, in words; None where they do not (collective).
 
     Args:
         data: On plane triangles.
     """
-    scene, level = data.scene, data.level
-    given = [(number, scene.formula(part.value, f"{part_place(number)} value"))
-             for number, part in enumerate(scene.tables.boundary) if part.value is not None]  # fmt: skip
+    level = data.level
+    given = [(number, part.value) for number, part in enumerate(data.model.boundary) if part.value is not None]
     values, topology = data.fixed[1].x.array, level.mesh.topology
     part = np.full(topology.index_map(1).size_local + topology.index_map(1).num_ghosts, -1)
     for number, facets in enumerate(data.held):
@@ -204,13 +201,13 @@ def boundary_jump(data: Data) -> str | None:
     topology.create_connectivity(1, 2)
     beside = topology.connectivity(1, 2)
     jumps = Jumps(data, max(largest(level.comm, np.abs(values[data.fixed[0]])), 0.0))
-    for number, formula in given:
+    for number, field in given:
         facets = np.flatnonzero(part == number)
         cells = np.asarray(beside.array)[np.asarray(beside.offsets)[facets]]
         members = np.array(facet_vertices(2))[np.argmax(table[cells] == facets[:, None], axis=1)]
         ends = np.take_along_axis(corners(level.mesh, cells), members[:, :, None], axis=1)[..., :2]
         nodal = values[np.take_along_axis(dofs[cells], members, axis=1)]
-        jumps.look(formula, Edges(ends[:, 0], ends[:, 1]), nodal)
+        jumps.look(field, Edges(ends[:, 0], ends[:, 1]), nodal)
     return jumps.in_words()
 
 
@@ -233,12 +230,14 @@ def cut_parts(triangles: Triangles) -> list[str]:
     every = np.arange(len(cells))
     short = SLIVER * extent / np.linalg.norm(edges.end - edges.start, axis=1)
     inside = edges.pieces(every, np.minimum(short, 0.25), np.maximum(1 - short, 0.75))
-    for number, part in enumerate(data.scene.tables.boundary):
+    for number, part in enumerate(data.model.boundary):
         if part.where is None or part.value is None:
             continue
-        formula = data.scene.formula(part.where, f"{part_place(number)} where")
         held = np.isin(triangles.facets[cells, opposite], data.held[number])
-        truth = Cells(data.scene, inside).truth(formula)
+        known = part.where.over(inside, {})
+        if known is None:
+            continue
+        truth = known.truth()
         holds, fails = (np.broadcast_to(may, len(cells)) for may in (truth.may_hold, truth.may_fail))
         wrong = np.where(held, fails, holds)
         if level.polygonal is not True:
@@ -247,7 +246,7 @@ def cut_parts(triangles: Triangles) -> list[str]:
         at = next((one for one in level.comm.allgather(mine) if one is not None), None)
         if at is not None:
             found.append(
-                f"{part_place(number)} where = {formula.text} is not made of whole edges of the mesh, near "
-                f"{data.at(at)}, so that other meshes hold u on another part"
+                f"{part.name} where = {part.where.text} is not made of whole edges of the mesh, near "
+                f"{data.place(at)}, so that other meshes hold u on another part"
             )
     return found

@@ -1,4 +1,4 @@
-"""What is known of the data of a scene on whole cells and edges, without sampling."""
+"""What is known of data on whole cells and edges, without sampling."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.accuracy import polynomials
 from fenicsx_obstacle.accuracy.quadrature import blocks
 from fenicsx_obstacle.accuracy.triangles import Triangles
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.scenes import polynomials
-from fenicsx_obstacle.scenes.enclosures import Cells
-from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL
-from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Field
 
 
 @dataclass(frozen=True)
@@ -52,42 +49,48 @@ def number(count: int) -> Known:
     return Known(np.zeros(count), np.zeros(count), np.zeros(count, dtype=int))
 
 
-def in_cells(triangles: Triangles, value: Value) -> Known:
+def in_cells(triangles: Triangles, value: Field) -> Known:
     """Of a value on the owned cells (collective where it is the first to need the distance)."""
     count = len(triangles.area)
     found = Known(np.zeros(count), np.zeros(count), np.full(count, NO_POLYNOMIAL))
-    parts: list[tuple[Formula, Any]] = [(value, np.arange(count))] if isinstance(value, Formula) else []
-    if isinstance(value, Materials):
-        parts = [(formula, triangles.data.level.groups[name]) for name, formula in value.parts.items()]
-    for formula, cells in parts:
-        for name, values in vars(on_simplices(triangles.data, formula, triangles.x[cells])).items():
+    parts: list[tuple[Field, Any]] = [(value, np.arange(count))]
+    if value.parts is not None:
+        parts = [(field, triangles.data.level.groups[name]) for name, field in value.parts.items()]
+    for field, cells in parts:
+        for name, values in vars(on_simplices(triangles.data, field, triangles.x[cells])).items():
             getattr(found, name)[cells] = values
     return found
 
 
-def on_simplices(data: Data, formula: Formula, corners: np.ndarray) -> Known:
-    """Of a formula on triangles or edges in the plane (collective where it is the first to need the distance).
+def on_simplices(data: Data, field: Field, corners: np.ndarray) -> Known:
+    """Of a datum on triangles or edges in the plane (collective where it is the first to need the distance).
 
     Args:
-        data: Of the scene.
-        formula: In the scene's names.
+        data: Of the problem.
+        field: The datum. Of one that knows no bounds a value in the middle stands for them: it is sampled.
         corners: Shape (simplices, corners, 2).
     """
-    count, scene = len(corners), data.scene
-    if data.uniform(formula):
-        value = np.full(count, scene.at_points(formula, np.zeros((3, 1)))[0])
+    count, names = len(corners), data.names(field)
+    if field.uniform:
+        value = np.full(count, field.at(np.zeros((3, 1)), names)[0])
         return Known(value, value, np.zeros(count, dtype=int))
-    distance = data.boundary_distance if "distance" in scene.needs(formula) else None
+    here = data.here(field)
     found = Known(np.empty(count), np.empty(count), np.empty(count, dtype=int))
     for block in blocks(count):
-        cells = Cells(scene, corners[block], distance)
-        bounds = cells.enclosure(formula)
+        cells = here.over(corners[block], names)
+        if cells is None:
+            x = np.zeros((3, block.stop - block.start))
+            x[:2] = corners[block].mean(axis=1).T
+            found.lower[block] = found.upper[block] = here.at(x, names)
+            found.degree[block] = NO_POLYNOMIAL
+            continue
+        bounds = cells.enclosure()
         lower, upper = np.where(bounds.defined, bounds.lower, -np.inf), np.where(bounds.defined, bounds.upper, np.inf)
         degree = np.where(bounds.whole & bounds.finite, bounds.degree, NO_POLYNOMIAL)
         degree = np.where(degree > polynomials.MAX_DEGREE, NO_POLYNOMIAL, degree)
         for d in np.unique(degree[degree < NO_POLYNOMIAL]):
             inside = np.flatnonzero(degree == d)
-            low, high = polynomials.bounds(cells.values(formula, int(d), inside), corners.shape[1], int(d))
+            low, high = polynomials.bounds(cells.values(int(d), inside), corners.shape[1], int(d))
             lower[inside], upper[inside] = np.maximum(lower[inside], low), np.minimum(upper[inside], high)
         found.lower[block], found.upper[block], found.degree[block] = lower, upper, degree
     return found

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.triangles import next_, previous
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous
+from fenicsx_obstacle.parallel import largest
 
 
 class Fans:
@@ -24,6 +24,10 @@ class Fans:
     over slices.
 
     Attributes:
+        held: Whether u is given on the side opposite to each vertex, shape (owned cells, 3).
+        free: Whether u is not given at an owned vertex.
+        area: A third of the cell's area at each corner.
+        mass: int phi_i at owned vertices.
         steps: Slice of each step.
         vertex: Owned dof of each fan.
         closed: Whether a fan goes all the way round.
@@ -32,16 +36,18 @@ class Fans:
         exit_held: Likewise where it ends.
     """
 
-    def __init__(self, level: Level, dofs: np.ndarray, held: np.ndarray):
-        """Sort the corners (collective).
-
-        Args:
-            level: P1 on triangles.
-            dofs: Local dofs of owned cells, counter-clockwise, shape (cells, 3).
-            held: Whether u is given on the edge opposite to each of them.
-        """
-        self.comm, self.owned = level.comm, level.owned
-        index_map = level.V.dofmap.index_map
+    def __init__(self, triangles: Triangles):
+        """Sort the corners (collective)."""
+        data, dofs = triangles.data, triangles.dofs
+        self.comm, self.owned = data.level.comm, data.level.owned
+        is_held = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
+        for facets in data.held:
+            is_held[facets[facets < len(is_held)]] = True
+        self.held = is_held[triangles.facets]
+        self.free = np.ones(self.owned, dtype=bool)
+        fixed = data.fixed[0]
+        self.free[fixed[fixed < self.owned]] = False
+        index_map = data.level.V.dofmap.index_map
         number = np.asarray(index_map.local_to_global(dofs.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 3)
         starts = np.array(self.comm.allgather(index_map.local_range[0]))
         if self.comm.size > 1:
@@ -51,11 +57,13 @@ class Fans:
             self._sent = np.bincount(owner, minlength=self.comm.size)
             self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
         entry, exit_ = (number * index_map.size_global + other for other in (next_(number), previous(number)))
-        ends = previous(held) + 2 * next_(held)
+        ends = previous(self.held) + 2 * next_(self.held)
         a, entry, exit_, ends = self._to_owners(number, entry, exit_, ends)
         a = a - starts[self.comm.rank]
         entry_held, exit_held = ends % 2 > 0, ends > 1
         self._sort(a, self._links(entry, exit_, entry_held, exit_held), entry_held, exit_held)
+        self.area = self.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0]
+        self.mass = self.at_vertices(self.area)
 
     def _links(self, entry: np.ndarray, exit_: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> np.ndarray:
         """The corner after each, -1 where its fan ends (local)."""
@@ -134,10 +142,14 @@ class Fans:
 
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
         """Sums over the corners of each owned vertex (local)."""
+        return np.bincount(self.vertex, weights=self.sums(values), minlength=self.owned)
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """Sums over the corners of each fan (local)."""
         sums = np.zeros(len(self.vertex))
         for step in self.steps:
             sums[: step.stop - step.start] += values[step]
-        return np.bincount(self.vertex, weights=sums, minlength=self.owned)
+        return sums
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """Likewise the largest, 0 if that is more (local)."""
@@ -161,6 +173,15 @@ class Fans:
                 before[step] = after[start : start + step.stop - step.start]
             after[step] = before[step] - drops[step]
         return before, after
+
+    def left_over(self, after: np.ndarray) -> float:
+        """The largest sum that is left after the fan of a free vertex (collective).
+
+        Args:
+            after: Running sums after each corner.
+        """
+        ends = np.abs(after[self.last])[self.closed | ~(self.entry_held | self.exit_held)]
+        return max(largest(self.comm, ends), 0.0)
 
     def along(self, values: np.ndarray) -> np.ndarray:
         """One value for each fan at all of its corners (local)."""

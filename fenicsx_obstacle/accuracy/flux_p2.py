@@ -18,16 +18,17 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem
 
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.cell_data import Load, of_solver, tension_of
 from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.rt1 import FORMS, MASS, MIDDLES, PULLS, metric
-from fenicsx_obstacle.accuracy.samples_p2 import Samples2
-from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous
+from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.accuracy.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
+from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous, with_ghosts
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.parallel import largest
 
 
 @dataclass(frozen=True)
-class Flux2:
+class FluxP2:
     """Multipliers and flux; arrays over owned cells, counter-clockwise.
 
     Attributes:
@@ -47,11 +48,16 @@ class Flux2:
     incompatible: float
 
 
-class Equilibration2(Samples2):
+class EquilibrationP2:
     """Everything about flux and multipliers that depends on mesh and data alone.
 
     Attributes:
-        others: Effects that it does not know: none.
+        triangles: The owned cells, with the dofs of P1.
+        fans: Their corners around the vertices.
+        nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
+        mu: Mean tension of each cell, as the solver has it.
+        load: Its moments are int f psi_j psi_k, shape (cells, 3, 3), its oscillation ||f - Pi_1 f||_T.
+        missing: Force at owned nodes that the load's formula gives more than what the solver makes of it.
     """
 
     def __init__(self, triangles: Triangles, data: Data):
@@ -61,23 +67,27 @@ class Equilibration2(Samples2):
             triangles: Of P1 on the same mesh.
             data: Of P2.
         """
-        super().__init__(triangles, data)
-        self.others: list[str] = []
-        is_held = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
-        for facets in data.held:
-            is_held[facets[facets < len(is_held)]] = True
-        self.held = is_held[triangles.facets]
-        below = triangles.data.level
-        self.fans = Fans(below, triangles.dofs, self.held)
-        self.free = np.ones(below.owned, dtype=bool)
-        fixed = triangles.data.fixed[0]
-        self.free[fixed[fixed < below.owned]] = False
+        self.triangles, self.level = triangles, data.level
+        self.nodes = triangles.turned_nodes(releases.cell_dofs(self.level.V)[: len(triangles.area)])
+        self._sample_tension(data)
+        self.load = Load(
+            triangles, data, tests=lambda points: points[:, :, None] * points[:, None], basis=lambda points: points
+        )
+        self.missing = self.summed(against_nodes(self.load.missing))[: self.level.owned]
+        self.fans = Fans(triangles)
         self._given = np.zeros(len(fem.Function(self.level.V).x.array), dtype=bool)
         self._given[data.fixed[0]] = True
-        self.mass = self.fans.at_vertices(self.fans.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0])
         weights = self.summed(np.repeat(triangles.area[:, None] / 3, 3, axis=1), middles=True)
         self._weights = np.where(weights > 0, weights, 1.0)
         self._prepare_fans()
+
+    def _sample_tension(self, data: Data) -> None:
+        """The mean of mu, and int mu psi_j psi_k."""
+        points, weights = rule(2)
+        mu = of_solver(self.triangles, data, tension_of(data), points, positive=True)
+        self.mu = mu @ weights
+        products = np.einsum("pj,pk->pjk", points, points)
+        self._mu_products = self.triangles.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
 
     def _prepare_fans(self) -> None:
         """Metric of each corner, and the matrices of the fans."""
@@ -95,9 +105,7 @@ class Equilibration2(Samples2):
         self._forms = np.empty((3, 3, gathered.shape[1]))
         for (u, v), values in zip(pairs, gathered, strict=True):
             self._forms[u, v] = self._forms[v, u] = values
-        lengths = np.zeros(len(self.fans.vertex), dtype=np.int64)
-        for step in self.fans.steps:
-            lengths[: step.stop - step.start] += 1
+        lengths = self.fans.sums(np.ones(len(self.fans.area))).astype(np.int64)
         starts = np.array([step.start for step in self.fans.steps])
         self._groups = []
         for length in np.unique(lengths):
@@ -106,27 +114,32 @@ class Equilibration2(Samples2):
                 if len(fans):
                     self._groups.append((fans, starts[:length][None] + fans[:, None], closed))
 
-    def flux(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Flux2:
+    def summed(self, values: np.ndarray, *, middles: bool = False) -> np.ndarray:
+        """Sums over the cells around each local node of P2, from values (cells, 6), or (cells, 3) at middles
+        (collective)."""
+        function, nodes = fem.Function(self.level.V), self.nodes[:, 3:] if middles else self.nodes
+        function.x.array[:] = np.bincount(nodes.ravel(), values.ravel(), len(function.x.array))
+        releases.add_ghosts(function)
+        function.x.scatter_forward()
+        return function.x.array.copy()
+
+    def flux(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> FluxP2:
         """Multipliers and flux of a state (collective).
 
         Args:
             u: Values at local nodes of P2.
-            touches_lower: Whether u is at the lower obstacle or beyond it, at local nodes.
-            touches_upper: Likewise of the upper one.
+            touches_lower: Whether u is at the lower obstacle or beyond it, at owned nodes.
+            touches_upper: Whether it is at the upper one or beyond it.
         """
         triangles, fans = self.triangles, self.fans
         area, gradient = triangles.area, self.gradients(u)
         slopes = np.einsum("xck,xca->cak", gradient, triangles.normal) / (2 * area)[:, None, None]  # grad psi_a at k
         K = np.einsum("cak,ckj->caj", slopes, self._mu_products)  # int mu grad u . grad psi_a psi_j
         lower, upper = self._multipliers(K, touches_lower, touches_upper)
-        pushes = self.load + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
+        pushes = self.load.moments + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
         drops = (pushes - K).sum(axis=2)
-        below = fem.Function(triangles.data.level.V)
-        below.x.array[: below.function_space.dofmap.index_map.size_local] = np.where(
-            self.free, -fans.at_vertices(fans.gather(drops)[0]) / self.mass, 0.0
-        )
-        below.x.scatter_forward()
-        rest = below.x.array[triangles.dofs]
+        unbalanced = np.where(fans.free, -fans.at_vertices(fans.gather(drops)[0]) / fans.mass, 0.0)
+        rest = with_ghosts(triangles.data.level.V, unbalanced)[triangles.dofs]
         pushes = pushes + rest[:, :, None] * (area[:, None, None] * MASS)
         drops = (pushes - K).sum(axis=2)
         R = K - pushes  # int div sigma^a psi_j
@@ -134,9 +147,8 @@ class Equilibration2(Samples2):
         drops, *pulls = fans.gather(drops, *pulls)
         before, after = fans.walk(drops)
         round_, entering, leaving = self._solved(before, after, np.array(pulls))
-        left = np.abs(after[fans.last])[fans.closed | ~(fans.entry_held | fans.exit_held)]
         parts = fans.scatter(before + round_, after + round_, entering, leaving)
-        return Flux2(lower, upper, rest, *self._joined(R, *parts), max(largest(self.level.comm, left), 0.0))
+        return FluxP2(lower, upper, rest, *self._joined(R, *parts), fans.left_over(after))
 
     def gradients(self, u: np.ndarray) -> np.ndarray:
         """grad u_h at the vertices of each cell, shape (2, cells, 3)."""
@@ -155,11 +167,12 @@ class Equilibration2(Samples2):
     ) -> tuple[np.ndarray, np.ndarray]:
         """lambda and nu at the middles: what pushes away from an obstacle that is touched (collective)."""
         j, k = [1, 2, 0], [2, 0, 1]
-        forces = 4 * (K[:, j, k] + K[:, k, j] - self.load[:, j, k])
+        forces = 4 * (K[:, j, k] + K[:, k, j] - self.load.moments[:, j, k])
         residual = self.summed(forces, middles=True) / self._weights
         residual[self._given] = 0.0
         found = []
-        for sign, touches in ((1, touches_lower), (-1, touches_upper)):
+        for sign, owned in ((1, touches_lower), (-1, touches_upper)):
+            touches = with_ghosts(self.level.V, owned) > 0.5
             nodal = np.where(touches, np.maximum(sign * residual, 0.0), 0.0)
             found.append(self._along_the_boundary(nodal, touches)[self.nodes[:, 3:]])
         return found[0], found[1]

@@ -85,7 +85,7 @@ def _equilibrium(s: Solved) -> Finding:
     u.x.array[: problem.level.owned] = s.w + s.r
     u.x.scatter_forward()
     net = 0.0  # a(u, 1) - f(1)
-    for effect in problem.scene.effects:
+    for effect in problem.model.effects:
         forces = effect.vector(data)
         if forces is not None:  # of no form
             net -= total(g.comm, forces)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
 
@@ -14,57 +15,37 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.quadrature import DEGREE
 from fenicsx_obstacle.discrete.data import Data, Weighted
+from fenicsx_obstacle.discrete.fields import Symbols
+from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Sampler, residual
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
-from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES
 
 
-class Formulas:
-    """The scene's formulas as UFL expressions on a mesh: data for `Effect.terms` without sampling.
+class ExactData:
+    """Data as UFL expressions on a mesh: for `Effect.terms` without sampling.
 
     Attributes:
         dx: Integration of high degree.
     """
 
     def __init__(self, data: Data):
-        self.data, self.level, self.scene = data, data.level, data.scene
+        self.data, self.level = data, data.level
         mesh = self.level.mesh
-        self.dx: Any = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
-        x = ufl.SpatialCoordinate(mesh)
-        if data.radial:
-            self.dx = Weighted(self.dx, x[0])
-        self._zero = x[0] - x[0]  # gives expressions without coordinates a domain, which grad needs
-        axes = [x[i] if i < mesh.geometry.dim else self._zero for i in range(3)]
         self.eps = fem.Constant(mesh, PETSc.ScalarType(0.0))
-        self.alphabet = ufl_alphabet()
-        values = (*axes, ufl.sqrt(ufl.inner(x, x)), releases.atan2(axes[1], axes[0]))
         now = {name: data.number(value) for name, value in data.now.items()}
-        self.names: dict[str, Any] = {
-            **CONSTANTS,
-            **now,
-            "eps": self.eps,
-            **dict(zip(COORDINATES, values, strict=True)),
-        }
+        self.symbols = Symbols(mesh, {**now, "eps": self.eps})
+        self.dx: Any = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
+        if data.model.radial:
+            self.dx = Weighted(self.dx, self.symbols.axes[0])
 
-    def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
-        """The formula itself; of materials each within its own cells (then collective)."""
-        if isinstance(value, Materials):
-            return sum(self._inside(name) * self.cellwise(formula) for name, formula in value.parts.items())
-        needed = self.scene.needs(value)  # others may hold what UFL cannot differentiate
-        try:
-            for key in (key for key in self.scene.define if key in needed - set(self.names)):
-                self.names[key] = self.scene.define[key].evaluate(self.names, self.alphabet)
-            expression = value.evaluate(self.names, self.alphabet) + self._zero
-            if not releases.finite(expression):
-                raise ValueError("it holds an infinite number, or not a number")
-            return expression
-        except releases.UFL_ERRORS as error:
-            raise InputError(f"{value.place} = {value.text}: cannot be differentiated: {error}") from None
+    def cellwise(self, field: Field, *, positive: bool = False, least: float | None = None) -> Any:
+        """The datum itself; of materials each within its own cells (then collective)."""
+        if field.parts is not None:
+            return sum(self._inside(name) * self.cellwise(part) for name, part in field.parts.items())
+        return self.data.here(field).expression(self.symbols)
 
     def number(self, value: float) -> fem.Constant:
         """The number."""
@@ -75,8 +56,8 @@ class Formulas:
         """As in the step: differences in time are not exact."""
         return self.data.motion
 
-    def field(self, components: tuple[Formula, ...]) -> Any:
-        """The formulas themselves."""
+    def field(self, components: tuple[Field, ...]) -> Any:
+        """The data themselves."""
         return ufl.as_vector([self.cellwise(part) for part in components])
 
     @property
@@ -84,15 +65,15 @@ class Formulas:
         """0: exact data need no upwinding."""
         return 0.0
 
-    def values(self, value: Value) -> np.ndarray:
+    def values(self, field: Field) -> np.ndarray:
         """Sampled."""
-        return self.data.values(value)
+        return self.data.values(field)
 
-    def matrix(self, rows: tuple[tuple[Formula, ...], ...]) -> Any:
-        """The formulas themselves."""
+    def matrix(self, rows: tuple[tuple[Field, ...], ...]) -> Any:
+        """The data themselves."""
         return ufl.as_matrix([[self.cellwise(entry) for entry in row] for row in rows])
 
-    def eigenvalues(self, rows: tuple[tuple[Formula, ...], ...]) -> np.ndarray:
+    def eigenvalues(self, rows: tuple[tuple[Field, ...], ...]) -> np.ndarray:
         """Sampled."""
         return self.data.eigenvalues(rows)
 
@@ -100,18 +81,18 @@ class Formulas:
         """At the nodes of V_h."""
         return self.data.at_points(forces, place)
 
-    def height(self, value: Formula) -> Any:
-        """The formula itself."""
-        return self.cellwise(value)
+    def height(self, field: Field) -> Any:
+        """The datum itself."""
+        return self.cellwise(field)
 
     @property
     def dI(self) -> Any:
         """Integration of high degree."""
         return self.dx
 
-    def on_part(self, value: Formula, part: int, *, least: float | None = None) -> Any:
-        """The formula itself."""
-        return self.cellwise(value)
+    def on_part(self, field: Field, part: int, *, least: float | None = None) -> Any:
+        """The datum itself."""
+        return self.cellwise(field)
 
     def over(self, part: int, key: str, *, nodal: bool = False) -> Any:
         """Integration over a part, exactly (collective on first use)."""
@@ -123,40 +104,47 @@ class Formulas:
         return inside
 
 
-def squared_energy_norm(scene: Scene, e: Any, data: Sampler) -> Any:
+def squared_energy_norm(model: Model, e: Any, data: Sampler) -> Any:
     """||mu^(1/2) grad e||^2 as a form, mu the tension where it does not depend on the slope: a(e, e) then."""
-    return sum(cast(Any, effect.squared_norm(e, data)) for effect in scene.effects if effect.elastic)
+    return sum(cast(Any, effect.squared_norm(e, data)) for effect in model.effects if effect.elastic)
+
+
+@dataclass(frozen=True, eq=False)
+class ExactSolution:
+    """A solution that is known.
+
+    Attributes:
+        u: The solution; may depend on eps.
+        pressure: The contact pressure, where it is a function.
+    """
+
+    u: Field
+    pressure: Field | None = None
 
 
 class Exact:
-    """The scene's exact solution on one problem; forms compile on first use."""
+    """An exact solution on one problem; forms compile on first use."""
 
-    def __init__(self, problem: Problem, scene: Scene | None = None):
+    def __init__(self, problem: Problem, solution: ExactSolution):
         """Compile the norms (collective).
 
         Args:
             problem: Where errors are measured.
-            scene: Knows the solution; by default the problem's own.
+            solution: The exact one.
 
         Raises:
-            InputError: If it does not know one, or it is not finite at a node.
+            InputError: If it is not finite at a node, or cannot be differentiated.
         """
-        scene = problem.scene if scene is None else scene
-        self.problem = problem
-        exact = scene.tables.exact
-        if exact is None:
-            raise InputError(f"{scene.source}: has no [exact] solution")
-        self.formula = scene.formula(exact.u, "[exact] u")
-        self.formulas = Formulas(problem.data)
-        problem.data.nodal(self.formula, {"eps": 1.0})  # refuses what is not finite at a node
+        self.problem, self.solution = problem, solution
+        self.data = ExactData(problem.data)
+        problem.data.nodal(solution.u, {"eps": 1.0})  # refuses what is not finite at a node
         self.u = fem.Function(problem.level.V)
-        ue = self.formulas.cellwise(self.formula)
-        error, dx = ue - self.u, self.formulas.dx
-        energy = squared_energy_norm(scene, error, self.formulas)
+        ue = self.data.cellwise(solution.u)
+        error, dx = ue - self.u, self.data.dx
+        energy = squared_energy_norm(problem.model, error, self.data)
         self._l2 = releases.form(error**2 * dx)
         self._gradient = releases.form(ufl.inner(ufl.grad(error), ufl.grad(error)) * dx)
         self._energy = releases.form(energy)
-        self._pressure = None if exact.pressure is None else scene.formula(exact.pressure, "[exact] pressure")
         self._p: fem.Function | None = None
 
     def errors(self, u: fem.Function, pressure: fem.Function, eps: float | None) -> dict[str, float]:
@@ -171,13 +159,13 @@ class Exact:
             InputError: If the exact solution, its gradient or pressure is not a number somewhere.
         """
         comm = self.problem.level.comm
-        self.formulas.eps.value = eps or 0.0
+        self.data.eps.value = eps or 0.0
         self.u.x.array[:] = u.x.array
         l2, gradient, energy = (
             total(comm, fem.assemble_scalar(form)) for form in (self._l2, self._gradient, self._energy)
         )
-        _refuse_nan(l2, self.formula, "it is")
-        _refuse_nan(gradient, self.formula, "its gradient is")
+        _refuse_nan(l2, self.solution.u, "it is")
+        _refuse_nan(gradient, self.solution.u, "its gradient is")
         return {
             "energy": math.sqrt(energy), "h1": math.sqrt(l2 + gradient), "l2": math.sqrt(l2),
             "max": largest(comm, np.abs(self.nodal(eps) - u.x.array)), **self._of_pressure(pressure),
@@ -185,32 +173,31 @@ class Exact:
 
     def _of_pressure(self, pressure: fem.Function) -> dict[str, float]:
         """||p - p_h||_0, (5.7), where p is known (collective)."""
-        if self._pressure is None:
+        if self.solution.pressure is None:
             return {}
         if self._p is None:
             self._p = fem.Function(pressure.function_space)
-            error = self.formulas.cellwise(self._pressure) - self._p
-            self._pressure_l2 = releases.form(error**2 * self.formulas.dx)
+            error = self.data.cellwise(self.solution.pressure) - self._p
+            self._pressure_l2 = releases.form(error**2 * self.data.dx)
         self._p.x.array[:] = pressure.x.array
         squared = total(self.problem.level.comm, fem.assemble_scalar(self._pressure_l2))
-        _refuse_nan(squared, self._pressure, "it is")
+        _refuse_nan(squared, self.solution.pressure, "it is")
         return {"pressure_l2": math.sqrt(squared)}
 
     def nodal(self, eps: float | None) -> np.ndarray:
         """Exact values at local dofs."""
-        return self.problem.scene.at_points(
-            self.formula, self.problem.level.points, {**self.problem.data.now, "eps": eps or 0.0}
-        )
+        data, u = self.problem.data, self.solution.u
+        return data.here(u).at(self.problem.level.points, {**data.names(u), "eps": eps or 0.0})
 
     @cached_property
     def dual(self) -> DualNorm:
         """Dual norm of pressure errors (first use is collective)."""
-        return DualNorm(self.problem.data, self.formula)
+        return DualNorm(self.problem.data, self.solution.u)
 
 
-def _refuse_nan(squared: float, formula: Formula, what: str) -> None:
+def _refuse_nan(squared: float, field: Field, what: str) -> None:
     if math.isnan(squared):
-        raise InputError(f"{formula.place} = {formula.text}: {what} not a number somewhere between the nodes")
+        raise InputError(f"{field}: {what} not a number somewhere between the nodes")
 
 
 class DualNorm:
@@ -219,15 +206,15 @@ class DualNorm:
     The exact pressure needs no formula: (p, v) = a(u, v) - f(v) with the exact u, which holds for measures too.
     """
 
-    def __init__(self, data: Data, formula: Formula):
-        level, scene = data.level, data.scene
+    def __init__(self, data: Data, u: Field):
+        level = data.level
         self.p = fem.Function(level.Q)
-        formulas, richer = Formulas(data), releases.functionspace(level.mesh, "Lagrange", level.pair.degree + 1)
+        exact, richer = ExactData(data), releases.functionspace(level.mesh, "Lagrange", level.pair.degree + 1)
         v, trial = ufl.TestFunction(richer), ufl.TrialFunction(richer)
-        self.eps = formulas.eps
-        ue = formulas.cellwise(formula)
-        reaction = residual(scene.effects, ue, v, formulas)
-        self._error = releases.form(reaction - self.p * v * formulas.dx)
+        self.eps = exact.eps
+        ue = exact.cellwise(u)
+        reaction = residual(data.model.effects, ue, v, exact)
+        self._error = releases.form(reaction - self.p * v * exact.dx)
         facets = np.unique(np.concatenate([np.empty(0, np.int32), *data.held])).astype(np.int32)
         dofs = fem.locate_dofs_topological(richer, level.mesh.topology.dim - 1, facets)
         self._zero = fem.Function(richer)
@@ -261,12 +248,12 @@ class DualNorm:
 
 
 class Distance:
-    """Norms of differences on one problem; forms shared by all scenes."""
+    """Norms of differences on one problem; forms compile once."""
 
     def __init__(self, problem: Problem):
         self.problem = problem
         self.e, self.d = fem.Function(problem.level.V), fem.Function(problem.level.Q)
-        energy = squared_energy_norm(problem.scene, self.e, problem.data)
+        energy = squared_energy_norm(problem.model, self.e, problem.data)
         self._energy = releases.form(energy)
         self._l2 = releases.form(self.e**2 * problem.data.dx)
         self._pressure = releases.form(self.d**2 * problem.data.dx)

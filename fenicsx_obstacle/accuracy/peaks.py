@@ -8,15 +8,15 @@ may touch it, with a margin for what lies between the samples.
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import fem
 
 from fenicsx_obstacle.accuracy.exactness import in_cells, number
 from fenicsx_obstacle.accuracy.fans import Fans
+from fenicsx_obstacle.accuracy.polynomials import MAX_DEGREE, coefficients, inner_points, round_off
 from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.accuracy.rim import Rim
-from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells
+from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells, with_ghosts
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.scenes.polynomials import MAX_DEGREE, coefficients, inner_points, round_off
 
 SPARE = 1.5  # times the height that a few points of a cell have found,
 SPARE_DENSE = 1.1  # and that of a dense lattice
@@ -40,19 +40,19 @@ class Peaks:
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, side: str):
+    def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, sign: float, field: Field):
         """Sample it at a few points of each cell (collective)."""
         data = triangles.data
-        self.triangles, self.fans, self.rim = triangles, fans, rim
-        self.sign = 1.0 if side == "lower" else -1.0
-        self.nodal = self.sign * getattr(data, side).x.array
-        self._formula = data.scene.formula(getattr(data.scene.tables.obstacle, side), f"[obstacle] {side}")
+        self.triangles, self.fans, self.rim, self.sign, self._field = triangles, fans, rim, sign, field
+        nodal = data.lower if sign > 0 else data.upper
+        assert nodal is not None
+        self.nodal = sign * nodal.x.array
         comm, cells = data.level.comm, len(triangles.area)
         self._heights = largest(comm, np.abs(self.nodal))
-        self._flat = triangles.data.uniform(self._formula)
+        self._flat = self._field.uniform
         points, weights = rule(2)
         self.mean, self._height = np.zeros(cells), np.zeros(cells)
-        self._known = number(cells) if self._flat else in_cells(triangles, self._formula)
+        self._known = number(cells) if self._flat else in_cells(triangles, self._field)
         self.unbounded = ~np.isfinite(self._known.upper if self.sign > 0 else self._known.lower)
         self._no_polynomial = self.sampled = total(comm, np.count_nonzero(~self._known.exact)) > 0
         if not self._flat:
@@ -132,23 +132,21 @@ class Peaks:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Bernstein coefficients of the obstacle above a nodal function, by default its own; their round-off."""
         points = inner_points(3, degree)
-        inside = self.sign * self.triangles.values(self._formula, points, cells)
+        inside = self.sign * self.triangles.values(self._field, points, cells)
         linear = (self.nodal if state is None else state)[self.triangles.dofs[cells]] @ points.T
         room = round_off(np.maximum(np.abs(inside), np.abs(linear)), 3, degree)
         return coefficients(inside - linear, 3, degree), room + ROUND_OFF * self._heights
 
     def _at_nodes(self, heights: np.ndarray) -> np.ndarray:
         """The largest value in the cells around each local dof (collective)."""
-        function = fem.Function(self.triangles.data.level.V)
-        if total(function.function_space.mesh.comm, np.count_nonzero(heights)) > 0:
-            corners = self.fans.gather(np.repeat(heights[:, None], 3, axis=1))[0]
-            function.x.array[: self.fans.owned] = self.fans.largest(corners)
-            function.x.scatter_forward()
-        return function.x.array
+        owned, level = np.zeros(self.fans.owned), self.triangles.data.level
+        if total(level.comm, np.count_nonzero(heights)) > 0:
+            owned = self.fans.largest(self.fans.gather(np.repeat(heights[:, None], 3, axis=1))[0])
+        return with_ghosts(level.V, owned)
 
     def _above(self, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """How far the obstacle is above its nodal interpolant, shape (cells, points)."""
-        inside = self.sign * self.triangles.values(self._formula, where, cells)
+        inside = self.sign * self.triangles.values(self._field, where, cells)
         return inside - self.nodal[self.triangles.dofs[cells]] @ where.T
 
     def _clean(self, heights: np.ndarray) -> np.ndarray:

@@ -13,10 +13,10 @@ import numpy as np
 
 from fenicsx_obstacle.accuracy.edges import Jumps, edges_of
 from fenicsx_obstacle.accuracy.exactness import on_simplices
+from fenicsx_obstacle.accuracy.polynomials import MAX_DEGREE, coefficients, evaluate, inner_points
 from fenicsx_obstacle.accuracy.quadrature import gauss
 from fenicsx_obstacle.accuracy.triangles import Triangles
 from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.scenes.polynomials import MAX_DEGREE, coefficients, evaluate, inner_points
 
 SEGMENTS = 16  # of an edge where u is given
 ROUND_OFF = 1e-14  # of the heights
@@ -43,33 +43,30 @@ class Rim:
             middles: Of P2 the nodal values at the middle of the edge opposite to each vertex, shape (cells, 3).
         """
         self.triangles, data, self._middles = triangles, triangles.data, middles
-        scene, cells = data.scene, len(triangles.area)
+        cells = len(triangles.area)
         values = data.fixed[1].x.array
         part = np.full(max(triangles.facets.max(initial=-1) + 1, 1), -1)
         for number, facets in enumerate(data.held):
             part[facets[facets < len(part)]] = number  # of two parts the later one counts
-        self._formulas = [
-            scene.formula(0.0 if table.value is None else table.value, f"[[boundary]] (no. {number + 1}) value")
-            for number, table in enumerate(scene.tables.boundary)
-        ]
+        self._given = [(number, one.value) for number, one in enumerate(data.model.boundary) if one.value is not None]
         steps = np.linspace(0.0, 1.0, SEGMENTS + 1)
         found: list[tuple[np.ndarray, ...]] = []
         comm = data.level.comm
         heights = largest(comm, np.abs(values[data.fixed[0]]))
         jumps, sampled = Jumps(data, max(heights, 0.0)), 0
         self.unbounded: np.ndarray | None = None
-        for number, formula in enumerate(self._formulas):
+        for number, field in self._given:
             beside, opposite = np.nonzero(part[triangles.facets] == number)
             ends = values[triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
             edges = edges_of(triangles, beside, opposite)
-            jumps.look(formula, edges, ends)
-            if data.uniform(formula):
+            jumps.look(field, edges, ends)
+            if field.uniform:
                 continue
-            known = on_simplices(data, formula, edges.corners)
+            known = on_simplices(data, field, edges.corners)
             sampled += np.count_nonzero(~known.exact)
             if not known.finite.all():
                 self.unbounded = np.append(edges.at(np.flatnonzero(~known.finite)[:1], np.full(1, 0.5))[0], 0.0)
-            d = triangles.values(formula, _on_edge(opposite, steps), beside)
+            d = triangles.values(field, _on_edge(opposite, steps), beside)
             d = d - self._interpolated(beside, opposite, ends, steps[None])
             d[:, [0, -1]] = 0.0
             curved = np.abs(d).max(axis=1, initial=0.0) > ROUND_OFF * heights
@@ -106,9 +103,9 @@ class Rim:
             cells, opposite = self.cells[edges], self.opposite[edges]
             ends = values[self.triangles.dofs[cells[:, None], (opposite[:, None] + [1, 2]) % 3]]
             g = np.empty((len(edges), len(t)))
-            for number, formula in enumerate(self._formulas):
+            for number, field in self._given:
                 mine = self._number[edges] == number
-                g[mine] = self.triangles.values(formula, _on_edge(opposite[mine], t), cells[mine])
+                g[mine] = self.triangles.values(field, _on_edge(opposite[mine], t), cells[mine])
             d = g - self._interpolated(cells, opposite, ends, t[None])
             yield int(degree), edges, coefficients(d, 2, int(degree))
 
@@ -149,14 +146,14 @@ class Rim:
         row = np.full(len(self.triangles.area), -1)
         row[cells] = np.arange(len(cells))
         values = self.triangles.data.fixed[1].x.array
-        for number, formula in enumerate(self._formulas):
+        for number, field in self._given:
             chosen = np.flatnonzero((self._number == number) & (row[self.cells] >= 0))
             beside, opposite = self.cells[chosen], self.opposite[chosen]
             share = where[:, (opposite[:, None] + [1, 2]) % 3].transpose(1, 0, 2)
             width = share.sum(axis=2)
             step = np.divide(share[..., 1], width, out=np.zeros_like(width), where=width > 0)
             ends = values[self.triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
-            g = self.triangles.values(formula, _on_edge(opposite, step), beside)
+            g = self.triangles.values(field, _on_edge(opposite, step), beside)
             np.add.at(found, row[beside], width * (g - self._interpolated(beside, opposite, ends, step)))
         return found
 

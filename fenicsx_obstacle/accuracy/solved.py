@@ -136,10 +136,10 @@ class Ground:
             InputError: If contact is not at nodes.
         """
         if not problem.level.pair.nodal:
-            raise InputError(f"{problem.scene.source}: invariants are known for contact at nodes")
+            raise InputError(f"{problem.model.source}: invariants are known for contact at nodes")
         self.problem, self.comm = problem, problem.level.comm
         self.D, self.free, self.touchable = problem.weights, ~problem.fixed, problem.touchable
-        effects = problem.scene.effects
+        effects = problem.model.effects
         self.bent = any(effect.elastic and not effect.affine for effect in effects)
         self.symmetric = problem.symmetric
         lasting = [effect for effect in effects if effect.affine or effect.elastic]
@@ -177,7 +177,7 @@ class Ground:
     def _definite(self) -> bool:
         """Whether the symmetric part of the matrix is positive definite."""
         given = total(self.comm, np.count_nonzero(self.problem.fixed)) > 0
-        if self.symmetric and (given or not any(effect.holds for effect in self.problem.scene.effects)):
+        if self.symmetric and (given or not any(effect.holds for effect in self.problem.model.effects)):
             return given
         one, sums = self._S.createVecs()
         one.set(1.0)

@@ -18,7 +18,7 @@ UNTRUSTED = 10.0  # times the bound: if the load could add so much between its s
 
 
 class Obstacle(Protocol):
-    """One side, as `peaks.Peaks` and its like for P2 have it."""
+    """One obstacle between the nodes: `peaks.Peaks` of P1, `element_p2.LatticeObstacle` of P2."""
 
     sampled: bool
     unbounded: np.ndarray
@@ -115,4 +115,4 @@ class Hypotheses:
         """The first point that a rank has, in words (collective)."""
         data = self._triangles.data
         found = next((one for one in data.level.comm.allgather(point) if one is not None), None)
-        return "" if found is None else data.at(found)
+        return "" if found is None else data.place(found)

@@ -38,12 +38,7 @@ class NormalFlux:
         self._facets = cell_facets(level.mesh)
         self._given = np.zeros(len(u.x.array), dtype=bool)
         self._given[data.fixed[0]] = True
-        names = {
-            name
-            for part in data.scene.tables.boundary
-            if part.value is not None
-            for name in ([part.on] if isinstance(part.on, str) else part.on or ())
-        }
+        names = {name for part in data.model.boundary if part.value is not None for name in part.on or ()}
         self._held = np.zeros(self._facets.max(initial=-1) + 1, dtype=bool)
         for facets in (level.boundary_facets, *(level.facets[name] for name in names)):
             self._held[facets] = True

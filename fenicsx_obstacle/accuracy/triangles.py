@@ -1,15 +1,15 @@
-"""Triangles of a plane mesh as arrays, counter-clockwise, and the scene's formulas inside them."""
+"""Triangles of a plane mesh as arrays, counter-clockwise, and data inside them."""
 
 from __future__ import annotations
 
 import numpy as np
+from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.materials import Materials, Value
+from fenicsx_obstacle.effects.field import Field
 
 
 class Triangles:
@@ -46,6 +46,10 @@ class Triangles:
         values[self._clockwise] = values[self._clockwise][:, [0, 2, 1]]
         return values
 
+    def turned_nodes(self, dofs: np.ndarray) -> np.ndarray:
+        """Dofs of P2, shape (cells, 6), in the order here: at the vertices, then at the middles opposite to them."""
+        return np.hstack([self.turned(dofs[:, :3]), self.turned(dofs[:, 3:])])
+
     def gradient(self, values: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Gradients of a P1 function from its values at local dofs, shape (2, cells)."""
         corner = values[self.dofs[cells]]
@@ -55,8 +59,8 @@ class Triangles:
         """Inner products of one vector per cell, shape (2, cells), with `normal`: minus the flux out of each edge."""
         return vectors[0][:, None] * self.normal[0] + vectors[1][:, None] * self.normal[1]
 
-    def values(self, value: Value, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """A formula at barycentric coordinates, shape (points, 3) or (cells, points, 3), of cells.
+    def values(self, value: Field, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """A datum at barycentric coordinates, shape (points, 3) or (cells, points, 3), of cells.
 
         Collective where it is the first to need the distance.
 
@@ -64,28 +68,24 @@ class Triangles:
             Shape (cells, points).
         """
         chosen = np.arange(len(self.area))[cells]
-        if isinstance(value, Formula):
-            return self._formula(value, where, chosen)
-        assert isinstance(value, Materials)
+        if value.parts is None:
+            return self._field(value, where, chosen)
         points = where.shape[-2]
         found, groups = np.zeros((len(chosen), points)), self.data.level.groups
-        for name, formula in value.parts.items():
+        for name, field in value.parts.items():
             inside = np.isin(chosen, groups[name])
             part = where if where.ndim == 2 else where[inside]
-            found[inside] = self._formula(formula, part, chosen[inside])
+            found[inside] = self._field(field, part, chosen[inside])
         return found
 
-    def _formula(self, formula: Formula, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        scene, distance = self.data.scene, None
-        if "distance" in scene.needs(formula):
-            distance = self.data.boundary_distance
+    def _field(self, field: Field, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        here, names = self.data.here(field), self.data.names(field)
         found = np.empty((len(cells), where.shape[-2]))
         for block in blocks(len(cells)):
             x = np.zeros((3, (block.stop - block.start) * where.shape[-2]))
             inside = (where if where.ndim == 2 else where[block]) @ self.x[cells[block]]
             x[:2] = inside.reshape(-1, 2).T
-            known = {} if distance is None else {"distance": distance(x.T)}
-            found[block] = scene.at_points(formula, x, known).reshape(-1, where.shape[-2])
+            found[block] = here.at(x, names).reshape(-1, where.shape[-2])
         return found
 
 
@@ -123,6 +123,14 @@ def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:
         d, e, f = (b + c) / 2, (c + a) / 2, (a + b) / 2
         parts = np.concatenate([np.stack(p, axis=1) for p in ((a, f, e), (f, b, d), (e, d, c), (d, e, f))])
     return (points @ parts).reshape(-1, 3), np.tile(weights, len(parts)) / len(parts)
+
+
+def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:
+    """Values at local dofs from those at owned ones (collective)."""
+    function = fem.Function(V)
+    function.x.array[: len(owned)] = owned
+    function.x.scatter_forward()
+    return function.x.array
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

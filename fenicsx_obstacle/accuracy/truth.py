@@ -4,45 +4,45 @@ from __future__ import annotations
 
 import numpy as np
 
+from fenicsx_obstacle.accuracy.norms import ExactSolution
 from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.parents import EDGES
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import cell_name
-from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.scene import Scene
 
 TOUCHES = 1e-14  # of the heights
 DEPTH = {1: 40, 2: 12}  # how often cells are halved; in solids, where contact is not found so, never
 _CHILDREN = {1: [(0, 2), (2, 1)], 2: [(0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5)]}
 
 
-def contact_truth(scene: Scene, level: Level) -> dict[str, float]:
-    """`area` where u touches, and `force`, the integral of |p| where the scene knows p (collective).
+def contact_truth(model: Model, exact: ExactSolution | None, level: Level) -> dict[str, float]:
+    """`area` where u touches, and `force`, the integral of |p| where p is known (collective).
 
     Empty without an exact solution, in solids, and where contact is on the boundary or weighted by a radius.
 
     Args:
-        scene: Knows the solution.
+        model: What is solved.
+        exact: Its solution, or None.
         level: Any of its meshes: what differs between the samples of its cells is found.
     """
-    exact, mesh = scene.tables.exact, level.mesh
-    dim, weighted = mesh.topology.dim, any(effect.radial for effect in scene.effects)
-    if exact is None or dim not in DEPTH or cell_name(mesh) not in SIMPLICES or scene.thin or weighted:
+    mesh = level.mesh
+    dim = mesh.topology.dim
+    if exact is None or dim not in DEPTH or cell_name(mesh) not in SIMPLICES or model.thin or model.radial:
         return {}
-    u = scene.formula(exact.u, "[exact] u")
-    obstacle = scene.tables.obstacle
-    sides = [scene.formula(value, "[obstacle]") for value in (obstacle.lower, obstacle.upper) if value is not None]
-    p = None if exact.pressure is None else scene.formula(exact.pressure, "[exact] pressure")
-    if any("distance" in scene.needs(formula) for formula in (u, *sides)):
+    u, p = exact.u, exact.pressure
+    sides = [side for side in (model.lower, model.upper) if side is not None]
+    if any(field.needs_distance for field in (u, *sides)):
         return {}
     points, weights = rule(dim)
     where = np.vstack([points, np.eye(dim + 1)])
 
-    def values(formula: Formula, x: np.ndarray) -> np.ndarray:
-        return scene.at_points(formula, np.ascontiguousarray(x.reshape(-1, 3).T), {"eps": 0.0}).reshape(x.shape[:2])
+    def values(field: Field, x: np.ndarray) -> np.ndarray:
+        return field.at(np.ascontiguousarray(x.reshape(-1, 3).T), {"eps": 0.0}).reshape(x.shape[:2])
 
     def sampled(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         touching, pressing = np.zeros((len(cells), len(where)), dtype=bool), np.zeros(len(cells))

@@ -17,10 +17,10 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
 from fenicsx_obstacle.answers.compute import Workbench, close
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 
@@ -100,14 +100,15 @@ class Refinement:
     """Answers on meshes that grow where the error is, eps so small that the mesh decides.
 
     Attributes:
-        scene: What is solved, with the present eps.
+        scene: What is solved.
+        options: How, with the present eps.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
     """
 
     def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD):
-        self.scene, self.full = scene, False
-        self.given = scene.tables.solve.eps != "auto"  # eps is the user's
+        self.scene, self.options, self.full = scene, scene.options, False
+        self.given = scene.options.eps != "auto"  # eps is the user's
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self.path: list[dict[str, Any]] = []
         self._started = time.perf_counter()
@@ -131,7 +132,7 @@ class Refinement:
             share: Of the bound, in the cells to refine; by default `BULK`.
             unknowns: No mesh has more.
         """
-        bench = Workbench(self.scene, self.comm, levels.coarsest(self.scene, self.comm))
+        bench = Workbench(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
         benches = [bench]
         try:
             while True:
@@ -154,12 +155,12 @@ class Refinement:
     def _balanced(self, bench: Workbench) -> Answer:
         """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
         first = not self.path  # there an exact solution that is none is told of
-        answer = bench.answer(self.scene, bound=True, errors=first)
+        answer = bench.answer(self.options, bound=True, errors=first)
         bound = _bound(answer)
         while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
             eps = answer.record["eps"] * max(0.02, AHEAD * BALANCED * bound.discretisation / bound.penalty)
-            self.scene = self.scene.change({"solve.eps": eps})
-            answer, before = bench.answer(self.scene, bound=True, errors=False), bound
+            self.options = replace(self.options, eps=eps)
+            answer, before = bench.answer(self.options, bound=True, errors=False), bound
             bound = _bound(answer)
             if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
                 break
@@ -198,7 +199,7 @@ class _Adaptation(Refinement):
                 if why is not None:
                     break
             if yardstick:
-                answer = bench.answer(self.scene, yardstick=True, bound=True, errors=False)
+                answer = bench.answer(self.options, yardstick=True, bound=True, errors=False)
             answer = bench.measured(answer)
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
@@ -226,7 +227,7 @@ class _Adaptation(Refinement):
         bound, limit = _bound(answer), self._limit(answer)
         if bound.total <= limit:
             return ""
-        if isinstance(self.scene.tables.solve.eps, float) and self.given and bound.penalty > limit:
+        if isinstance(self.options.eps, float) and self.given and bound.penalty > limit:
             return f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; leave eps to be chosen"
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
         now = self.path[-1]["seconds"]

@@ -14,9 +14,9 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.signatures import checked, shown
+from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.solvers.stopping import Step
-from fenicsx_obstacle.words import counted, title_of
+from fenicsx_obstacle.words import counted, shown, title_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.contact import Contact, contact_of
 from fenicsx_obstacle.answers.given import check_form, conditions, obstacle, penalty_parameter
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level, of_space
+from fenicsx_obstacle.discrete.levels import of_space
+from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import smallest
-from fenicsx_obstacle.scenes.tables import Tables
-from fenicsx_obstacle.signatures import shown
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.stopping import Step
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
+from fenicsx_obstacle.words import shown
 
 SHARE = 0.01  # of the median of D_i/A_ii: eps = "auto"
 
@@ -92,13 +90,11 @@ def solve_form(
     if energy is not None:
         check_form(energy, u, "energy", arguments=0)
     bcs = conditions(bcs, u.function_space)
-    given = _Given(F, u, energy)
-    scene: Any = SimpleNamespace(effects=(given,), source="solve_form", tables=Tables(), thin=False, time=None)
-    lower, upper = (None if g is None else obstacle(g, u, level, name)
-                    for g, name in ((lower, "lower"), (upper, "upper")))  # fmt: skip
-    data = _Data(scene, level, bcs, lower, upper)
-    problem = Problem(scene, level, data)
-    data._finite(u, "u, the start,")
+    lower, upper = (None if g is None else obstacle(g, u, name) for g, name in ((lower, "lower"), (upper, "upper")))
+    model = Model((OfForm(F=F, u=u, functional=energy),), lower, upper, source="solve_form")
+    data = Data(model, level, bcs=bcs)
+    problem = Problem(data)
+    data.refuse_infinite(u, words="solve_form: u, the start,")
     start = u.x.array.copy()
     dofs, values = data.fixed
     start[dofs] = values.x.array[dofs]
@@ -157,59 +153,38 @@ def _refuse_no_minimum(problem: Problem) -> None:
         )
 
 
-class _Given:
-    """The caller's residual as an effect: what a problem is made of."""
+@dataclass(frozen=True, eq=False)
+class OfForm(Effect):
+    """The caller's residual as an effect: what a problem is made of.
 
-    key, elastic, affine, holds, radial, leans, order = "solve_form", True, False, False, False, False, 0
-    gives_way, velocity = False, None
+    Attributes:
+        F: Residual.
+        u: Its unknown.
+        functional: Whose derivative F is, or None.
+    """
 
-    def __init__(self, F: ufl.Form, u: fem.Function, energy: ufl.Form | None):
-        self.F, self.u, self.v, self.functional = F, u, F.arguments()[0], energy
-        self.symmetric = self.convex = energy is not None
+    value: Any = None
+    F: ufl.Form = None
+    u: fem.Function = None
+    functional: ufl.Form | None = None
+
+    key = "solve_form"
+    elastic = True
+    affine = False
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        return self.functional is not None
+
+    @property
+    def convex(self) -> bool:  # type: ignore[override]
+        return self.functional is not None
 
     def terms(self, u: Any, v: Any, data: Any) -> ufl.Form:
-        return ufl.replace(self.F, {self.u: u, self.v: v})
-
-    def lean(self, v: Any, elastic: Any, data: Any) -> None:
-        return None
-
-    def vector(self, data: Any) -> None:
-        return None
+        return ufl.replace(self.F, {self.u: u, self.F.arguments()[0]: v})
 
     def heights(self, data: Any) -> list[Any]:
         return [0.0]
 
-    def greatest(self, data: Any) -> None:
-        return None
-
-    def push(self, data: Any) -> None:
-        return None
-
     def energy(self, u: Any, data: Any) -> ufl.Form | None:
         return None if self.functional is None else ufl.replace(self.functional, {self.u: u})
-
-
-class _Data(Data):
-    """Obstacles and boundary values that are given as they are, not sampled."""
-
-    def __init__(
-        self, scene: Any, level: Level, bcs: Sequence[Any], lower: fem.Function | None, upper: fem.Function | None
-    ):
-        super().__init__(scene, level)
-        self.lower, self.upper = (
-            None if g is None else self._finite(g, name) for g, name in ((lower, "lower"), (upper, "upper"))
-        )
-        values = fem.Function(level.V)
-        releases.set_values(values.x.array, bcs)
-        values.x.scatter_forward()
-        self._finite(values, "a value of bcs")
-        dofs = [np.asarray(bc.dof_indices()[0]) for bc in bcs]
-        self.fixed = np.unique(np.concatenate([*dofs, np.empty(0, np.int32)])).astype(np.int32), values
-        self.givers.append(("solve_form: a value of bcs", self.fixed[0]))
-
-    def _finite(self, function: fem.Function, what: str) -> fem.Function:
-        """The function; all ranks raise if it is not finite somewhere (collective)."""
-        found = self._first(function, ~np.isfinite(function.x.array))
-        if found is not None:
-            raise InputError(f"solve_form: {what} is not a finite number: it is {found[0]:g} at {self.at(found[1])}")
-        return function

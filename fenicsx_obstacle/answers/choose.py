@@ -16,6 +16,7 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.augmented import solve_augmented
 from fenicsx_obstacle.solvers.newton import penalty_pressure, smallest_eps, solve_penalty
+from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 
@@ -36,7 +37,7 @@ DIRECT_SOLVER = "a direct solver (MUMPS), because contact couples the nodes of a
 AUGMENTED = "penalty solves with augmented obstacles g + eps p: the quadratic program with u <= g at the points of I"
 
 
-def nested(scene: Scene) -> bool:
+def nested(scene: Scene, options: SolverOptions) -> bool:
     """Whether a scene is solved from the coarsest level of its mesh on, where it has more than one.
 
     Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
@@ -44,19 +45,18 @@ def nested(scene: Scene) -> bool:
     iteration, which starts without contact; `start = "cold"` asks for the same of the other methods. Whatever is not
     nested is solved with `LINEAR_SOLVER`, `GENERAL_SOLVER` or, where the pair is not nodal, `DIRECT_SOLVER`.
     """
-    table = scene.tables.solve
     simple = all(effect.affine and effect.symmetric and effect.convex for effect in scene.effects)
     serves = scene.pair.nests or scene.pair.stacks
-    return simple and serves and table.start == "nested" and table.method != "successive"
+    return simple and serves and options.start == "nested" and options.method != "successive"
 
 
-def stepwise(scene: Scene) -> bool:
+def stepwise(scene: Scene, options: SolverOptions) -> bool:
     """Whether a scene that truncated multigrid does not serve is still solved level by level, for better starts.
 
     Newton's method then has the region of convergence of the coarsest mesh, and few steps on the finest.
     """
-    table = scene.tables.solve
-    return not nested(scene) and scene.pair.nests and table.start == "nested" and table.method != "successive"
+    starts = options.start == "nested" and options.method != "successive"
+    return starts and scene.pair.nests and not nested(scene, options)
 
 
 def chain(problem: Problem) -> list[Problem]:
@@ -64,14 +64,14 @@ def chain(problem: Problem) -> list[Problem]:
     problems = [problem]
     for level in problem.level.downward[1:]:
         try:
-            data = Data(problem.scene, level, problem.data.moment)  # one clock for all levels
-            problems.insert(0, Problem(problem.scene, level, data))
+            data = Data(problem.model, level, problem.data.moment)  # one clock for all levels
+            problems.insert(0, Problem(data))
         except InputError:  # data that only the fine levels resolve
             break
     return problems
 
 
-def penalty_parameter(problem: Problem, scene: Scene) -> float:
+def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
     """eps as a number, in units of u/p (collective).
 
     A number is absolute. A formula in h is divided by the largest tension: (1/eps) D and the stiffness then
@@ -81,19 +81,19 @@ def penalty_parameter(problem: Problem, scene: Scene) -> float:
     Raises:
         InputError: If it is not positive and finite, or below the floor.
     """
-    formula = scene.formula(scene.eps, "[solve] eps")
-    eps = scene.number(scene.eps, "[solve] eps", {"h": problem.level.h})
+    formula = options.formula
+    eps, place = formula.value(problem.level.h), f"{options.source} eps = {formula.text}"
     if not 0 < eps < np.inf:
-        raise InputError(f"{formula.place} = {formula.text}: must be positive, it is {eps:g}")
-    if "h" in formula.names:
-        elastic = next(effect for effect in scene.effects if effect.elastic)
+        raise InputError(f"{place}: must be positive, it is {eps:g}")
+    if formula.scaled:
+        elastic = problem.model.elastic
         eps /= largest(problem.level.comm, elastic.stiffness(problem.data))
     floor = smallest_eps(problem)
-    if scene.tables.solve.eps == "auto":
+    if options.eps == "auto":
         return max(eps, floor)
     if eps < floor:
         raise InputError(
-            f"{formula.place} = {formula.text}: below the floor of round-off, {floor:.2g} on this mesh, where contact "
+            f"{place}: below the floor of round-off, {floor:.2g} on this mesh, where contact "
             "gives way by less than the last digit of heights around it; take a larger eps, or its limit, --method vi"
         )
     return eps
@@ -119,20 +119,21 @@ class Method:
         return self._force(problem) * self.share
 
 
-def method_of(problem: Problem, scene: Scene) -> Method:
-    """The method that a scene asks for (collective).
+def method_of(problem: Problem, options: SolverOptions) -> Method:
+    """The method that options ask for (collective).
 
     Raises:
         InputError: For a bad eps.
     """
-    asked, share = scene.tables.solve.method, scene.time.share if scene.time is not None else 1.0
+    moments = problem.model.time
+    asked, share = options.method, 1.0 if moments is None else moments.share
     if asked == "vi":
         by_bounds = problem.level.pair.nodal
         force = residual_pressure if by_bounds else penalty_pressure
         return Method(_named(solve_vi if by_bounds else solve_augmented, asked), None, share, force)
     if not problem.constrained:
         return Method(partial(solve_penalty, eps=1.0), None, share, penalty_pressure)
-    eps = penalty_parameter(problem, scene)
+    eps = penalty_parameter(problem, options)
     solve = partial(solve_penalty, eps=eps * share, successive=asked == "successive")
     return Method(_named(solve, asked), eps, share, penalty_pressure)
 

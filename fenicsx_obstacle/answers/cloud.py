@@ -64,7 +64,7 @@ class Cloud:
         for block in [*blocks(count)] or [slice(0, 0)]:
             x = corners(level.mesh, block)
             points = (inside @ x).reshape(-1, 3)
-            weights = np.outer(volumes(x), shares).ravel() * (points[:, 0] if data.radial else 1.0)
+            weights = np.outer(volumes(x), shares).ravel() * (points[:, 0] if data.model.radial else 1.0)
             cells, places = np.repeat(np.arange(count)[block], len(inside)), np.tile(inside, (len(x), 1))
             entries = [[values(entry, cells, places) * weights for entry in row] for row in tension]
             pulling = np.moveaxis(np.array(entries), 2, 0) if len(entries) > 1 else entries[0][0]
@@ -157,9 +157,9 @@ def _data(answer: Answer) -> Data:
     """What the effects are on its mesh; of a scene with time at the end."""
     moments = answer.scene.time
     if moments is None:
-        return Data(answer.scene, answer.level)
+        return Data(answer.scene.model, answer.level)
     from fenicsx_obstacle.discrete.motion import Moment  # only where a scene has time
 
     moment = Moment.at_start(moments)
     moment.t = answer.record["time"]["t"]
-    return Data(answer.scene, answer.level, moment)
+    return Data(answer.scene.model, answer.level, moment)

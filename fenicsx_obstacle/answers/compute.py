@@ -21,30 +21,35 @@ from fenicsx_obstacle.answers.figures import figures_of, with_errors
 from fenicsx_obstacle.answers.origin import command, versions
 from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, peak_memory_mb
-from fenicsx_obstacle.scenes.moments import EQUILIBRIA
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
+from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import Watch
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.accuracy.bound import Bound, Estimator
-    from fenicsx_obstacle.accuracy.functionals import Report
     from fenicsx_obstacle.answers.course import Course
     from fenicsx_obstacle.answers.march import March
+    from fenicsx_obstacle.scenes.functionals import Report
 
 _log = logging.getLogger(__name__)
 
 
 class Workbench:
-    """A scene's mesh and problem, kept for several solves that differ in eps and method only.
+    """A scene's mesh and problem, kept for several solves that differ in their options only.
 
     Attributes:
+        scene: What is solved.
+        options: Those of the scene, or given instead.
         problem: The discrete problem.
     """
 
@@ -54,6 +59,7 @@ class Workbench:
         comm: MPI.Comm = MPI.COMM_WORLD,
         level: levels.Level | None = None,
         before: Workbench | None = None,
+        options: SolverOptions | None = None,
     ):
         """Assemble (collective).
 
@@ -62,24 +68,26 @@ class Workbench:
             comm: Communicator; a mesh of the scene's own brings its own.
             level: The scene's mesh, where it is made already.
             before: A workbench on the level below, whose solution is the start.
+            options: Of the solves, instead of those of the scene.
         """
+        self.scene, self.options = scene, options or scene.options
         self.started = time.perf_counter()
         if level is None:
-            level = levels.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
-        self.problem = Problem(scene, level)
+        self.problem = Problem(Data(scene.model, level))
         self._grids: list[Multigrid] | None = None
         self._problems: list[Problem] | None = None
-        self._solved_below = before is not None and nested(scene)
+        self._solved_below = before is not None and nested(scene, self.options)
         if before is not None and self._solved_below:
             self._grids = self._above(before)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
         if scene.report:
-            from fenicsx_obstacle.accuracy.functionals import Report  # only where a scene names it
+            from fenicsx_obstacle.scenes.functionals import Report  # only where a scene names it
 
-            self._report = Report(self.problem.data)
+            self._report = Report(self.problem.data, scene)
             self._report.check()
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
@@ -96,13 +104,13 @@ class Workbench:
             InputError: For other cells than intervals and triangles.
         """
         level = self.problem.level
-        return Workbench(self.problem.scene, level.comm, levels.refined_where(level, marked), self)
+        return Workbench(self.scene, level.comm, levels.refined_where(level, marked), self, self.options)
 
     @property
     def exact(self) -> Exact | None:
         """The exact solution on this mesh, if the scene has one."""
-        if self._exact is None and self.problem.scene.tables.exact is not None:
-            self._exact = Exact(self.problem)
+        if self._exact is None and (solution := self.scene.exact) is not None:
+            self._exact = Exact(self.problem, solution)
         return self._exact
 
     @property
@@ -114,9 +122,8 @@ class Workbench:
         """
         if self._estimator is None:
             from fenicsx_obstacle.accuracy.bound import Estimator  # only where it is asked for
-            from fenicsx_obstacle.accuracy.bound_p2 import Estimator2
 
-            self._estimator = (Estimator2 if self.problem.level.pair.stacks else Estimator)(self.problem)
+            self._estimator = Estimator(self.problem)
             if self.problem.affine:
                 self._estimator.lend_load()
         return self._estimator
@@ -127,7 +134,7 @@ class Workbench:
 
     def answer(
         self,
-        scene: Scene | None = None,
+        options: SolverOptions | None = None,
         *,
         yardstick: bool = False,
         bound: bool = False,
@@ -136,10 +143,10 @@ class Workbench:
         watch: Watch | None = None,
         errors: bool = True,
     ) -> Answer:
-        """Solve with the [solve] table of `scene` (collective).
+        """Solve (collective).
 
         Args:
-            scene: The same scene with another [solve] table; by default the one of the problem.
+            options: How; by default as the workbench was made for.
             yardstick: Time one linear Poisson solve as well.
             bound: Bound the energy error as well.
             restart: With [time]: folder with the state to begin from.
@@ -151,12 +158,12 @@ class Workbench:
             InputError: For a bad eps, or elements that the bound is not for.
             NotConverged: With PETSc's reason.
         """
-        problem, scene = self.problem, scene or self.problem.scene
+        problem, scene, options = self.problem, self.scene, options or self.options
         estimator = self.estimator if bound else None  # refuses before anything is solved
-        levels_serve = nested(scene) and problem.level.coarse is not None
+        levels_serve = nested(scene, options) and problem.level.coarse is not None
         grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
         at_rest = scene.time is None or scene.time.order == EQUILIBRIA
-        if at_rest and stepwise(scene) and problem.level.coarse is not None:
+        if at_rest and stepwise(scene, options) and problem.level.coarse is not None:
             grids = self._chain()
         start = time.perf_counter()
         if problem.forms.multiplier is not None:  # of an earlier solve
@@ -166,7 +173,7 @@ class Workbench:
             moment.go_back(scene.time)
             for one in (*(grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]), problem):
                 one.move(one.cold_start())
-        method, course = method_of(problem, scene), None
+        method, course = method_of(problem, options), None
         if watch is not None:
             method = replace(method, solve=partial(method.solve, watch=watch))
         if scene.time is None:
@@ -184,7 +191,7 @@ class Workbench:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         certified = None if estimator is None else estimator.bound()
-        answer = self._answer(scene, last, counts, method, state, seconds, certified, course)
+        answer = self._answer(options, last, counts, method, state, seconds, certified, course)
         return self.measured(answer) if errors else answer
 
     def measured(self, answer: Answer) -> Answer:
@@ -206,7 +213,7 @@ class Workbench:
         """The scene's way through time (collective)."""
         from fenicsx_obstacle.answers.march import March  # only where a scene has time
 
-        problem, scene = self.problem, self.problem.scene
+        problem, scene = self.problem, self.scene
         assert scene.time is not None
         grid = grids[-1] if grids and isinstance(grids[-1], Multigrid) else None
         below = [one.problem if isinstance(one, Multigrid) else one for one in grids[:-1]]
@@ -220,7 +227,7 @@ class Workbench:
         """The figures of [report] (collective)."""
         if self._report is None:
             return {}
-        time_, support = self.problem.scene.time, self.problem.elastic.array_r
+        time_, support = self.problem.model.time, self.problem.elastic.array_r
         share = 1.0 if time_ is None else time_.share
         return self._report.evaluate(state.u, state.pressure, state.touching, support * share)
 
@@ -238,7 +245,7 @@ class Workbench:
         if level.pair.stacks:  # P1 on this mesh is above P1 on the other
             assert level.coarse is not None
             below = below[:-1]
-            below = [*below, Multigrid(Problem(self.problem.scene, level.coarse), below[-1])]
+            below = [*below, Multigrid(Problem(Data(self.problem.model, level.coarse)), below[-1])]
         return [*below, Multigrid(self.problem, below[-1])]
 
     def _hierarchy(self) -> list[Multigrid]:
@@ -251,7 +258,7 @@ class Workbench:
 
     def _answer(
         self,
-        scene: Scene,
+        options: SolverOptions,
         outcome: Outcome,
         counts: dict[str, int],
         method: Method,
@@ -263,7 +270,7 @@ class Workbench:
         problem, level, eps = self.problem, self.problem.level, method.eps
         seconds += self.setup_seconds
         record = {
-            **figures_of(problem, scene, eps, state),
+            **figures_of(problem, self.scene, options, eps, state),
             "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
             "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, **counts,
             "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
@@ -281,13 +288,14 @@ class Workbench:
             record["report"] = self._reported(state)
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
+        scene = self.scene.with_options(options)
         return replace(self._fields(state), history=history, record=record, bound=bound, course=course, scene=scene)
 
     def _fields(self, state: State) -> Answer:
         """The fields of an answer, without figures."""
         problem, data = self.problem, self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
-        return Answer(problem.scene, problem.level, state.u, state.pressure, state.touching, *shown, None, (), {})
+        return Answer(self.scene, problem.level, state.u, state.pressure, state.touching, *shown, None, (), {})
 
 
 def close(benches: Sequence[Workbench]) -> None:

@@ -16,7 +16,6 @@ from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.signatures import checked
 
 _EXPECTED = "an Answer, or the folder of a saved one"
@@ -97,9 +96,9 @@ def _norms(answer: Answer, nodal: np.ndarray) -> dict[str, float]:
     slopes = np.einsum("ci,ci->c", rises, np.linalg.solve(gram, rises[:, :, None])[:, :, 0])
     l2, gradient = total(comm, squared), total(comm, size * slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
-    tension = next(effect.isotropic_tension for effect in answer.scene.effects if effect.elastic)
-    if isinstance(tension, Formula) and "distance" not in answer.scene.needs(tension):
-        mu = answer.scene.at_points(tension, np.ascontiguousarray(x.mean(axis=1).T))
+    tension = answer.scene.model.elastic.isotropic_tension
+    if tension is not None and tension.parts is None and not tension.needs_distance:
+        mu = tension.at(np.ascontiguousarray(x.mean(axis=1).T), {})
         norms["energy"] = math.sqrt(total(comm, mu * size * slopes))
     return norms
 

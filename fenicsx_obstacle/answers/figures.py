@@ -16,18 +16,22 @@ from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
 
 
-def figures_of(problem: Problem, scene: Scene, eps: float | None, state: State) -> dict[str, Any]:
+def figures_of(
+    problem: Problem, scene: Scene, options: SolverOptions, eps: float | None, state: State
+) -> dict[str, Any]:
     """Part of answer.json (collective).
 
     Args:
         problem: Just solved.
-        scene: With the [solve] table that it was solved with.
+        scene: Its scene.
+        options: That it was solved with.
         eps: Penalty parameter, or None.
         state: What came out.
     """
-    level, asked, contact = problem.level, scene.tables.solve.method, state.contact
+    level, asked, contact = problem.level, options.method, state.contact
     figures: dict[str, Any] = {
         "scene": scene.name, "title": scene.tables.title, "method": asked,
         **({"m_matrix": problem.m_matrix} if asked == "successive" else {}),
@@ -69,13 +73,14 @@ def with_errors(answer: Answer, exact: Exact) -> Answer:
 
 def _may_jump(problem: Problem) -> bool:
     """Whether boundary values are others than one number, on plane triangles without time."""
-    scene, mesh = problem.scene, problem.level.mesh
-    values = {part.value for part in scene.tables.boundary if part.value is not None}
+    model, mesh = problem.model, problem.level.mesh
+    values = [part.value for part in model.boundary if part.value is not None]
+    numbers = {float(value.at(np.zeros((3, 1)), {})[0]) for value in values if value.uniform and not value.moves}
     plane = releases.cell_name(mesh) == "triangle" and mesh.geometry.dim == 2
-    return plane and scene.time is None and (len(values) > 1 or any(isinstance(value, str) for value in values))
+    return plane and model.time is None and (len(numbers) > 1 or any(not value.uniform for value in values))
 
 
 def _of_effects(problem: Problem) -> dict[str, float]:
     """Those that belong to effects (collective)."""
-    outputs = (effect.outputs(problem.data) for effect in problem.scene.effects)
+    outputs = (effect.outputs(problem.data) for effect in problem.model.effects)
     return {name: value for found in outputs for name, value in found.items()}

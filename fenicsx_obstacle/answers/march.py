@@ -18,10 +18,10 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.course import Course, Frame, Row
 from fenicsx_obstacle.answers.folder import fields_of
 from fenicsx_obstacle.answers.state import State
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.steps import Steps
 from fenicsx_obstacle.words import one_line
@@ -60,8 +60,8 @@ class March:
         """
         self.problem, self.below = problem, below
         self._solve, self._state, self._reported, self._fields = solve, state, reported, fields
-        assert problem.scene.time is not None
-        self.moments: Moments = problem.scene.time
+        assert problem.model.time is not None
+        self.moments: Moments = problem.model.time
         self.rows, self.frames = list[Row](), list[Frame]()
         self._newton = self._krylov = self._rejected = 0
         self._kinetic_energy: Any = None
@@ -162,16 +162,16 @@ class March:
 
     def _start(self) -> np.ndarray:
         """u at t = 0, ghosts included."""
-        problem, formula = self.problem, self.moments.start
-        assert formula is not None
-        u = problem.data.nodal(formula).x.array.copy()
+        problem, start = self.problem, self.moments.start
+        assert start is not None
+        u = problem.data.nodal(start).x.array.copy()
         lower, upper = problem.obstacles()
         beyond = np.maximum(lower - u, u - upper)
         beyond[problem.data.fixed[0]] = -np.inf
         height = largest(problem.level.comm, u) - smallest(problem.level.comm, u)
         worst = largest(problem.level.comm, beyond)
         if worst > CROSSES * max(height, abs(worst)) and worst > CROSSES * largest(problem.level.comm, np.abs(u)):
-            raise InputError(f"{formula.place} = {formula.text}: is beyond an obstacle by {worst:.3g}")
+            raise InputError(f"{start}: is beyond an obstacle by {worst:.3g}")
         return np.clip(u, lower, upper)
 
     def _velocity(self) -> np.ndarray | None:
@@ -182,7 +182,7 @@ class March:
         edges_move = data.fixed[1] in data.moving
         if self.moments.velocity is None:
             if edges_move:
-                raise InputError(f"{data.scene.source}: [time] velocity: is needed where boundary values move")
+                raise InputError(f"{data.model.source}: [time] velocity: is needed where boundary values move")
             return np.zeros(len(self.problem.w.x.array))
         velocity = data.nodal(self.moments.velocity).x.array.copy()
         if not edges_move:
@@ -274,7 +274,7 @@ class March:
         data = self.problem.data
         data.motion.velocity.x.array[:] = self.steps.velocity
         if self._kinetic_energy is None:
-            parts = (effect.energy_of_motion(data.motion.velocity, data) for effect in self.problem.scene.effects)
+            parts = (effect.energy_of_motion(data.motion.velocity, data) for effect in self.problem.model.effects)
             self._kinetic_energy = releases.form(sum(part for part in parts if part is not None))
         return total(self.problem.level.comm, fem.assemble_scalar(self._kinetic_energy))
 

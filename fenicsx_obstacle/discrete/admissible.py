@@ -1,4 +1,4 @@
-"""Whether any u can satisfy a scene: boundary values between the obstacles, obstacles that do not cross."""
+"""Whether any u can satisfy a model: boundary values between the obstacles, obstacles that do not cross."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from dolfinx import fem
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.parts import part_place
-from fenicsx_obstacle.scenes.tables import ACTING
 
 ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
 
@@ -22,9 +20,9 @@ def check_admissible(data: Data) -> None:
     Raises:
         InputError: Naming the place and the gap.
     """
-    comm, source = data.level.comm, data.scene.source
+    comm, source = data.level.comm, data.model.source
     dofs, values = data.fixed
-    holds = any(effect.holds or effect.gives_way for effect in data.scene.effects)
+    holds = any(effect.holds or effect.gives_way for effect in data.model.effects)
     if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
         raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
     _check_parts(data)
@@ -48,21 +46,20 @@ def check_admissible(data: Data) -> None:
 
 def _check_parts(data: Data) -> None:
     """Refuse what acts where u is given (collective)."""
-    if all(part.value is not None for part in data.scene.tables.boundary):
+    if all(part.value is not None for part in data.model.boundary):
         return
     held = np.unique(np.concatenate([np.empty(0, np.int32), *data.held]))
-    for number, part in enumerate(data.scene.tables.boundary):
+    for number, part in enumerate(data.model.boundary):
         both = np.isin(data.facets[number], held)
         if part.value is None and total(data.level.comm, np.count_nonzero(both)) > 0:
-            key = next(key for key in ACTING if getattr(part, key) is not None)
+            sides = [side for side in ("lower", "upper") if getattr(part, side) is not None]
+            key = next(iter([*part.acts, *sides]))
             others = " and ".join(
                 f"no. {other + 1}"
                 for other, facets in enumerate(data.held)
                 if total(data.level.comm, np.count_nonzero(np.isin(facets, data.facets[number]))) > 0
             )
-            raise InputError(
-                f"{data.scene.source}: {part_place(number)} {key} does nothing where u is given, by {others}"
-            )
+            raise InputError(f"{data.model.source}: {part.name} {key} does nothing where u is given, by {others}")
 
 
 def _refuse_beyond(
@@ -77,14 +74,14 @@ def _refuse_beyond(
             giver = next(place for place, dofs in reversed(data.givers) if dof in dofs)
             mine = f"{giver} {where}: {values.x.array[dof]:.6g} against {obstacle.x.array[dof]:.6g}"
         message = next(text for text in data.level.comm.allgather(mine) if text is not None)
-        raise InputError(f"{message} at {data.at(point)}, so that no u satisfies both")
+        raise InputError(f"{message} at {data.place(point)}, so that no u satisfies both")
 
 
 def _refuse_gap(data: Data, excess: np.ndarray, tolerance: float, message: str) -> None:
     """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
     found = _worst(data, excess, tolerance)
     if found is not None:
-        raise InputError(f"{message}: by {found[0]:.3g} at {data.at(found[1])}")
+        raise InputError(f"{message}: by {found[0]:.3g} at {data.place(found[1])}")
 
 
 def _worst(data: Data, excess: np.ndarray, tolerance: float) -> tuple[float, np.ndarray, int | None] | None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.discrete.moments import INERTIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.moments import INERTIA
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.problem import Problem
@@ -85,7 +85,7 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
             # beside an obstacle on a part of the boundary: at its lowest or highest place
             start[here] = extreme + sign
             start[known] = heights[known] + sign
-    if any(effect.holds for effect in problem.scene.effects):
+    if any(effect.holds for effect in problem.model.effects):
         # a support below round-off may still hold u before it reaches an obstacle that is far off
         far = np.zeros(count)
         np.fmax.at(far, component, np.abs(start - rest))
@@ -99,7 +99,7 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
 
 def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Local nodal values of the lower and the upper obstacle that give way (collective on first use)."""
-    found = (effect.sides(problem.data) for effect in problem.scene.effects if effect.gives_way)
+    found = (effect.sides(problem.data) for effect in problem.model.effects if effect.gives_way)
     return next(found, (None, None))
 
 
@@ -130,7 +130,7 @@ def _refuse(
     problem: Problem, one: int, up: np.ndarray, down: np.ndarray, net: np.ndarray, held: np.ndarray, count: int
 ) -> None:
     """Say what is missing for a component."""
-    source = f"{problem.scene.source}: "
+    source = f"{problem.model.source}: "
     where = "u is given nowhere" if count == 1 else f"u is given nowhere on one of {count} separate parts of the mesh"
     if up[one] or down[one]:
         side = "lower" if up[one] else "upper"
@@ -138,7 +138,7 @@ def _refuse(
             f"{source}{where}, and the load, {net[one] + 0.0:.3g} in all, does not press against the {side} obstacle: "
             "no u is in balance; add a [[boundary]] with a value"
         )
-    if any(effect.holds or effect.gives_way for effect in problem.scene.effects):
+    if any(effect.holds or effect.gives_way for effect in problem.model.effects):
         raise InputError(
             f"{source}{where}, and what holds it, {max(held[one], 0.0):.3g} in all per unit of u, is below the "
             "round-off of the stiffness: round-off would decide u; add a [[boundary]] with a value, or a stiffer "
@@ -177,7 +177,7 @@ def forces_at_work(problem: Problem, load: float) -> float:
 
     There the residual at u = 0, the load, is no measure of forces: mass over the square of a step outweighs all.
     """
-    time = problem.scene.time
+    time = problem.model.time
     if time is None or time.order != INERTIA:
         return load
     problem.forms.elastic(problem.elastic)

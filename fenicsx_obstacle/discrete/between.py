@@ -1,8 +1,8 @@
-"""Data between their samples: places where a formula is not admissible although no sample shows it.
+"""Data between their samples: places where a datum is not admissible although no sample shows it.
 
 Forms take one value per cell. A spot that no midpoint meets, such as `where(hypot(x - 0.503, y) < 0.004, -1, 1)`, does
-not enter them; the scene is wrong all the same. So formulas are evaluated at the nodes as well, and at points that a
-search finds: it follows the formula downwards, and each of its conditions to where it holds and to where it does not.
+not enter them; the datum is wrong all the same. So data are evaluated at the nodes as well, and at points that a
+search finds: it follows the datum downwards, and each of its conditions to where it holds and to where it does not.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.points import locate
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.scenes.conditions import margins
-from fenicsx_obstacle.scenes.formulas import Formula
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.samples import Samples
+    from fenicsx_obstacle.discrete.data import Data
 
 ROUND_OFF = 1e-8  # of the largest value: what is below zero by round-off
 STARTS = 6  # points that a search begins with
@@ -31,13 +30,13 @@ Quantity = Callable[[np.ndarray], np.ndarray]
 
 
 def inadmissible(
-    data: Samples, formulas: Sequence[Formula], quantity: Quantity, bound: float, material: str | None = None
+    data: Data, fields: Sequence[Field], quantity: Quantity, bound: float, material: str | None = None
 ) -> tuple[float, np.ndarray] | None:
-    """A point of the mesh where a quantity made of formulas is below a bound, and its value there (collective).
+    """A point of the mesh where a quantity made of data is below a bound, and its value there (collective).
 
     Args:
         data: What samples them.
-        formulas: Formulas.
+        fields: What it is made of.
         quantity: Of points (3, n).
         bound: Its least value.
         material: Name of the cells that count, if it is not all.
@@ -53,8 +52,9 @@ def inadmissible(
     scale = largest(level.comm, np.abs(values[np.isfinite(values)]))
     limit = bound - ROUND_OFF * max(scale, float(np.finfo(float).tiny))
     points = _first(data, nodes, values < limit)
-    if len(points) == 0 and level.mesh.topology.dim == level.mesh.geometry.dim:
-        points = _sought(data, formulas, quantity, nodes, limit)
+    seekable = all(field.everywhere for field in fields) and level.mesh.topology.dim == level.mesh.geometry.dim
+    if len(points) == 0 and seekable:
+        points = _sought(data, fields, quantity, nodes, limit)
     if len(points) == 0:
         return None
     inside = _inside(data, points, material)
@@ -62,7 +62,7 @@ def inadmissible(
     return None if len(inside) == 0 else (float(found[inside[0]]), points[inside[0]])
 
 
-def _inside(data: Samples, points: np.ndarray, material: str | None) -> np.ndarray:
+def _inside(data: Data, points: np.ndarray, material: str | None) -> np.ndarray:
     """Rows of the points (n, 3) that are in the mesh, or in cells of a material (collective)."""
     level = data.level
     if releases.cell_name(level.mesh) not in SIMPLICES:  # rectangles and boxes
@@ -75,15 +75,13 @@ def _inside(data: Samples, points: np.ndarray, material: str | None) -> np.ndarr
     return np.unique(np.concatenate(level.comm.allgather(rows)))
 
 
-def _first(data: Samples, nodes: np.ndarray, bad: np.ndarray) -> np.ndarray:
+def _first(data: Data, nodes: np.ndarray, bad: np.ndarray) -> np.ndarray:
     """Of the bad nodes of all ranks the first by coordinates, shape (0 or 1, 3) (collective)."""
     some = np.concatenate(data.level.comm.allgather(nodes[:, bad].T[:1]))
     return some[np.lexsort(some.T[::-1])[:1]]
 
 
-def _sought(
-    data: Samples, formulas: Sequence[Formula], quantity: Quantity, nodes: np.ndarray, limit: float
-) -> np.ndarray:
+def _sought(data: Data, fields: Sequence[Field], quantity: Quantity, nodes: np.ndarray, limit: float) -> np.ndarray:
     """Points with values below the limit, the worst first, that a compass search comes to (collective).
 
     Every rank searches the same way, from the best nodes of all ranks.
@@ -91,7 +89,7 @@ def _sought(
 
     def goals(x: np.ndarray) -> np.ndarray:
         """What the searches maximise, shape (searches, n)."""
-        conditions = [margin for formula in formulas for margin in _margins(data, formula, x)]
+        conditions = [margin for field in fields for margin in field.margins(x, data.names(field))]
         return _finite(np.stack([-quantity(x), *conditions, *(-margin for margin in conditions)]), -np.inf)
 
     comm, dim = data.level.comm, data.level.mesh.geometry.dim
@@ -124,13 +122,6 @@ def _sought(
         step[~higher] /= 2
     found = np.concatenate(seen)
     return found[np.lexsort((*found.T[2::-1], -found[:, 3]))[:CANDIDATES], :3]
-
-
-def _margins(data: Samples, formula: Formula, x: np.ndarray) -> list[np.ndarray]:
-    if data.uniform(formula):
-        return []
-    with np.errstate(all="ignore"):
-        return margins(data.scene, formula, x, data.known(formula, x))
 
 
 def _finite(values: np.ndarray, instead: float = np.inf) -> np.ndarray:

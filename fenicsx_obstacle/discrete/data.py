@@ -1,32 +1,50 @@
-"""A scene's formulas sampled on a mesh, once, and checked: nothing after this sees a formula."""
+"""The data of a problem on a mesh, sampled once and checked: forms and solvers see Functions and Constants only."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from math import factorial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, volumes
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.limits import Limits
-from fenicsx_obstacle.discrete.samples import Cellwise, array_of
+from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.materials import Value
-from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.vocabulary import TIME
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.parallel import agree, largest, smallest, total
+from fenicsx_obstacle.words import counted, nearest
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.motion import Moment, Motion
     from fenicsx_obstacle.discrete.parts import Facets, Parts
+
+Cellwise: TypeAlias = fem.Function | fem.Constant
+Sampled = TypeVar("Sampled", bound=Cellwise)
+Rows: TypeAlias = tuple[tuple[Field, ...], ...]
+STEEP = 3.0  # quadratics through positive values stay positive up to 4 on triangles, 4.5 on squares, 3.09 on cubes
+INWARD = 1e-6  # of the way to the middle of the cell
+
+
+def array_of(function: Cellwise) -> np.ndarray:
+    """Values at local dofs, or the one there is."""
+    return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
+
+
+def _flatten_jumps(tension: fem.Function) -> None:
+    """Give a cell in which positive nodal values jump their mean: the polynomial through them could be negative."""
+    dofs = releases.cell_dofs(tension.function_space)
+    values = tension.x.array[dofs]
+    steep = values.max(axis=1) > STEEP * values.min(axis=1)
+    tension.x.array[dofs[steep]] = values[steep].mean(axis=1)[:, None]
 
 
 class Weighted:
@@ -43,25 +61,69 @@ class Weighted:
         return integrand * self.weight * self.measure
 
 
-class Data(Limits):
-    """What the effects of a scene are on one level, with its boundary values and obstacles.
+class Data:
+    """What the effects of a model are on one mesh, with its boundary values and obstacles.
 
     Everything is sampled on first use, which is collective, and kept.
+
+    Attributes:
+        model: Whose data.
+        level: The mesh and V.
+        thin: Whether obstacles are on the boundary, or on curves inside, instead of in the domain.
+        moment: Where it is in time, or None.
+        moving: What depends on time, and how it is sampled.
+        givers: Where each boundary value stands, and the dofs that have it.
     """
 
-    def __init__(self, scene: Scene, level: Level, moment: Moment | None = None):
-        super().__init__(scene, level, moment)
-        self._on_part: dict[str, fem.Function] = {}
-        self._heights: dict[str, fem.Function] = {}
-        self._definite: dict[str, tuple[tuple[Formula, ...], ...]] = {}
+    def __init__(self, model: Model, level: Level, moment: Moment | None = None, bcs: Sequence[Any] = ()):
+        """Sample nothing yet.
 
-    @cached_property
-    def motion(self) -> Motion:
-        """Derivatives in time."""
-        from fenicsx_obstacle.discrete.motion import Motion  # only where a scene names one
+        Args:
+            model: What is to be solved.
+            level: Mesh and V.
+            moment: Of another level of the same mesh; by default the start of the model's time.
+            bcs: Dirichlet conditions of V besides those of the model's boundary.
+        """
+        self.model, self.level = model, level
+        if model.time is not None and moment is None:
+            from fenicsx_obstacle.discrete.motion import Moment  # only where a model has time
 
-        assert self.moment is not None
-        return Motion(self.level, self.moment)
+            moment = Moment.at_start(model.time)
+        self.moment, self.thin = moment, model.thin
+        self.moving: dict[Cellwise, Callable[[], Cellwise]] = {}
+        self.givers: list[tuple[str, np.ndarray]] = []
+        self._bcs = bcs
+        self._here: dict[Field, Field] = {}
+        self._cellwise: dict[Field, Cellwise] = {}
+        self._heights: dict[Field, fem.Function] = {}
+        self._on_part: dict[Field, fem.Function] = {}
+        self._definite: dict[Field, Rows] = {}
+
+    @property
+    def now(self) -> dict[str, float]:
+        """The value of t, where there is time."""
+        return {} if self.moment is None else {"t": self.moment.t}
+
+    def here(self, field: Field) -> Field:
+        """A datum on this mesh (collective on first use)."""
+        if field not in self._here:
+            self._here[field] = field.on(self.level)
+        return self._here[field]
+
+    def names(self, field: Field) -> Names:
+        """What a datum may depend on besides x, now (collective if it is the first to need the distance)."""
+        return {**self.now, **({"distance": self.boundary_distance} if field.needs_distance else {})}
+
+    def at(self, field: Field, x: np.ndarray) -> np.ndarray:
+        """Values of a datum at points (3, n), now (collective on first use)."""
+        return self.here(field).at(x, self.names(field))
+
+    def follow(self, fields: Iterable[Field], sample: Callable[[], Sampled]) -> Sampled:
+        """What is sampled of some data; if they depend on time it is renewed whenever time goes on (collective)."""
+        made = sample()
+        if any(field.moves for field in fields):
+            self.moving[made] = sample
+        return made
 
     def move(self) -> bool:
         """Sample anew what depends on time, for the present moment (collective).
@@ -70,67 +132,70 @@ class Data(Limits):
             Whether the numbers of the derivatives in time have changed.
 
         Raises:
-            InputError: If it is not finite somewhere.
+            InputError: If it is not finite somewhere, or out of bounds.
         """
-        self.renew()
+        for made, sample in self.moving.items():
+            fresh = sample()  # has to live as long as its values are read
+            if isinstance(made, fem.Constant):
+                made.value = fresh.value
+            else:
+                made.x.array[:] = fresh.x.array
         for rows in self._definite.values():
-            if any(TIME in self.scene.needs(entry) for row in rows for entry in row):
+            if any(entry.moves for row in rows for entry in row):
                 self._check_definite(rows)
-        assert self.scene.time is not None
-        return self.scene.time.order > 0 and self.motion.follow()
+        assert self.model.time is not None
+        return self.model.time.order > 0 and self.motion.follow()
 
-    @cached_property
-    def dx(self) -> Any:
-        """Integration over the domain."""
-        dx = ufl.Measure("dx", domain=self.level.mesh)
-        return Weighted(dx, self.radius) if self.radial else dx
+    # fields in cells and at nodes
 
-    @property
-    def radial(self) -> bool:
-        """Whether the scene is axially symmetric."""
-        return any(effect.radial for effect in self.scene.effects)
+    def cellwise(self, field: Field, *, positive: bool = False, least: float | None = None) -> Cellwise:
+        """One value per cell, taken at its midpoint, or as many as `Level.W` has (collective on first use).
 
-    @cached_property
-    def radius(self) -> Cellwise:
-        """Distance from the axis, positive in each cell (first use is collective)."""
-        key = next(effect.key for effect in self.scene.effects if effect.radial)
-        if self.level.mesh.geometry.dim > 2:
-            raise InputError(f"{self.scene.source}: [effects] {key} is for intervals and plane meshes")
-        return self.cellwise(self.scene.formula("x", f"[effects] {key}, radius"), positive=True)
-
-    @cached_property
-    def dI(self) -> Any:
-        """The same by the pair's rule, where its points are the nodes of V_h."""
-        pair = self.level.pair
-        return pair.rule(releases.cell_name(self.level.mesh)).on(self.dx) if pair.at_vertices else self.dx
-
-    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
-        """Forces at points as forces at owned nodes, by barycentric coordinates (collective).
+        A Constant if all are the same.
 
         Raises:
-            InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
+            InputError: If it is not finite, or not positive, or below the least, somewhere, or a material has no value.
         """
-        from fenicsx_obstacle.discrete.points import spread  # only where a scene names points
+        if field not in self._cellwise:
+            sample = partial(self._checked_cells, field, positive, least)
+            self._cellwise[field] = self.follow([field], sample)
+        return self._cellwise[field]
 
-        return spread(self.level, forces, f"{self.scene.source}: {place}")
+    def values(self, field: Field) -> np.ndarray:
+        """The values of `cellwise` at local dofs of W, or the one there is (collective on first use)."""
+        return array_of(self.cellwise(field))
 
-    def height(self, value: Formula) -> fem.Function:
+    def nodal(self, field: Field, more: Names | None = None) -> fem.Function:
+        """Nodal interpolant in V, with values of further names (collective).
+
+        Raises:
+            InputError: If it is not finite somewhere, or given for the cells of each material, which share nodes.
+        """
+        if field.parts is not None:
+            raise InputError(f"{field.source}: element {self.level.pair.name} takes one formula for all materials")
+        function = fem.Function(self.level.V)
+        self._sample(function, field, more)
+        return function
+
+    def at_nodes(self, field: Field) -> np.ndarray:
+        """Values at owned nodes (collective).
+
+        Raises:
+            InputError: As `nodal`.
+        """
+        return self.nodal(field).x.array[: self.level.owned]
+
+    def height(self, field: Field) -> fem.Function:
         """Nodal interpolant in V, kept (collective on first use)."""
-        if value.place not in self._heights:
-            self._heights[value.place] = self.follow([value], partial(self.nodal, value))
-        return self._heights[value.place]
-
-    def peclet(self, velocity: tuple[Formula, ...]) -> float:
-        """The largest |velocity| h/(2 tension) of all cells (collective)."""
-        from fenicsx_obstacle.discrete.flow import peclet  # only where a scene has drift
-
-        return peclet(self, velocity)
+        if field not in self._heights:
+            self._heights[field] = self.follow([field], partial(self.nodal, field))
+        return self._heights[field]
 
     def number(self, value: float) -> fem.Constant:
         """A number that is not compiled into forms."""
         return fem.Constant(self.level.mesh, PETSc.ScalarType(value))
 
-    def field(self, components: tuple[Formula, ...]) -> ufl.core.expr.Expr:
+    def field(self, components: tuple[Field, ...]) -> ufl.core.expr.Expr:
         """A vector, one per cell (collective on first use).
 
         Raises:
@@ -138,9 +203,70 @@ class Data(Limits):
         """
         dim = self.level.mesh.geometry.dim
         if len(components) != dim:
-            place = components[0].place.partition("[0]")[0]
+            place = components[0].source.partition("[0]")[0]
             raise InputError(f"{place}: has {len(components)} components, but points have {counted(dim, 'coordinate')}")
         return ufl.as_vector([self.cellwise(part) for part in components])
+
+    def matrix(self, rows: Rows) -> ufl.core.expr.Expr:
+        """A symmetric, positive definite matrix, one per cell (collective on first use).
+
+        Raises:
+            InputError: If it is neither somewhere, or has not as many rows as points have coordinates.
+        """
+        entries = [[self.cellwise(entry) for entry in row] for row in rows]
+        if rows[0][0] not in self._definite:
+            from fenicsx_obstacle.discrete.tensors import check_between  # only where a model has a matrix
+
+            self._check_definite(rows)
+            check_between(self, rows)
+            self._definite[rows[0][0]] = rows
+        return ufl.as_matrix(entries)
+
+    def eigenvalues(self, rows: Rows) -> np.ndarray:
+        """Of the symmetric part, ascending, at local dofs of W, shape (dofs or 1, rows) (collective on first use)."""
+        from fenicsx_obstacle.discrete.tensors import matrices_of
+
+        matrices = matrices_of(self, rows)
+        return np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
+
+    def _check_definite(self, rows: Rows) -> None:
+        from fenicsx_obstacle.discrete.tensors import check_definite  # only where a model has a matrix
+
+        check_definite(self, rows)
+
+    # the domain
+
+    @cached_property
+    def dx(self) -> Any:
+        """Integration over the domain."""
+        dx = ufl.Measure("dx", domain=self.level.mesh)
+        return Weighted(dx, self.radius) if self.model.radial else dx
+
+    @cached_property
+    def radius(self) -> Cellwise:
+        """Distance from the axis, positive in each cell (first use is collective)."""
+        key = next(effect.key for effect in self.model.effects if effect.radial)
+        if self.level.mesh.geometry.dim > 2:
+            raise InputError(f"{self.model.source}: [effects] {key} is for intervals and plane meshes")
+        return self.cellwise(_Radius(f"{self.model.source}: [effects] {key}, radius"), positive=True)
+
+    @cached_property
+    def dI(self) -> Any:
+        """The same by the pair's rule, where its points are the nodes of V_h."""
+        pair = self.level.pair
+        return pair.rule(releases.cell_name(self.level.mesh)).on(self.dx) if pair.at_vertices else self.dx
+
+    @cached_property
+    def extent(self) -> float:
+        """Longest side of the box around the mesh: makes an area of a length of contact (first use is collective)."""
+        x, comm = self.level.points, self.level.comm
+        return max(largest(comm, axis) - smallest(comm, axis) for axis in x)
+
+    def peclet(self, velocity: tuple[Field, ...]) -> float:
+        """The largest |velocity| h/(2 tension) of all cells (collective)."""
+        from fenicsx_obstacle.discrete.flow import peclet  # only where a model has drift
+
+        return peclet(self, velocity)
 
     @cached_property
     def cell_size(self) -> Cellwise:
@@ -153,68 +279,315 @@ class Data(Limits):
         sizes.x.array[dofs] = (factorial(dim) * volumes(corners(mesh)[: len(dofs)])) ** (1 / dim)
         return sizes
 
-    def values(self, value: Value) -> np.ndarray:
-        """The values of `cellwise` at local dofs of W, or the one there is (collective on first use)."""
-        return array_of(self.cellwise(value))
+    @cached_property
+    def distance(self) -> fem.Function:
+        """Nodal distance to the boundary (first use is collective)."""
+        function = fem.Function(self.level.V)
+        function.x.array[:] = self.boundary_distance(self.level.points.T)
+        function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
+        return function
 
-    def matrix(self, rows: tuple[tuple[Formula, ...], ...]) -> ufl.core.expr.Expr:
-        """A symmetric, positive definite matrix, one per cell (collective on first use).
+    @cached_property
+    def boundary_distance(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Distance to the boundary of points (n, 3) (first use is collective)."""
+        from fenicsx_obstacle.discrete.distance import BoundaryDistance  # with scipy: only where a datum needs it
+
+        return BoundaryDistance(self.level)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Derivatives in time."""
+        from fenicsx_obstacle.discrete.motion import Motion  # only where a model names one
+
+        assert self.moment is not None
+        return Motion(self.level, self.moment)
+
+    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
+        """Forces at points as forces at owned nodes, by barycentric coordinates (collective).
 
         Raises:
-            InputError: If it is neither somewhere, or has not as many rows as points have coordinates.
+            InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
         """
-        entries = [[self.cellwise(entry) for entry in row] for row in rows]
-        if rows[0][0].place not in self._definite:
-            from fenicsx_obstacle.discrete.tensors import check_between  # only where a scene has a matrix
+        from fenicsx_obstacle.discrete.points import spread  # only where a model names points
 
-            self._check_definite(rows)
-            check_between(self, rows)
-            self._definite[rows[0][0].place] = rows
-        return ufl.as_matrix(entries)
+        return spread(self.level, forces, f"{self.model.source}: {place}")
 
-    def _check_definite(self, rows: tuple[tuple[Formula, ...], ...]) -> None:
-        from fenicsx_obstacle.discrete.tensors import check_definite  # only where a scene has a matrix
+    # obstacles
 
-        check_definite(self, rows)
+    @cached_property
+    def lower(self) -> fem.Function | None:
+        """Nodal lower obstacle (first use is collective)."""
+        return self._obstacle("lower", -np.inf)
 
-    def eigenvalues(self, rows: tuple[tuple[Formula, ...], ...]) -> np.ndarray:
-        """Of the symmetric part, ascending, at local dofs of W, shape (dofs or 1, rows) (collective on first use)."""
-        from fenicsx_obstacle.discrete.tensors import matrices_of
+    @cached_property
+    def upper(self) -> fem.Function | None:
+        """Nodal upper obstacle (first use is collective)."""
+        return self._obstacle("upper", np.inf)
 
-        matrices = matrices_of(self, rows)
-        return np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
+    def _obstacle(self, side: str, none: float) -> fem.Function | None:
+        parts = {number: getattr(part, side) for number, part in enumerate(self.model.boundary)}
+        thin = {number: obstacle for number, obstacle in parts.items() if obstacle is not None}
+        if thin:
+            return self.follow(thin.values(), partial(self._thin_obstacle, thin, none))
+        obstacle = getattr(self.model, side)
+        return None if obstacle is None else self.follow([obstacle], partial(self.nodal, obstacle))
 
-    def on_part(self, value: Formula, part: int, *, least: float | None = None) -> fem.Function:
-        """A formula at the nodes of the part of a [[boundary]], counted from 0 (collective on first use).
+    def _thin_obstacle(self, obstacles: Mapping[int, Field], none: float) -> fem.Function:
+        """Nodal obstacle on parts of the boundary; infinitely far off elsewhere (collective)."""
+        function = fem.Function(self.level.V)
+        function.x.array[:] = none
+        for number, obstacle in obstacles.items():
+            dofs = self.dofs_on(self.facets[number])
+            function.x.array[dofs] = self._on_dofs(obstacle, dofs).x.array[dofs]
+        function.x.scatter_forward()
+        return function
+
+    # the boundary
+
+    def dofs_on(self, facets: np.ndarray) -> np.ndarray:
+        """Local dofs on local facets (collective)."""
+        return fem.locate_dofs_topological(self.level.V, self.level.mesh.topology.dim - 1, facets)
+
+    @cached_property
+    def facets(self) -> list[np.ndarray]:
+        """Local facets of each part of the boundary (first use is collective)."""
+        return [self._facets(part) for part in self.model.boundary]
+
+    @cached_property
+    def held(self) -> list[np.ndarray]:
+        """Those where u is given; none of a part without a value (first use is collective)."""
+        parts = zip(self.model.boundary, self.facets, strict=True)
+        return [facets[:0] if part.value is None else facets for part, facets in parts]
+
+    @cached_property
+    def fixed(self) -> tuple[np.ndarray, fem.Function]:
+        """Local dofs where u is given, sorted, and the values there (first use is collective)."""
+        dofs = [self.dofs_on(facets) for facets in self.held]
+        by_conditions = [np.asarray(bc.dof_indices()[0]) for bc in self._bcs]
+        fixed = np.unique(np.concatenate([np.empty(0, np.int32), *dofs, *by_conditions])).astype(np.int32)
+        given = [part.value for part in self.model.boundary if part.value is not None]
+        return fixed, self.follow(given, partial(self._boundary_values, dofs))
+
+    def _boundary_values(self, dofs: Sequence[np.ndarray]) -> fem.Function:
+        """The values where u is given; of parts that meet the last one counts (collective)."""
+        values = fem.Function(self.level.V)
+        self.givers = []
+        for part, here in zip(self.model.boundary, dofs, strict=True):
+            if part.value is not None:
+                values.x.array[here] = self._on_dofs(part.value, here).x.array[here]
+                self.givers.append((str(part.value), here))
+        if self._bcs:
+            releases.set_values(values.x.array, self._bcs)
+            self.refuse_infinite(values, words=f"{self.model.source}: a value of bcs")
+            here = np.concatenate([np.asarray(bc.dof_indices()[0]) for bc in self._bcs])
+            self.givers.append((f"{self.model.source}: a value of bcs", here))
+        values.x.scatter_forward()
+        return values
+
+    def on_part(self, field: Field, part: int, *, least: float | None = None) -> fem.Function:
+        """A datum at the nodes of a part of the boundary, counted from 0 (collective on first use).
 
         Raises:
             InputError: If it is not finite, or below the least, somewhere.
         """
-        if value.place not in self._on_part:
-            self._on_part[value.place] = self.follow([value], partial(self._sample_part, value, part, least))
-        return self._on_part[value.place]
+        if field not in self._on_part:
+            self._on_part[field] = self.follow([field], partial(self._sample_part, field, part, least))
+        return self._on_part[field]
 
-    def _sample_part(self, value: Formula, part: int, least: float | None) -> fem.Function:
-        function, dofs = fem.Function(self.level.V), self.dofs_on(self.facets[part])
-        function.x.array[dofs] = self._at_points(value, self.level.points[:, dofs])
+    def _sample_part(self, field: Field, part: int, least: float | None) -> fem.Function:
+        function = self._on_dofs(field, self.dofs_on(self.facets[part]))
         function.x.scatter_forward()
-        self._refuse_infinite(value, function)
         if least is not None:
-            self._refuse(value, function, function.x.array < least, f"must be at least {least:g}; it is")
+            self._refuse(field, function, function.x.array < least, f"must be at least {least:g}; it is")
         return function
 
     @cached_property
     def parts(self) -> Parts:
         """Measures of the parts of the boundary on which something acts (first use is collective)."""
-        from fenicsx_obstacle.discrete.parts import Parts  # only where a scene names one
+        from fenicsx_obstacle.discrete.parts import Parts  # only where a model names one
 
         found = []
-        for number, part in enumerate(self.scene.tables.boundary):
-            keys = [effect.key for effect in self.scene.effects if getattr(effect, "part", None) == number]
-            keys += ["contact"] * (part.lower is not None or part.upper is not None)
+        for number, part in enumerate(self.model.boundary):
+            keys = [*part.acts, *(["contact"] if part.bears else [])]
             found += [(number, key, self.facets[number]) for key in keys]
-        return Parts(self.level, found, radial=self.radial)
+        return Parts(self.level, found, radial=self.model.radial)
 
     def over(self, part: int, key: str, *, nodal: bool = False) -> Facets:
-        """Integration over the part that a [[boundary]], counted from 0, gives a key (collective on first use)."""
+        """Integration over the part of the boundary, counted from 0, that has a key (collective on first use)."""
         return self.parts.over(part, key, nodal=nodal)
+
+    def _facets(self, part: Part) -> np.ndarray:
+        level = self.level
+        if part.where is not None:
+            return self._facets_where(part.where)
+        if part.on is None:
+            return level.boundary_facets
+        for name in part.on:
+            if name not in level.facets:
+                raise InputError(
+                    f"{self.model.source}: {part.name} on: no part named '{name}'" + nearest(name, level.facets)
+                )
+            if total(level.comm, len(level.facets[name])) == 0:
+                what = "no facet of the mesh lies on it; a part inside must be embedded in its domain"
+                raise InputError(f"{self.model.source}: {part.name} on = '{name}': {what}")
+        return np.unique(np.concatenate([level.facets[name] for name in part.on])).astype(np.int32)
+
+    def _facets_where(self, where: Field) -> np.ndarray:
+        """Facets of the boundary at whose vertices a condition holds."""
+        level = self.level
+        dim = level.mesh.topology.dim - 1
+        self._on_dofs(
+            where, fem.locate_dofs_topological(level.V, dim, level.boundary_facets)
+        )  # refuses infinite values
+        found = dmesh.locate_entities_boundary(level.mesh, dim, lambda x: self.at(where, x) != 0)
+        if total(level.comm, len(found)) == 0:
+            raise InputError(f"{where}: holds on no facet of the boundary")
+        return found
+
+    def _on_dofs(self, field: Field, dofs: np.ndarray) -> fem.Function:
+        """A Function with the values of a datum at some local dofs, 0 elsewhere (collective)."""
+        function = fem.Function(self.level.V)
+        function.x.array[dofs] = self._agreed(field, self.level.points[:, dofs])
+        self.refuse_infinite(function, field)
+        return function
+
+    # sampling
+
+    def _agreed(self, field: Field, x: np.ndarray) -> np.ndarray:
+        """`at`, with an error of any rank on all (collective)."""
+        here, names = self.here(field), self.names(field)
+        values = np.empty(0)
+        with agree(self.level.comm):
+            values = here.at(x, names)
+        return values
+
+    def _sample(self, function: fem.Function, field: Field, more: Names | None = None) -> None:
+        names = {**self.names(field), **(more or {})}
+        if field.uniform:
+            function.x.array[:] = field.at(np.zeros((3, 1)), names)
+        else:
+            V = function.function_space
+            function.x.array[:] = self.here(field).interpolate(V, self._points(V), names)
+            function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
+        self.refuse_infinite(function, field)
+
+    def _points(self, V: fem.FunctionSpace) -> np.ndarray:
+        """Points of the local dofs, shape (3, dofs)."""
+        if V is self.level.V:
+            return self.level.points
+        points = np.array(V.tabulate_dof_coordinates().T)
+        if V is self.level.W and self.level.pair.degree > 1:
+            # what jumps between cells has its value from within
+            dofs = releases.cell_dofs(V)
+            middle = corners(self.level.mesh).mean(axis=1).T[:, :, None]
+            points[:, dofs] += INWARD * (middle - points[:, dofs])
+        return points
+
+    def _checked_cells(self, field: Field, positive: bool, least: float | None) -> Cellwise:
+        made = self._sample_cells(field)
+        if positive:
+            self._refuse(field, made, array_of(made) <= 0, "must be positive; it is")
+            if isinstance(made, fem.Function) and self.level.pair.degree > 1:
+                _flatten_jumps(made)
+        if least is not None:
+            self._refuse(field, made, array_of(made) < least, f"must be at least {least:g}; it is")
+        bound = 0.0 if positive else least
+        if bound is not None and field not in self._cellwise:  # once: not for each moment
+            self._check_between(field, bound, "be positive" if positive else f"be at least {bound:g}")
+        return made
+
+    def _check_between(self, field: Field, bound: float, what: str) -> None:
+        """Refuse values below a bound where no cell has its midpoint (collective)."""
+        parts: Mapping[str | None, Field] = field.parts or {None: field}  # type: ignore[assignment]
+        for material, part in parts.items():
+            if part.uniform:
+                continue
+            from fenicsx_obstacle.discrete.between import inadmissible  # only where data are not numbers
+
+            found = inadmissible(self, [part], partial(self.at, part), bound, material)
+            if found is not None:
+                number, point = found
+                raise InputError(f"{field}: must {what}; it is {number:g} at {self.place(point)}")
+
+    def _sample_cells(self, field: Field) -> Cellwise:
+        if field.uniform:
+            number = field.at(np.zeros((3, 1)), self.now)[0]
+            constant = fem.Constant(self.level.mesh, PETSc.ScalarType(number))
+            self.refuse_infinite(constant, field)
+            return constant
+        function = fem.Function(self.level.W)
+        if field.parts is not None:
+            self._sample_materials(function, field, field.parts)
+        else:
+            self._sample(function, field)
+        return function
+
+    def _sample_materials(self, function: fem.Function, field: Field, parts: Mapping[str, Field]) -> None:
+        """Each datum in the cells of its material: every cell must have one value (collective)."""
+        groups, comm, points = self.level.groups, self.level.comm, self._points(self.level.W)
+        values, times = function.x.array, np.zeros(len(function.x.array), dtype=int)
+        for name, part in parts.items():
+            if name not in groups:
+                hint = nearest(name, groups) if groups else "; the mesh has no named groups of cells"
+                raise InputError(f"{field.source}: no material named '{name}'" + hint)
+            inside = self.level.indicator(name)
+            values[inside] = self._agreed(part, points[:, inside])
+            times += inside
+        for name in groups:
+            if total(comm, np.count_nonzero(self.level.indicator(name) & (times == 0))) > 0:
+                raise InputError(f"{field}: no value for the material '{name}'")
+        for bad, what in ((times == 0, "no value for a cell without material"), (times > 1, "two values for a cell")):
+            found = self._first(function, bad)
+            if found is not None:
+                raise InputError(f"{field}: {what} at {self.place(found[1])}")
+        function.x.scatter_forward()
+        self.refuse_infinite(function, field)
+
+    # checks
+
+    def refuse_infinite(self, function: Cellwise, field: Field | None = None, *, words: str = "") -> None:
+        """All ranks raise if a value is not finite, naming one place (collective).
+
+        Args:
+            function: Sampled values.
+            field: What was sampled, or None.
+            words: What it is, for the message; by default the field.
+
+        Raises:
+            InputError: Of all ranks the first place.
+        """
+        bad = ~np.isfinite(array_of(function))
+        self._refuse(field, function, bad, "is not a finite number: it is", words)
+
+    def _refuse(self, field: Field | None, function: Cellwise, bad: np.ndarray, what: str, words: str = "") -> None:
+        """All ranks raise if any value is bad, naming one place (collective)."""
+        if isinstance(function, fem.Constant):
+            found, where = (float(function.value), np.zeros(3)) if bad.any() else None, ""
+        else:
+            found = self._first(function, bad)
+            where = "" if found is None else f" at {self.place(found[1])}"
+        if found is not None:
+            because = "" if field is None else field.because(found[1], self.now)
+            raise InputError(f"{words or f'{field}:'} {what} {found[0]:g}{where}{because}")
+
+    def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
+        """Value and place of the first bad dof, the same on every rank (collective)."""
+        points, values = self._points(function.function_space).T, function.x.array
+        mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
+        return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
+
+    def place(self, point: np.ndarray) -> str:
+        """A point (3,) in words."""
+        return "(" + ", ".join(f"{x:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
+
+
+class _Radius(Field):
+    """x, as a datum."""
+
+    text = "x"
+
+    def __init__(self, source: str):
+        self.source = source
+
+    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+        return x[0]

@@ -9,14 +9,13 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.samples import array_of
+from fenicsx_obstacle.discrete.data import Data, array_of
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes.formulas import Formula
 
 LEAK = 0.1  # of what flows out of a patch of cells: less that flows in is due to where its midpoints are
 
-Velocity: TypeAlias = tuple[Formula, ...]
+Velocity: TypeAlias = tuple[Field, ...]
 
 
 def peclet(data: Data, velocity: Velocity) -> float:
@@ -26,8 +25,7 @@ def peclet(data: Data, velocity: Velocity) -> float:
         data: Of the problem.
         velocity: Components of the drift.
     """
-    elastic = next(effect for effect in data.scene.effects if effect.elastic)
-    ratio = _speeds(data, velocity) / (2 * _of_cells(data, elastic.stiffness(data)))  # type: ignore[arg-type]
+    ratio = _speeds(data, velocity) / (2 * _of_cells(data, data.model.elastic.stiffness(data)))  # type: ignore[arg-type]
     size = array_of(data.cell_size)
     size = size[: own_cells(data.level.mesh)] if len(size) > 1 else size
     return largest(data.level.comm, (ratio * size[:, None]).ravel())
@@ -51,7 +49,7 @@ def depth_of_sources(data: Data, velocity: Velocity) -> np.ndarray:
     dofs = releases.cell_dofs(V)[: len(at), : at.shape[1]]  # those of the vertices are first
     middle = at.mean(axis=1)
     flow = [np.broadcast_to(_of_cells(data, data.values(part)).mean(axis=1), len(at)) for part in velocity]
-    elastic = next(effect for effect in data.scene.effects if effect.elastic)
+    elastic = data.model.elastic
     tension = _of_cells(data, elastic.stiffness(data)).mean(axis=1)  # type: ignore[arg-type]
     way = sum(b[:, None] * (middle[:, None, axis] - at[:, :, axis]) for axis, b in enumerate(flow)) / tension[:, None]
     sums = []

@@ -1,4 +1,4 @@
-"""From the [mesh] table of a scene to the coarsest grid of its shape."""
+"""From the recipe of a shape to its coarsest grid."""
 
 from __future__ import annotations
 
@@ -9,58 +9,12 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.discrete import shapes
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.scenes import shapes
-from fenicsx_obstacle.scenes.scene import Scene
 
 Named: TypeAlias = dict[str, np.ndarray]
 COARSEST = {1: 16, 2: 500, 3: 500}  # cells at least on the coarsest level of a shape,
 PER_RANK = {1: 8, 2: 100, 3: 100}  # and on each rank: cells stay on their rank when refined
-
-
-def shape_of(scene: Scene) -> shapes.Shape:
-    """The recipe that [mesh] names.
-
-    Raises:
-        InputError: If its corners or its radius make no domain, or it has no cells of the kind asked for.
-    """
-    table = scene.tables.mesh
-
-    def corner(axis: str) -> tuple[float, float]:
-        a, b = (scene.number(value, f"[mesh] {axis}") for value in getattr(table, axis))
-        place = f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]"
-        if not a < b:
-            raise InputError(f"{place}: the first end must be less than the second")
-        if not max(1e-14, 1e-13 * max(abs(a), abs(b))) < b - a < 1e150:
-            raise InputError(f"{place}: too near or too far for floating point; choose another unit or origin")
-        return a, b
-
-    match table.shape:
-        case "interval":
-            return shapes.box("interval", [corner("x")], table.cells)
-        case "rectangle":
-            cell = _cell(scene, "triangle", "quadrilateral")
-            return shapes.box(cell, [corner("x"), corner("y")], table.cells, table.diagonal, table.perturb)
-        case "box":
-            cell = _cell(scene, "tetrahedron", "hexahedron")
-            return shapes.box(cell, [corner("x"), corner("y"), corner("z")], table.cells, perturb=table.perturb)
-        case "l-shape":
-            return shapes.l_shape([corner("x"), corner("y")], table.cells)
-    radius = scene.number(table.radius, "[mesh] radius")
-    if radius <= 0:
-        raise InputError(f"{scene.source}: [mesh] radius = {radius:g}: must be positive")
-    return shapes.disk(radius, table.cells)
-
-
-def _cell(scene: Scene, *kinds: str) -> str:
-    """The kind of cell that [mesh] names, or else the first of these that the pair is for."""
-    asked = scene.tables.mesh.cell
-    if asked is None:
-        return next((kind for kind in kinds if kind in scene.pair.rules), kinds[0])
-    if asked not in kinds:
-        raise InputError(f"{scene.source}: [mesh] cell = '{asked}': this shape has {' or '.join(kinds)} cells")
-    return asked
 
 
 def coarsest_grid(asked: shapes.Shape, comm: MPI.Comm) -> tuple[dmesh.Mesh, Named, float, int]:

@@ -1,4 +1,4 @@
-"""Meshes: built from a scene, refined, and how a fine one hangs on the coarse one it came from."""
+"""Meshes: as they are given, refined, and how a fine one hangs on the coarse one it came from."""
 
 from __future__ import annotations
 
@@ -13,17 +13,14 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import bisection, files, parents
+from fenicsx_obstacle.discrete import bisection, parents
 from fenicsx_obstacle.discrete.cells import corners, volumes
 from fenicsx_obstacle.discrete.components import components
 from fenicsx_obstacle.discrete.conformity import check_mesh
-from fenicsx_obstacle.discrete.grids import coarsest_grid, shape_of
-from fenicsx_obstacle.discrete.memory import check_memory
+from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes import shapes
-from fenicsx_obstacle.scenes.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +47,7 @@ class Level:
     h: float
     named: dict[str, np.ndarray] | None = None
     materials: dict[str, np.ndarray] | None = None
-    shape: shapes.Shape | None = None
+    shape: Shape | None = None
     pair: Pair = P1
     coarse: Level | None = None
     parents: np.ndarray | None = None
@@ -174,60 +171,6 @@ class Level:
         return np.asarray(dmesh.exterior_facet_indices(self.mesh.topology), dtype=np.int32)
 
 
-def build(scene: Scene, comm: MPI.Comm) -> Level:
-    """The scene's mesh, refined as often as it says (collective).
-
-    A shape begins with a coarser grid where that leads to the same vertices: the levels below serve multigrid.
-
-    Raises:
-        InputError: If the mesh needs more memory than there is, or its file cannot be read.
-    """
-    pair = scene.pair
-    level, refine = _begin(scene, comm)
-    for _ in range(refine):
-        dim = level.mesh.topology.dim
-        check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
-        level = refined(level)
-    return of_pair(level, pair)
-
-
-def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
-    """The level that `build` begins with (collective).
-
-    Raises:
-        InputError: As `build`.
-    """
-    level, _ = _begin(scene, comm)
-    return of_pair(level, scene.pair)
-
-
-def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
-    """The coarsest level, and how often to refine it."""
-    table, pair = scene.tables.mesh, scene.pair
-    refine = table.refine
-    if scene.mesh is not None:
-        level = _level(releases.settle(scene.mesh), scene.source)
-    elif table.file is not None:
-        path = scene.folder / table.file
-        found = files.read(path, comm)
-        level = _level(found.mesh, str(path), found.facets, found.groups)
-        level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
-    else:
-        shape = shape_of(scene)
-        dim = len(shape.cells)
-        unknowns = shape.vertices(2.0**refine * pair.degree)
-        check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
-        mesh, sides, h, halvings = coarsest_grid(shape, comm)
-        level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
-    try:
-        pair.rule(releases.cell_name(level.mesh))
-    except InputError as error:
-        raise InputError(f"{scene.source}: [solve] {error}") from None
-    if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
-        raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
-    return level, refine
-
-
 def of_pair(level: Level, pair: Pair) -> Level:
     """The same mesh with the spaces of another pair: P2 hangs on the level itself, what does not nest stands alone."""
     if pair is level.pair:
@@ -249,7 +192,7 @@ def of_space(V: fem.FunctionSpace) -> Level:
     at_vertices = len(layout.entity_dofs(0, 0)) == 1 and layout.num_dofs == releases.geometry_dofs(V.mesh).shape[1]
     if not at_vertices or V.dofmap.index_map_bs != 1:
         raise InputError(f"solve_form: u must be a continuous P1 Function of one component, not of {V.ufl_element()}")
-    level = _level(releases.settle(V.mesh), "solve_form")
+    level = of_mesh(releases.settle(V.mesh), "solve_form")
     level.__dict__["V"] = V  # in place of one made on first use
     return level
 
@@ -283,13 +226,23 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
     return fine
 
 
-def _level(
+def of_mesh(
     mesh: dmesh.Mesh,
     source: str,
     facets: dict[str, np.ndarray] | None = None,
     groups: dict[str, np.ndarray] | None = None,
 ) -> Level:
-    """A mesh that is not one of our shapes: h from the volumes of its cells (collective)."""
+    """A mesh that is not one of our shapes: h from the volumes of its cells (collective).
+
+    Args:
+        mesh: Of intervals, triangles or tetrahedra.
+        source: Where it comes from, for messages.
+        facets: Local facets of each named part.
+        groups: Owned cells of each named material.
+
+    Raises:
+        InputError: If it has other cells, or its cells do not fit together.
+    """
     cell = releases.cell_name(mesh)
     if cell not in SIMPLICES:
         raise InputError(f"the mesh has {cell} cells; only shapes have others than intervals, triangles and tetrahedra")

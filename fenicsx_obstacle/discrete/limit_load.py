@@ -33,7 +33,7 @@ def check_limit_load(problem: Problem) -> None:
     Raises:
         InputError: Since no solution exists.
     """
-    effects, data, level = problem.scene.effects, problem.data, problem.level
+    effects, data, level = problem.model.effects, problem.data, problem.level
     bounded = [effect for effect in effects if effect.greatest(data) is not None]
     others = [e for e in effects if e.holds or e.gives_way or not e.symmetric or e.push(data) is None]
     if not bounded or others:
@@ -50,7 +50,7 @@ def check_limit_load(problem: Problem) -> None:
     for force, most in conditions:
         if abs(force) > most * (1 + ROOM):
             raise InputError(
-                f"{problem.scene.source}: no solution exists: the load is {abs(force):.6g} in all, and "
+                f"{problem.model.source}: no solution exists: the load is {abs(force):.6g} in all, and "
                 f"{bounded[0].key} carries at most {most:.6g} to where u is given; take a smaller load"
             )
 
@@ -66,7 +66,7 @@ def _along_edges(data: Data, s: Any) -> float:
     own = facets[facets < level.mesh.topology.index_map(dim).size_local]
     marks = dmesh.meshtags(level.mesh, dim, own, np.ones(len(own), dtype=np.int32))
     ds = ufl.Measure("ds", domain=level.mesh, subdomain_data=marks)(1)
-    weight = ufl.SpatialCoordinate(level.mesh)[0] if data.radial else 1.0
+    weight = ufl.SpatialCoordinate(level.mesh)[0] if data.model.radial else 1.0
     return total(comm, fem.assemble_scalar(releases.form(s * weight * ds)))
 
 

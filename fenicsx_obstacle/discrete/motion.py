@@ -13,7 +13,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.scenes.moments import INERTIA, Moments
+from fenicsx_obstacle.discrete.moments import INERTIA, Moments
 
 
 @dataclass

@@ -19,25 +19,24 @@ from fenicsx_obstacle.discrete.afloat import check_support, forces_at_work
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.limit_load import check_limit_load
 from fenicsx_obstacle.discrete.signs import is_m_matrix
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.scene import Scene
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
 REACH = 1e3  # an obstacle so many times farther off than heights differ, or than the nearest, is no place to count from
 
 
 class Problem:
-    """One scene on one level, ready for a solver; forms compile once, whatever eps.
+    """A model on one mesh, ready for a solver; forms compile once, whatever eps.
 
     All arrays hold the owned dofs. All methods are collective.
 
     Attributes:
+        data: The data of the model on this mesh.
+        model: What is to be solved.
         level: The mesh and V.
-        data: The scene's data there.
         w: The unknown, as a Function.
         reference: r, the heights from which w counts.
         affine: Whether the elastic residual is linear in u plus a constant.
@@ -53,22 +52,22 @@ class Problem:
         reaction: (1/eps) I((u - g)^+, .) at the last state.
     """
 
-    def __init__(self, scene: Scene, level: Level, data: Data | None = None):
-        """Assemble what stays; `data` is by default what the scene's formulas are on the level."""
-        self.scene, self.level = scene, level
-        self.data = data = Data(scene, level) if data is None else data
+    def __init__(self, data: Data):
+        """Assemble what stays."""
+        self.data, self.model, self.level = data, data.model, data.level
+        model, level = self.model, self.level
         check_admissible(data)
-        self.affine = all(effect.affine for effect in scene.effects)
+        self.affine = all(effect.affine for effect in model.effects)
         nodal = level.pair.nodal
         if data.thin and not level.pair.at_vertices:
-            raise InputError(f"{scene.source}: obstacles on the boundary are for elements P1 and Q1")
+            raise InputError(f"{model.source}: obstacles on the boundary are for elements P1 and Q1")
         if level.pair.own_weights:
-            others = [effect.key for effect in scene.effects if not effect.in_model_problem]
-            others += ["[time]"] * (scene.time is not None)
+            others = [effect.key for effect in model.effects if not effect.in_model_problem]
+            others += ["[time]"] * (model.time is not None)
             if others:
                 message = f"element {level.pair.name} is for tension and load, not for {others[0]}"
-                raise InputError(f"{scene.source}: {message}")
-        self.forms = forms = (Nodal if self.affine and nodal else Forms)(scene.effects, data)
+                raise InputError(f"{model.source}: {message}")
+        self.forms = forms = (Nodal if self.affine and nodal else Forms)(model.effects, data)
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above
         self.constrained = self.below is not None or self.above is not None
@@ -224,12 +223,12 @@ class Problem:
     @property
     def symmetric(self) -> bool:
         """Whether the Jacobian is."""
-        return all(effect.symmetric for effect in self.scene.effects)
+        return all(effect.symmetric for effect in self.model.effects)
 
     @property
     def has_energy(self) -> bool:
         """Whether the residual is the derivative of a convex energy."""
-        w, data, effects = self.forms.w, self.data, self.scene.effects
+        w, data, effects = self.forms.w, self.data, self.model.effects
         derived = (e.energy(w, data) is not None or e.terms(w, self.forms.v, data) is None for e in effects)
         return all(effect.convex for effect in effects) and all(derived)
 

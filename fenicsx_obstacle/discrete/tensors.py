@@ -1,21 +1,19 @@
-"""Matrices of formulas sampled in cells, and checked."""
+"""Matrices of data sampled in cells, and checked."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.data import Data, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.words import counted
 
 ROUND_OFF = 1e-10  # of the entries
-Rows = tuple[tuple[Formula, ...], ...]
 
 
 def matrices_of(data: Data, rows: Rows) -> np.ndarray:
-    """Values of a matrix of formulas at local dofs of W, shape (dofs or 1, rows, rows) (collective on first use)."""
+    """Values of a matrix of data at local dofs of W, shape (dofs or 1, rows, rows) (collective on first use)."""
     entries = np.broadcast_arrays(*(data.values(entry) for row in rows for entry in row))
     return np.stack(entries, axis=1).reshape(-1, len(rows), len(rows))
 
@@ -24,9 +22,9 @@ def check_definite(data: Data, rows: Rows) -> None:
     """Refuse a matrix that is not symmetric and positive definite everywhere (collective).
 
     Raises:
-        InputError: Naming its place in the scene.
+        InputError: Naming where it stands.
     """
-    place, comm, dim = rows[0][0].place.partition("[0]")[0], data.level.comm, data.level.mesh.geometry.dim
+    place, comm, dim = rows[0][0].source.partition("[0]")[0], data.level.comm, data.level.mesh.geometry.dim
     if len(rows) != dim:
         raise InputError(f"{place}: a matrix of {len(rows)} rows, but points have {counted(dim, 'coordinate')}")
     matrices = matrices_of(data, rows)
@@ -39,18 +37,18 @@ def check_definite(data: Data, rows: Rows) -> None:
 
 
 def check_between(data: Data, rows: Rows) -> None:
-    """Refuse formulas whose matrix is indefinite where no cell has a sample (collective).
+    """Refuse data whose matrix is indefinite where no cell has a sample (collective).
 
     Raises:
         InputError: Naming the place.
     """
-    entries = [entry for row in rows for entry in row if not data.uniform(entry)]
+    entries = [entry for row in rows for entry in row if not entry.uniform]
     if not entries:
         return
-    from fenicsx_obstacle.discrete.between import inadmissible  # only where a scene has formulas
+    from fenicsx_obstacle.discrete.between import inadmissible  # only where data are not numbers
 
     def least(x: np.ndarray) -> np.ndarray:
-        values = np.stack([data._at_points(entry, x) for row in rows for entry in row], axis=1)
+        values = np.stack([data.at(entry, x) for row in rows for entry in row], axis=1)
         matrices = values.reshape(-1, len(rows), len(rows))
         finite = np.isfinite(matrices).all(axis=(1, 2))
         found = np.full(len(matrices), np.inf)
@@ -59,7 +57,7 @@ def check_between(data: Data, rows: Rows) -> None:
 
     found = inadmissible(data, entries, least, 0.0)
     if found is not None:
-        place = rows[0][0].place.partition("[0]")[0]
+        place = rows[0][0].source.partition("[0]")[0]
         raise InputError(
-            f"{place}: must be positive definite; its least eigenvalue is {found[0]:.3g} at {data.at(found[1])}"
+            f"{place}: must be positive definite; its least eigenvalue is {found[0]:.3g} at {data.place(found[1])}"
         )

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     import ufl
 
-    from fenicsx_obstacle.scenes.formulas import Formula
+    from fenicsx_obstacle.effects.field import Field
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Anisotropic(Effect):
         value: Its rows, of formulas.
     """
 
-    value: tuple[tuple[Formula, ...], ...]  # type: ignore[assignment]
+    value: tuple[tuple[Field, ...], ...]  # type: ignore[assignment]
 
     key = "tension"
     equation = "-div(tension grad u)"
@@ -44,8 +44,7 @@ class Anisotropic(Effect):
             wanted = "2 rows of 2, or 3 rows of 3, numbers or formulas"
             raise InputError(f"{reader.source}: {place} = {raw!r}: expected {wanted}")
         rows = (
-            tuple(reader.formula(entry, f"{place}[{i}][{j}]") for j, entry in enumerate(row))
-            for i, row in enumerate(raw)
+            tuple(reader.field(entry, f"{place}[{i}][{j}]") for j, entry in enumerate(row)) for i, row in enumerate(raw)
         )
         return cls(tuple(rows))
 

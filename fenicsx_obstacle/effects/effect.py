@@ -6,7 +6,7 @@ the solver are folds over the effects that a scene names; what it does not name 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib import import_module
@@ -14,14 +14,12 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
+from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
     import numpy as np
     import ufl
-
-    from fenicsx_obstacle.scenes.formulas import Formula
-    from fenicsx_obstacle.scenes.materials import Value
 
 _FOLDERS = {"effects": "domain", "boundary": "boundary"}  # of this package, by the tables that name their effects
 
@@ -33,11 +31,11 @@ class Reader(Protocol):
     def source(self) -> str:
         """Where the scene comes from, for messages."""
 
-    def formula(self, value: float | str, place: str) -> Formula:
+    def field(self, value: Any, place: str) -> Field:
         """A number or a formula."""
 
-    def value(self, value: Any, place: str) -> Value:
-        """A number, a formula, or one of these for each material."""
+    def value(self, value: Any, place: str) -> Field:
+        """The same, or one for the cells of each material."""
 
     def number(self, value: float | str, place: str) -> float:
         """One finite number."""
@@ -46,35 +44,35 @@ class Reader(Protocol):
 class Sampler(Protocol):
     """Gives an effect its data on a mesh: Functions and Constants, never formulas, so that scenes share forms."""
 
-    def cellwise(self, value: Value, *, positive: bool = False, least: float | None = None) -> Any:
+    def cellwise(self, value: Field, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
 
     def number(self, value: float) -> Any:
         """A number that is not compiled into forms."""
 
-    def field(self, components: tuple[Formula, ...]) -> Any:
+    def field(self, components: tuple[Field, ...]) -> Any:
         """Vector with one value per cell."""
 
     @property
     def cell_size(self) -> Any:
         """The side h of each cell."""
 
-    def values(self, value: Value) -> np.ndarray:
+    def values(self, value: Field) -> np.ndarray:
         """The values of `cellwise` at local cells, or the one there is."""
 
-    def matrix(self, rows: tuple[tuple[Formula, ...], ...]) -> Any:
+    def matrix(self, rows: tuple[tuple[Field, ...], ...]) -> Any:
         """Symmetric, positive definite matrix with one value per cell."""
 
-    def eigenvalues(self, rows: tuple[tuple[Formula, ...], ...]) -> np.ndarray:
+    def eigenvalues(self, rows: tuple[tuple[Field, ...], ...]) -> np.ndarray:
         """Its eigenvalues in ascending order, shape (cells or 1, rows)."""
 
-    def on_part(self, value: Formula, part: int, *, least: float | None = None) -> Any:
+    def on_part(self, value: Field, part: int, *, least: float | None = None) -> Any:
         """Nodal Function with the values of a formula on the part of a [[boundary]], counted from 0."""
 
     def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
         """Forces at points as forces at owned nodes."""
 
-    def height(self, value: Formula) -> Any:
+    def height(self, value: Field) -> Any:
         """Nodal Function with the values of a formula."""
 
     @property
@@ -96,7 +94,7 @@ class Sampler(Protocol):
 class OutputSampler(Sampler, Protocol):
     """Gives an effect besides what its output quantities are made of."""
 
-    def peclet(self, velocity: tuple[Formula, ...]) -> float:
+    def peclet(self, velocity: tuple[Field, ...]) -> float:
         """The largest |velocity| h/(2 tension) of all cells (collective)."""
 
 
@@ -129,7 +127,7 @@ class Units(Protocol):
 class NodalSampler(Protocol):
     """Gives an effect its data at nodes."""
 
-    def at_nodes(self, value: Value) -> np.ndarray:
+    def at_nodes(self, value: Field) -> np.ndarray:
         """Values at owned nodes."""
 
 
@@ -141,7 +139,7 @@ class Effect:
         value: The effect's data from the scene: a number, a formula, or one of these for each material.
     """
 
-    value: Value
+    value: Field
 
     key: ClassVar[str] = ""  # its name in [effects], or in [[boundary]]
     table: ClassVar[str] = "effects"  # or "boundary"
@@ -204,9 +202,9 @@ class Effect:
         return self.value.text
 
     @property
-    def formulas(self) -> list[Value]:
-        """All formulas of its data."""
-        return list(_formulas(getattr(self, field.name) for field in fields(self)))
+    def inputs(self) -> list[Field]:
+        """All fields among its data."""
+        return fields_in(getattr(self, one.name) for one in fields(self))
 
     @property
     def integrals(self) -> int:
@@ -214,17 +212,17 @@ class Effect:
         return int(type(self).terms is not Effect.terms)
 
     @property
-    def isotropic_tension(self) -> Value | None:
+    def isotropic_tension(self) -> Field | None:
         """mu, where its part of a(u, v) is int mu grad u . grad v."""
         return None
 
     @property
-    def area_load(self) -> Value | None:
+    def area_load(self) -> Field | None:
         """f, where its part of f(v) is int f v, and it has none of a(u, v)."""
         return None
 
     @property
-    def velocity(self) -> tuple[Formula, ...] | None:
+    def velocity(self) -> tuple[Field, ...] | None:
         """b, where its part of a(u, v) is int (b . grad u) v."""
         return None
 
@@ -336,14 +334,6 @@ def keys_of(
     if one_of and not set(one_of) & set(raw):
         raise InputError(f"{reader.source}: {place}: needs {' or '.join(one_of)}")
     return raw
-
-
-def _formulas(data: Iterable[Any]) -> Iterable[Value]:
-    for part in data:
-        if hasattr(part, "check_names"):
-            yield part
-        elif isinstance(part, tuple):
-            yield from _formulas(part)
 
 
 _register: dict[str, type[Effect]] = {}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fenicsx_obstacle.scenes import polynomials
+from fenicsx_obstacle.accuracy import polynomials
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.intervals import Enclosure
 from fenicsx_obstacle.scenes.tree_walk import TreeWalk, Truth
@@ -106,3 +106,22 @@ def halved(corners: np.ndarray) -> np.ndarray:
         parts = [(a, f, e), (f, b, d), (e, d, c), (d, e, f)]
     stacked = np.stack([np.stack(part, axis=1) for part in parts], axis=1)
     return stacked.reshape(-1, *corners.shape[1:])
+
+
+class OnCells:
+    """One formula on cells, as `effects.field.Enclosed` has it."""
+
+    def __init__(self, cells: Cells, formula: Formula):
+        self.cells, self.formula = cells, formula
+
+    def enclosure(self) -> Enclosure:
+        return self.cells.enclosure(self.formula)
+
+    def once(self) -> Enclosure:
+        return self.cells.once(self.formula)
+
+    def truth(self) -> Truth:
+        return self.cells.truth(self.formula)
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        return self.cells.values(self.formula, degree, cells)

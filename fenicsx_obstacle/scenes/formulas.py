@@ -6,7 +6,6 @@ One tree, two alphabets: NumPy arrays for data at nodes, UFL for the exact solut
 from __future__ import annotations
 
 import ast
-import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import counted, plain
+from fenicsx_obstacle.words import counted, nearest, plain
 
 MAX_LENGTH = 2000  # characters; the parser of Python itself runs out of memory at 1e5 signs
 MAX_DEPTH = 150  # nested operations
-LISTED = 40  # known names in a message
 SHOWN = 80  # characters of a formula in a message
 
 BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^", ast.Mod: "%"}
@@ -132,19 +130,6 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
     formula = Formula(text, place, tree)
     _check(formula, tree, 0, {**FUNCTIONS, **FUNCTIONALS} if functionals else FUNCTIONS)
     return formula
-
-
-def nearest(word: str, known: Any) -> str:
-    """A hint naming the known word most like `word`, or what is known."""
-    alike = {name.lower(): name for name in sorted(known)}
-    close = difflib.get_close_matches(word.lower(), alike, 1, 0.6)
-    if close:
-        return f"; did you mean '{alike[close[0]]}'?"
-    if not known:
-        return " (there are none)"
-    names = sorted(known)
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return f" (known: {', '.join(names[:LISTED])}{more})"
 
 
 def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str, tuple[int, int]]) -> None:

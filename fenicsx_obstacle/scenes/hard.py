@@ -12,8 +12,8 @@ from msgspec import Struct
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.scenes.formulas import nearest
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.words import nearest
 
 FOLDER = Path(__file__).parent.parent / "hard"
 LIST = "suite.toml"

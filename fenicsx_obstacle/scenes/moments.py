@@ -1,57 +1,17 @@
-"""[time]: the moments of a scene, from 0 to the end, and what it begins with."""
+"""[time], checked."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA, INERTIA, RATE, Moments
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import Formula
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene
 
-EQUILIBRIA, RATE, INERTIA = 0, 1, 2  # orders of the derivatives in time
-NO_STEP = 1e-9  # of the whole time
 COLUMNS = ("step", "dt", "newton", "krylov", "energy", "kinetic", "contact_area", "force_lower", "force_upper",
            "penetration")  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Moments:
-    """The table [time], checked.
-
-    Attributes:
-        order: Highest derivative in time: 0, 1 or 2.
-        end: The last moment, in the unit of t.
-        steps: How many there are, or where a tolerance chooses them: end over the first one.
-        start: u at t = 0; None of equilibria.
-        velocity: u_t at t = 0; None unless order = 2.
-        scheme: equilibria, euler, bdf2 or midpoint.
-        tolerance: What a step may add to the error, in the unit of u; None for steps alike.
-        frames: How many moments are kept as fields, beside t = 0.
-        name: What t is, on axes.
-    """
-
-    order: int
-    end: float
-    steps: int
-    start: Formula | None
-    velocity: Formula | None
-    scheme: str
-    tolerance: float | None
-    frames: int
-    name: str
-
-    @property
-    def step(self) -> float:
-        """Length of a step, or of the first one."""
-        return self.end / self.steps
-
-    @property
-    def share(self) -> float:
-        """Of the force that balances a step, the part that is the contact force: with inertia a step has it twice."""
-        return 0.5 if self.order == INERTIA else 1.0
 
 
 def moments(scene: Scene) -> Moments | None:
@@ -84,13 +44,13 @@ def moments(scene: Scene) -> Moments | None:
             raise InputError(f"{source}: [time] {key}: {why}")
     if order > EQUILIBRIA and table.start is None:
         raise InputError(f"{source}: [time]: the key 'start' is missing, u at t = 0")
-    formulas = {key: None if (value := getattr(table, key)) is None else scene.formula(value, f"[time] {key}")
-                for key in ("start", "velocity")}  # fmt: skip
-    for formula in formulas.values():
-        if formula is not None:
-            formula.check_names(scene.known_names)
+    fields = {key: None if (value := getattr(table, key)) is None else scene.field(value, f"[time] {key}")
+              for key in ("start", "velocity")}  # fmt: skip
+    for field in fields.values():
+        if field is not None:
+            field.check_names(scene.known_names)
     scheme = {EQUILIBRIA: "equilibria", RATE: table.scheme or "euler", INERTIA: "midpoint"}[order]
     return Moments(
-        order, end, table.steps, formulas["start"], formulas["velocity"], scheme, table.tolerance, table.frames,
+        order, end, table.steps, fields["start"], fields["velocity"], scheme, table.tolerance, table.frames,
         table.name,
     )  # fmt: skip

@@ -5,28 +5,36 @@ from __future__ import annotations
 import keyword
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
+from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.moments import Moments
 from fenicsx_obstacle.effects.effect import Effect, find, known
+from fenicsx_obstacle.effects.field import ByCells, Field, fields_in
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
 from fenicsx_obstacle.scenes import formulas, tables
-from fenicsx_obstacle.scenes.formulas import Formula, nearest
-from fenicsx_obstacle.scenes.materials import Materials, Value
-from fenicsx_obstacle.scenes.moments import Moments, moments
+from fenicsx_obstacle.scenes.fields import FormulaField
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.moments import moments
 from fenicsx_obstacle.scenes.parts import check_parts, part_place
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
-from fenicsx_obstacle.signatures import checked, shown
-from fenicsx_obstacle.words import plain
+from fenicsx_obstacle.signatures import checked
+from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
+from fenicsx_obstacle.words import nearest, shown
 
-AUTO = "h^2/100"  # eps as small as makes its error a few per cent of the mesh's: solvers do not mind how small
+if TYPE_CHECKING:
+    from fenicsx_obstacle.accuracy.norms import ExactSolution
+
 MAX_OPERATIONS = 5000  # of an exact solution: it is differentiated and compiled
 RESERVED = {
     *COORDINATES,
@@ -50,10 +58,11 @@ class Scene(Vocabulary):
     Attributes:
         name: Short name, for files.
         tables: The scene as it stands in TOML.
+        model: What is to be solved, as the core takes it.
         effects: One object per effect that the scene names.
         pair: V_h, the rule I and Q_h.
         report: Figures of the solution, in order.
-        time: The moments, or None.
+        options: The table [solve], without the element.
         mesh: A DOLFINx mesh of the caller's own, or None.
         folder: Where relative file names start.
     """
@@ -65,7 +74,8 @@ class Scene(Vocabulary):
     pair: Pair
     define: Mapping[str, Formula]
     report: Mapping[str, Formula]
-    time: Moments | None
+    model: Model
+    options: SolverOptions
     mesh: Any = None
     folder: Path = Path()
 
@@ -165,40 +175,74 @@ class Scene(Vocabulary):
         set_("pair", self._pair())
         if mesh is None and (typed.mesh.shape is None) == (typed.mesh.file is None):
             raise InputError(f"{source}: [mesh] needs either a 'shape' or a 'file'")
-        for formula in self._formulas():
-            formula.check_names(self.known_names)
+        set_("model", self._model())
+        for field in self._fields():
+            field.check_names(self.known_names)
         if typed.exact is not None:
             self._check_exact(self.formula(typed.exact.u, "[exact] u"))
             if typed.exact.pressure is not None:
                 self._check_exact(self.formula(typed.exact.pressure, "[exact] pressure"))
         set_("report", parse_report(self, typed.report, RESERVED))
-        eps = self.number(self.eps, "[solve] eps", {"h": 1.0})
-        if eps <= 0:
-            raise InputError(f"{source}: [solve] eps = {plain(typed.solve.eps)}: must be positive and finite")
+        solve, place = typed.solve, f"{source}: [solve]"
+        set_("options", SolverOptions(solve.method, self._eps(solve.eps), solve.start, place))
         check_parts(self)
-        set_("time", moments(self))
+        set_("model", replace(self.model, time=moments(self)))
 
     @property
-    def thin(self) -> bool:
-        """Whether obstacles are on the boundary, or on curves inside."""
-        return any(part.lower is not None or part.upper is not None for part in self.tables.boundary)
+    def time(self) -> Moments | None:
+        """The moments, or None."""
+        return self.model.time
+
+    @property
+    def exact(self) -> ExactSolution | None:
+        """The exact solution, or None."""
+        table = self.tables.exact
+        if table is None:
+            return None
+        from fenicsx_obstacle.accuracy.norms import ExactSolution  # reading a scene imports no finite elements
+
+        pressure = None if table.pressure is None else self.field(table.pressure, "[exact] pressure")
+        return ExactSolution(self.field(table.u, "[exact] u"), pressure)
 
     @property
     def sides(self) -> list[str]:
         """The obstacles there are, in the domain or on its boundary: lower, upper."""
-        places = self.tables.boundary if self.thin else [self.tables.obstacle]
+        places = self.tables.boundary if self.model.thin else [self.tables.obstacle]
         return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
 
     @property
     def penalised(self) -> bool:
         """Whether there is an eps."""
-        return bool(self.sides) and self.tables.solve.method != "vi"
+        return bool(self.sides) and self.options.method != "vi"
 
-    @property
-    def eps(self) -> float | str:
-        """The penalty parameter: a number in units of u/p, or a formula in h, yet to be divided by the tension."""
-        asked = self.tables.solve.eps
-        return AUTO if asked == "auto" else asked
+    def options_with(self, **changes: Any) -> SolverOptions:
+        """`options` with other values, as in [solve]: `scene.options_with(method="penalty", eps="h^2")`.
+
+        Raises:
+            InputError: If a value does not fit its key.
+        """
+        if "eps" in changes:
+            changes["eps"] = self._eps(changes["eps"])
+        return replace(self.options, **changes)
+
+    def with_options(self, options: SolverOptions) -> Scene:
+        """The same scene with these in its table [solve]."""
+        eps = options.eps.text if isinstance(options.eps, EpsFormula) else options.eps
+        solve = msgspec.structs.replace(self.tables.solve, method=options.method, start=options.start, eps=eps)
+        new = copy(self)
+        object.__setattr__(new, "tables", msgspec.structs.replace(self.tables, solve=solve))
+        object.__setattr__(new, "options", options)
+        return new
+
+    def _eps(self, value: float | str) -> float | str | EpsFormula:
+        """A value of [solve] eps as options take it: a formula may use names of [define]."""
+        if not isinstance(value, str) or value == "auto":
+            return value
+        formula = self.formula(value, "[solve] eps")
+        return EpsFormula(value, partial(self._eps_at, value), "h" in formula.names)
+
+    def _eps_at(self, text: str, h: float) -> float:
+        return self.number(text, "[solve] eps", {"h": h})
 
     def _definitions(self) -> dict[str, Formula]:
         definitions: dict[str, Formula] = {}
@@ -246,7 +290,27 @@ class Scene(Vocabulary):
                 raise InputError(f"{self.source}: {place} {why}")
         return tuple(effects)
 
-    def value(self, value: Any, place: str) -> Value:
+    def field(self, value: float | str, place: str) -> FormulaField:
+        """A number or a formula as a datum; `place` is its table and key."""
+        return FormulaField(self.formula(value, place), self)
+
+    def _model(self) -> Model:
+        """Without time, which depends on the effects."""
+        parts = []
+        for number, table in enumerate(self.tables.boundary):
+            place = part_place(number)
+            on = (table.on,) if isinstance(table.on, str) else table.on
+            acts = tuple(effect.key for effect in self.effects if getattr(effect, "part", None) == number)
+            parts.append(Part(place, on, acts=acts, **self._given(table, place, "where", "value", "lower", "upper")))
+        sides = self._given(self.tables.obstacle, "[obstacle]", "lower", "upper")
+        return Model(self.effects, **sides, boundary=tuple(parts), source=self.source)
+
+    def _given(self, table: Any, place: str, *keys: str) -> dict[str, Any]:
+        """The data of a table that are given."""
+        values = {key: getattr(table, key) for key in keys}
+        return {key: self.field(value, f"{place} {key}") for key, value in values.items() if value is not None}
+
+    def value(self, value: Any, place: str) -> Field:
         """A number, a formula, or one of these for each material.
 
         Raises:
@@ -256,12 +320,12 @@ class Scene(Vocabulary):
             wanted = "a number, a formula or {material = value}"
             raise InputError(f"{self.source}: {place} = {value!r}: expected {wanted}")
         if not isinstance(value, dict):
-            return self.formula(value, place)
+            return self.field(value, place)
         for name, part in value.items():
             if isinstance(part, dict | list):
                 raise InputError(f"{self.source}: {place}.{name} = {part!r}: expected a number or a formula")
-        parts = {name: self.formula(part, f"{place}.{name}") for name, part in value.items()}
-        return Materials(parts, f"{self.source}: {place}")
+        return ByCells({name: self.field(part, f"{place}.{name}") for name, part in value.items()},
+                       f"{self.source}: {place}")  # fmt: skip
 
     def _check_exact(self, formula: Formula) -> None:
         formula.check_names({*self.known_names, "eps"})
@@ -271,14 +335,13 @@ class Scene(Vocabulary):
         if "distance" in self.needs(formula):
             raise InputError(f"{formula.place}: 'distance' is known at points only, not its gradient: not in [exact]")
 
-    def _formulas(self) -> list[Value]:
-        obstacle, parts = self.tables.obstacle, []
-        parts += [(value, f"[obstacle] {key}") for key, value in (("lower", obstacle.lower), ("upper", obstacle.upper))]
-        for number, part in enumerate(self.tables.boundary):
-            place = part_place(number)
-            parts += [(getattr(part, key), f"{place} {key}") for key in ("value", "where", "lower", "upper")]
-        found: list[Value] = [self.formula(value, place) for value, place in parts if value is not None]
-        return found + [formula for effect in self.effects for formula in effect.formulas]
+    def _fields(self) -> list[FormulaField]:
+        """All data of the model."""
+        model = self.model
+        given = [model.lower, model.upper, *(effect.inputs for effect in self.effects)]
+        given += [getattr(part, key) for part in model.boundary for key in ("value", "where", "lower", "upper")]
+        found = [list(field.parts.values()) if field.parts is not None else [field] for field in fields_in(given)]
+        return [field for part in found for field in part if isinstance(field, FormulaField)]
 
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""

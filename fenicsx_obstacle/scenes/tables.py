@@ -12,7 +12,9 @@ from msgspec import Meta, Struct
 
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import SHOWN, nearest
+from fenicsx_obstacle.scenes.formulas import SHOWN
+from fenicsx_obstacle.solvers.options import MethodName, StartName
+from fenicsx_obstacle.words import nearest
 
 Value = float | str  # a number or a formula
 MAX_BYTES = 1_000_000  # of a scene file
@@ -133,8 +135,8 @@ class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     """[solve]: how to solve; the command line wins."""
 
     element: str | None = None
-    method: Literal["penalty", "successive", "vi"] = "penalty"
-    start: Literal["nested", "cold"] = "nested"
+    method: MethodName = "penalty"
+    start: StartName = "nested"
     eps: Value = "auto"
 
 

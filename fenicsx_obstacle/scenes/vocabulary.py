@@ -12,7 +12,6 @@ import numpy as np
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.materials import Materials
 
 COORDINATES = ("x", "y", "z", "r", "theta")
 CONSTANTS = {"pi": math.pi}
@@ -37,7 +36,7 @@ class Vocabulary:
         """Names that formulas at points may use."""
         return {*self.define, *CONSTANTS, *COORDINATES, "distance", *([TIME] if self.moves else [])}
 
-    def needs(self, formula: Formula | Materials) -> set[str]:
+    def needs(self, formula: Formula) -> set[str]:
         """Names that a formula uses, itself and through definitions."""
         found, new = set[str](), formula.names
         while new:
@@ -57,7 +56,7 @@ class Vocabulary:
         used = {name, *(self.needs(self.define[name]) if name in self.define else ())}
         return not used & {*COORDINATES, "distance"}
 
-    def infinite(self, formula: Formula | Materials, point: np.ndarray, values: Mapping[str, Any] | None = None) -> str:
+    def infinite(self, formula: Formula, point: np.ndarray, values: Mapping[str, Any] | None = None) -> str:
         """Which definitions that a formula needs are not finite at a point, in words; empty if all are."""
         found = []
         for key in (key for key in self.define if key in self.needs(formula)):

@@ -15,10 +15,10 @@ from fenicsx_obstacle.answers.choose import (
     nested,
     stepwise,
 )
-from fenicsx_obstacle.discrete.grids import shape_of
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
-from fenicsx_obstacle.scenes.moments import EQUILIBRIA
+from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
@@ -66,7 +66,7 @@ def _equation(scene: Scene) -> list[str]:
     inside = [effect for effect in scene.effects if effect.table == "effects"]
     left = [effect.equation for effect in inside if effect.left]
     right = [effect.equation for effect in inside if not effect.left and effect.equation]
-    contact = ["p"] if scene.sides and not scene.thin else []
+    contact = ["p"] if scene.sides and not scene.model.thin else []
     return [f"{' + '.join(left).replace('+ -', '- ')} = {' + '.join(right + contact) or '0'}"]
 
 
@@ -141,8 +141,8 @@ def _named_sides(scene: Scene) -> tuple[str, ...]:
 def _discrete(scene: Scene) -> list[str]:
     sides = scene.sides
     terms = ["a(u, v)"]
-    penalised = scene.tables.solve.method != "vi"
-    rule = "(L/eps) I" if scene.thin else "(1/eps) I"
+    penalised = scene.options.method != "vi"
+    rule = "(L/eps) I" if scene.model.thin else "(1/eps) I"
     if penalised and "upper" in sides:
         terms.append(f"+ {rule}((u - upper)^+, v)")
     if penalised and "lower" in sides:
@@ -156,23 +156,22 @@ def _discrete(scene: Scene) -> list[str]:
     lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in ordered if effect.term))
     if sides:
         of_facets = "nodal rule of the facets where obstacles are; L: longest side of the box around the mesh"
-        lines.append(f"I: {of_facets if scene.thin else scene.pair.words}   (3.5), (3.6)")
-        times = "L " if scene.thin else ""
+        lines.append(f"I: {of_facets if scene.model.thin else scene.pair.words}   (3.5), (3.6)")
+        times = "L " if scene.model.thin else ""
         signs = {"upper": f"-{times}(u - upper)^+ / eps", "lower": f"{times}(lower - u)^+ / eps"}
         pressure = " + ".join(signs[side] for side in sides) if penalised else "(a(u, phi_i) - f(phi_i)) / I(phi_i, 1)"
         if not penalised and not scene.pair.nodal:
             pressure = "the multiplier"
         lines.append(f"p = {pressure} at the points of I" + "   (3.7), (3.8)" * penalised)
     if penalised and sides:
-        chosen = "auto: " if scene.tables.solve.eps == "auto" else ""
-        lines.append(f"eps = {chosen}{plain(scene.eps)}" + _eps_rule(scene))
+        chosen = "auto: " if scene.options.eps == "auto" else ""
+        lines.append(f"eps = {chosen}{scene.options.formula.text}" + _eps_rule(scene))
     return lines
 
 
 def _eps_rule(scene: Scene) -> str:
-    formula = scene.formula(scene.eps, "[solve] eps")
     elastic = next(effect.key for effect in scene.effects if effect.elastic)
-    return f", divided by the largest {elastic.replace('_', ' ')}" if "h" in formula.names else ""
+    return f", divided by the largest {elastic.replace('_', ' ')}" if scene.options.formula.scaled else ""
 
 
 def _mesh(scene: Scene) -> str:
@@ -203,9 +202,9 @@ def _size(scene: Scene) -> list[str]:
 def _solver(scene: Scene) -> list[str]:
     if not scene.sides:
         steps = "one linear solve" if all(effect.affine for effect in scene.effects) else "Newton steps"
-        levels = NESTED if nested(scene) else f"{_linear_solver(scene)}, {_levels(scene)}"
+        levels = NESTED if nested(scene, scene.options) else f"{_linear_solver(scene)}, {_levels(scene)}"
         return [_why(scene), f"PETSc SNES, {steps}: {levels}"]
-    method, pair = scene.tables.solve.method, scene.pair
+    method, pair = scene.options.method, scene.pair
     prefix = "vi" if method == "vi" and pair.nodal else "penalty"
     return [
         _why(scene),
@@ -213,7 +212,7 @@ def _solver(scene: Scene) -> list[str]:
         _steps(scene),
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
         f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
-        if nested(scene)
+        if nested(scene, scene.options)
         else f"each step: {_linear_solver(scene)}, {_levels(scene)}",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
@@ -231,17 +230,18 @@ def _why(scene: Scene) -> str:
 def _levels(scene: Scene) -> str:
     if scene.time is not None and scene.time.order > EQUILIBRIA:
         return "on the finest level alone, from the last moment"
-    return "each level starts from the next coarser one" if stepwise(scene) else "on the finest level alone"
+    by_levels = stepwise(scene, scene.options)
+    return "each level starts from the next coarser one" if by_levels else "on the finest level alone"
 
 
 def _method(scene: Scene) -> str:
     """The method, with what the effects change of it."""
-    words = METHODS[scene.tables.solve.method]
+    words = METHODS[scene.options.method]
     if not all(effect.convex for effect in scene.effects):
         return words.replace("on the energy", "on the norm of the residual, for there is no energy,")
     if all(effect.affine for effect in scene.effects):
         return words
-    if scene.tables.solve.method == "vi":
+    if scene.options.method == "vi":
         return f"{words}; from the solution of the penalty should it fail"
     return words.replace(*BENT)
 

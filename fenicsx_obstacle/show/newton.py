@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,17 +35,17 @@ def animate_newton(answer: Answer, path: Path) -> str:
     Returns:
         One line: what is drawn, or why nothing is.
     """
-    comm, scene = answer.level.comm, answer.scene
+    comm, scene, options = answer.level.comm, answer.scene, answer.scene.options
     arrays = gather(answer)
     flat = answer.level.mesh.topology.dim == 2 == answer.level.mesh.geometry.dim
     if not flat or scene.time is not None or (answer.lower is None and answer.upper is None):
         return f"{path.name} shows contact within a plane domain, at rest: not drawn"
     if answer.record["eps"] is not None:  # the one that was chosen
-        scene = scene.change({"solve.eps": answer.record["eps"]})
+        options = replace(options, eps=answer.record["eps"])
     courses, failed = dict[str, list[Iterate]](), ""
-    for method in dict.fromkeys(("successive", scene.tables.solve.method)):
+    for method in dict.fromkeys(("successive", options.method)):
         try:
-            courses[method] = iterates(scene.change({"solve.method": method}), answer.level)
+            courses[method] = iterates(scene.with_options(replace(options, method=method)), answer.level)
         except NotConverged as error:  # (3.4)* where the theory does not hold
             failed = f"; {method}: {error}"
     return on_root(comm, _animate, answer, arrays, courses, path) + failed

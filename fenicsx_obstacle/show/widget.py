@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
@@ -42,7 +43,7 @@ def slider(answer: Answer) -> Any:
     options = {f"{value:.2g}": value for value in values if value >= floor}
 
     def draw(eps: float) -> Picture:
-        return bench.answer(answer.scene.change({"solve.eps": eps})).plot()
+        return bench.answer(replace(bench.options, eps=eps)).plot()
 
     chosen = ipywidgets.SelectionSlider(options=options, value=eps, description="eps")
     return ipywidgets.interactive(draw, SHOWN, eps=chosen)

@@ -26,7 +26,7 @@ def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
     """
     comm, own = problem.level.comm, problem.level.owned
     dofs, values = problem.data.fixed
-    given = [np.atleast_1d(heights) for effect in problem.scene.effects for heights in effect.heights(problem.data)]
+    given = [np.atleast_1d(heights) for effect in problem.model.effects for heights in effect.heights(problem.data)]
     given.append(values.x.array[dofs])
     if problem.constrained:
         for obstacle, side in zip(problem.obstacles(), (-1, 1), strict=True):

@@ -7,10 +7,10 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.afloat import LIMIT
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.moments import EQUILIBRIA
 from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
 
 NEAR = 1e-8  # of the values of the data: not beyond them
@@ -27,7 +27,7 @@ def complaint(problem: Problem, active: np.ndarray) -> str | None:
         problem: In that state.
         active: Which obstacle holds each owned point of I: -1 lower, 1 upper, 0 none.
     """
-    time = problem.scene.time
+    time = problem.model.time
     if time is not None and time.order != EQUILIBRIA:
         return None
     for check in (_beyond_range, _torn, _sensitive, _trapped):
@@ -54,7 +54,7 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     room = NEAR * max(abs(low), abs(high))
     if low > high or max(beyond.values()) <= room:
         return None
-    pushes = [effect.push(problem.data) for effect in problem.scene.effects]
+    pushes = [effect.push(problem.data) for effect in problem.model.effects]
     if not pushes or None in pushes or forces_of_data(problem) == 0:  # without forces u is round-off
         return None
     lowest = sum(smallest(comm, push[0]) for push in pushes if push is not None)
@@ -85,7 +85,7 @@ def _monotone(problem: Problem) -> bool:
 def _torn(problem: Problem, active: np.ndarray) -> str | None:
     """A film whose load is beyond its limit falls on an obstacle: it is torn from where u is given, within one cell."""
     comm, level, data = problem.level.comm, problem.level, problem.data
-    if not any(effect.greatest(data) is not None for effect in problem.scene.effects) or level.h * FINE > data.extent:
+    if not any(effect.greatest(data) is not None for effect in problem.model.effects) or level.h * FINE > data.extent:
         return None
     dofs, values = data.fixed
     given, u = values.x.array[dofs], problem.w.x.array + problem.reference.x.array
@@ -135,11 +135,11 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     do not resolve. Two signs show it: all drift flows away from one vertex, by a depth that is no small number; or a
     unit load makes u far larger than the time in which the drift crosses the domain.
     """
-    level, data, effects = problem.level, problem.data, problem.scene.effects
+    level, data, effects = problem.level, problem.data, problem.model.effects
     velocity = next((found for effect in effects if (found := effect.velocity) is not None), None)
     if velocity is None or not (problem.affine and level.pair.nodal):
         return None
-    from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed  # only where a scene has drift
+    from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed  # only where a model has drift
 
     if (number := peclet(data, velocity)) <= 1:
         return None

@@ -161,7 +161,7 @@ def require(outcome: Outcome, problem: Problem, eps: float | None, tolerance: fl
     """
     if not outcome.converged:
         reason = in_words(outcome.reason)
-        if any(effect.greatest(problem.data) is not None for effect in problem.scene.effects):
+        if any(effect.greatest(problem.data) is not None for effect in problem.model.effects):
             reason += "; no solution exists where the load is beyond the limit load of the film"
         eps = None if outcome.reason == MEANINGLESS else eps
         raise NotConverged(outcome.solver, reason, outcome.iterations, eps=eps, h=problem.level.h)

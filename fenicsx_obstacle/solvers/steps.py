@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fenicsx_obstacle.discrete.moments import INERTIA, RATE
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes.moments import INERTIA, RATE
 
 DEPTH = {"euler": 1, "bdf2": 2}  # of how many earlier moments a scheme makes u_t
 SLOWER, FASTER = 0.2, 2.0  # how much a step may be shorter or longer than the one before
@@ -35,8 +35,8 @@ class Steps:
     def prepare(self, problem: Problem, t: float) -> None:
         """Give the problem the differences of the step to t; its data follow with `Problem.move`."""
         assert problem.data.moment is not None
-        assert problem.scene.time is not None
-        moment, dt, usual = problem.data.moment, t - self.times[0], problem.scene.time.step
+        assert problem.model.time is not None
+        moment, dt, usual = problem.data.moment, t - self.times[0], problem.model.time.step
         dt = usual if abs(dt - usual) < SAME * usual else dt  # the numbers of the matrix stay, to the last digit
         moment.t = t
         if self.order == RATE:

@@ -21,23 +21,26 @@ class Choice:
     Attributes:
         name: In tables.
         words: What it is, for somebody who has not read the paper.
-        solve: Keys of the [solve] table.
+        element: Pair of spaces and rule.
+        solve: Options of the solves.
         adaptive: Whether meshes are refined where the error is, instead of everywhere.
     """
 
     name: str
     words: str
+    element: str
     solve: Mapping[str, Any] = field(default_factory=dict)
     adaptive: bool = False
 
     @property
     def group(self) -> tuple[str, str]:
         """Choices of one group are solved on the same meshes with the same preparations: element and start."""
-        return self.solve["element"], self.solve.get("start", "nested")
+        return self.element, self.solve.get("start", "nested")
 
     def on(self, scene: Scene) -> Scene:
         """The scene, solved this way."""
-        return scene.change({f"solve.{key}": value for key, value in self.solve.items()})
+        scene = scene.change({"solve.element": self.element})
+        return scene.with_options(scene.options_with(**self.solve))
 
 
 def choices(scene: Scene) -> list[Choice]:
@@ -52,33 +55,33 @@ def choices(scene: Scene) -> list[Choice]:
     if scene.sides:
         found += [
             Choice(f"{own} VI", f"no penalty: the inequality itself, by PETSc's SNES VI, {nested}",
-                   {"element": own, "method": "vi"}),
+                   own, {"method": "vi"}),
             Choice(f"{own} VI cold", "the same solver started without contact, as most people run it",
-                   {"element": own, "method": "vi", "start": "cold"}),
+                   own, {"method": "vi", "start": "cold"}),
             Choice(f"{own} eps fixed", "penalty with one value of eps for all meshes, as many codes do",
-                   {"element": own, "eps": FIRST, **penalty}),
+                   own, {"eps": FIRST, **penalty}),
             Choice(f"{own} eps = h", "penalty with eps proportional to the side h of a cell",
-                   {"element": own, "eps": "h", **penalty}),
+                   own, {"eps": "h", **penalty}),
             Choice(f"{own} eps = h^2", "penalty with Kikuchi's eps = h^2, which keeps the order of convergence",
-                   {"element": own, "eps": "h^2", **penalty}),
+                   own, {"eps": "h^2", **penalty}),
         ]  # fmt: skip
     found += [
         Choice(f"{own} auto", f"this program's default: penalty with eps = h^2/100, {nested}",
-               {"element": own, "eps": "auto", **penalty}),
+               own, {"eps": "auto", **penalty}),
         Choice(f"{own} adaptive", "the same on meshes refined where a bound of the error says that it is",
-               {"element": own, "eps": "auto", **penalty}, adaptive=True),
+               own, {"eps": "auto", **penalty}, adaptive=True),
     ]  # fmt: skip
     if scene.sides:
         found += [
-            Choice("P2 VI", "quadratic elements, the inequality itself", {"element": "P2", "method": "vi"}),
+            Choice("P2 VI", "quadratic elements, the inequality itself", "P2", {"method": "vi"}),
             Choice("P2 eps = h^2", "quadratic elements with Kikuchi's eps = h^2",
-                   {"element": "P2", "eps": "h^2", **penalty}),
+                   "P2", {"eps": "h^2", **penalty}),
         ]  # fmt: skip
     found += [
         Choice("P2 auto", "quadratic elements, contact at the middles of edges, eps = h^2/100",
-               {"element": "P2", "eps": "auto", **penalty}),
+               "P2", {"eps": "auto", **penalty}),
         Choice("P2 adaptive", "the same on meshes refined where a bound of the error says that it is",
-               {"element": "P2", "eps": "auto", **penalty}, adaptive=True),
+               "P2", {"eps": "auto", **penalty}, adaptive=True),
     ]  # fmt: skip
     return found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -144,7 +145,7 @@ class Study:
                 self._bench.close()
             self._bench = None  # the old mesh goes before the new one comes
             self._bench = _Bench(scene, self.comm)
-        return self._bench.work.answer(scene, yardstick=True)
+        return self._bench.work.answer(scene.options, yardstick=True)
 
     def _extras(self, answer: Answer) -> Row:
         """What a study measures beyond a single answer (collective)."""
@@ -173,14 +174,14 @@ class _Bench:
         self.work.close()
 
     def serves(self, scene: Scene) -> bool:
-        """Whether the scene differs in its [solve] table only."""
-        solve = {"solve.eps": "h", "solve.method": "vi"}
-        return scene.change(solve).tables == self.scene.change(solve).tables
+        """Whether the scene differs in its method and its eps only."""
+        ours = replace(self.scene.options, eps=scene.options.eps, method=scene.options.method)
+        return self.scene.with_options(ours).tables == scene.tables
 
     def to_reference(self, answer: Answer) -> dict[str, float]:
         """Distance to the solution of the variational inequality on this mesh (collective)."""
         if self._reference is None:
-            self._reference = self.work.answer(self.scene.change({"solve.method": "vi"}))
+            self._reference = self.work.answer(replace(self.work.options, method="vi"))
             self._distance = Distance(self.work.problem)
         assert self._distance is not None
         reference, comm = self._reference, answer.level.comm

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -149,12 +150,12 @@ class Ladder:
     def _bench(self, scene: Scene) -> Bench | str:
         """A workbench whose forms are compiled already, or why there is none (collective)."""
         try:
-            key = scene.pair.name, scene.tables.solve.start
+            key = scene.pair.name, scene.options.start
             if key not in self._warm:
                 self._warm.add(key)
                 for method in ("penalty", "vi"):
                     with closing(Workbench(scene, self.comm)) as bench, suppress(NotConverged, InputError):
-                        bench.answer(scene.change({"solve.method": method, "solve.eps": "auto"}))
+                        bench.answer(replace(bench.options, method=method, eps="auto"))
             return Bench(scene, self.comm)
         except InputError as error:
             return without_name(error, self.full)
@@ -166,7 +167,7 @@ class Ladder:
             return {**row, "reason": bench}
         try:
             forget_peak_memory(self.comm)
-            answer = bench.work.answer(scene)
+            answer = bench.work.answer(scene.options)
         except (NotConverged, InputError) as error:
             return {**row, "dofs": bench.work.problem.level.dofs, "reason": without_name(error, self.full)}
         row |= self._figures(bench.work, answer, bench.before, bench.distance)
@@ -269,18 +270,16 @@ class Ladder:
             self.ends[choice.name] = why
 
     def _scene_of(self, choice: Choice, size: Scene) -> Scene:
-        scene = choice.on(size) if choice.solve.get("eps") != FIRST else None
-        if scene is None:
-            with_eps = {**choice.solve, "eps": self._first_eps(size)}
-            scene = size.change({f"solve.{key}": value for key, value in with_eps.items()})
-        return scene
+        if choice.solve.get("eps") == FIRST:
+            choice = replace(choice, solve={**choice.solve, "eps": self._first_eps()})
+        return choice.on(size)
 
-    def _first_eps(self, size: Scene) -> float:
+    def _first_eps(self) -> float:
         """h^2/mu on the first mesh (collective)."""
         if self._fixed is None:
-            first = next(uniform_meshes(self.scene)).change({"solve.eps": "h^2", "solve.method": "penalty"})
+            first = next(uniform_meshes(self.scene))
             with closing(Workbench(first, self.comm)) as bench:
-                self._fixed = penalty_parameter(bench.problem, first)
+                self._fixed = penalty_parameter(bench.problem, first.options_with(eps="h^2"))
         return self._fixed
 
     def _key(self, scene: Scene, kind: str) -> str:

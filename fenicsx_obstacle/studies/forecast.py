@@ -22,6 +22,7 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
 
 SECONDS = 3.0  # of calibration, and the larger mesh after it
 SETTLED = 5  # meshes at the end of the calibration that tell how things go on
@@ -79,18 +80,18 @@ def forecast(scene: Scene, tol: float, *, seconds: float = SECONDS, comm: MPI.Co
             if comm.bcast(last["relative"] <= tol):
                 break
             if comm.bcast(enough):
-                probe = _larger(work, refinement.scene)
+                probe = _larger(work, refinement.options)
                 break
     return comm.bcast(continued(refinement.path, tol, scene.pair.degree, probe))
 
 
-def _larger(work: Workbench, scene: Scene) -> dict[str, float]:
+def _larger(work: Workbench, options: SolverOptions) -> dict[str, float]:
     """What the mesh with all cells refined takes (collective)."""
     start = time.perf_counter()
     work.forget_estimator()
     everywhere = np.ones(own_cells(work.problem.level.mesh), dtype=bool)
     with closing(work.refined(everywhere)) as finer:
-        record = finer.answer(scene, bound=True).record
+        record = finer.answer(options, bound=True).record
     return {"dofs": record["dofs"], "seconds": time.perf_counter() - start, "memory_mb": record["memory_mb"]}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -33,7 +34,7 @@ class Bench:
 
     def __init__(self, scene: Scene, comm: MPI.Comm):
         self.before = forget_peak_memory(comm)
-        self.work, self.scene = Workbench(scene, comm), scene
+        self.work = Workbench(scene, comm)
         self._reference: Answer | None = None
         self.distance = Distance(self.work.problem)
         self.poisson = comm.bcast(poisson_seconds(self.work.problem.level))
@@ -52,7 +53,7 @@ class Bench:
             return {}
         if self._reference is None:
             with suppress(NotConverged):
-                self._reference = self.work.answer(self.scene.change({"solve.method": "vi"}))
+                self._reference = self.work.answer(replace(self.work.options, method="vi"))
         if self._reference is None:
             return {}
         e, comm = answer.u.x.array - self._reference.u.x.array, answer.level.comm
@@ -119,12 +120,12 @@ def place(bench: Bench, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
     """One place of the map over h and eps: k powers of ten below 1/mu L^2 (collective)."""
     problem = bench.work.problem
     h = problem.level.h
-    unit = penalty_parameter(problem, scene) / h**2  # 1/mu
+    unit = penalty_parameter(problem, scene.options) / h**2  # 1/mu
     eps = unit * problem.data.extent**2 * 10.0**-k
     row: dict[str, Any] = {"choice": "map", "h": h, "eps": eps, "paper": unit * h**2, "auto": unit * h**2 / 100,
                 "floor": smallest_eps(problem)}  # fmt: skip
     try:
-        answer = bench.work.answer(scene.change({"solve.eps": eps}))
+        answer = bench.work.answer(replace(scene.options, eps=eps))
     except (NotConverged, InputError) as error:
         return {**row, "reason": without_name(error, scene)}
     row |= {"errors": truth.errors(bench.work, answer), "sizes": sizes_of(bench.distance, answer)}

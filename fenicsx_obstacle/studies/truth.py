@@ -19,10 +19,10 @@ from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
 _log = logging.getLogger(__name__)
@@ -42,8 +42,9 @@ class ExactTruth:
 
     def __init__(self, scene: Scene, comm: MPI.Comm):
         """Find contact area and force of the exact solution (collective)."""
-        self.scene = scene
-        self._contact = contact_truth(scene, levels.coarsest(scene, comm))
+        assert scene.exact is not None
+        self.solution = scene.exact
+        self._contact = contact_truth(scene.model, scene.exact, meshes.coarsest(scene, comm))
         self.record: dict[str, Any] = {"exact": True, **self._contact}
         self._exact: tuple[Workbench, Exact] | None = None
         self.occupied = 0.0
@@ -51,7 +52,7 @@ class ExactTruth:
     def errors(self, bench: Workbench, answer: Answer) -> Errors:
         """By norm; `pressure` too where the scene knows it (collective)."""
         if self._exact is None or self._exact[0] is not bench:
-            self._exact = bench, Exact(bench.problem, self.scene)
+            self._exact = bench, Exact(bench.problem, self.solution)
         found = self._exact[1].errors(answer.u, answer.pressure, answer.record["eps"])
         norms = {"energy": "energy", "l2": "l2", "max": "max", "pressure_l2": "pressure"}
         errors = {name: found[key] for key, name in norms.items() if key in found}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fenicsx_obstacle.effects.effect import Effect, Reader
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.scenes.formulas import Formula
+    from fenicsx_obstacle.effects.field import Field
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class OnPart(Effect):
         part: Which [[boundary]], counted from 0.
     """
 
-    value: Formula
+    value: Field
     part: int
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> OnPart:
-        return cls(reader.formula(raw, place), **more)
+        return cls(reader.field(raw, place), **more)

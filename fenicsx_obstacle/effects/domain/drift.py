@@ -12,7 +12,7 @@ from fenicsx_obstacle.errors import InputError
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.scenes.formulas import Formula
+    from fenicsx_obstacle.effects.field import Field
 
 
 @register
@@ -33,7 +33,7 @@ class Drift(Effect):
         value: Components of the drift.
     """
 
-    value: tuple[Formula, ...]  # type: ignore[assignment]
+    value: tuple[Field, ...]  # type: ignore[assignment]
 
     key = "drift"
     equation = "drift . grad u"
@@ -54,14 +54,14 @@ class Drift(Effect):
         if not isinstance(raw, list) or not 1 <= len(raw) <= 3 or any(isinstance(part, list | dict) for part in raw):
             wanted = "a list of one number or formula per coordinate"
             raise InputError(f"{reader.source}: {place} = {raw!r}: expected {wanted}")
-        return cls(tuple(reader.formula(part, f"{place}[{axis}]") for axis, part in enumerate(raw)))
+        return cls(tuple(reader.field(part, f"{place}[{axis}]") for axis, part in enumerate(raw)))
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
         bent = [effect.key for effect in effects if effect.elastic and not effect.affine]
         return f"{self.key} goes with tension, not with {bent[0]}" if bent else None
 
     @property
-    def velocity(self) -> tuple[Formula, ...]:
+    def velocity(self) -> tuple[Field, ...]:
         return self.value
 
     def outputs(self, data: OutputSampler) -> dict[str, float]:

@@ -9,7 +9,7 @@ from fenicsx_obstacle.effects.effect import Effect, Sampler, register
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.scenes.materials import Value
+    from fenicsx_obstacle.effects.field import Field
 
 
 @register
@@ -24,7 +24,7 @@ class Load(Effect):
     dimension = (-2, 1, 1)
 
     @property
-    def area_load(self) -> Value:
+    def area_load(self) -> Field:
         return self.value
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:

@@ -10,7 +10,7 @@ from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, Units, keys
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.scenes.formulas import Formula
+    from fenicsx_obstacle.effects.field import Field
 
 
 @register
@@ -26,8 +26,8 @@ class SoftObstacle(Effect):
         upper: Height of what pushes down, or None.
     """
 
-    lower: Formula | None = None
-    upper: Formula | None = None
+    lower: Field | None = None
+    upper: Field | None = None
 
     key = "soft_obstacle"
     equation = "stiffness ((u - upper)^+ - (lower - u)^+)"
@@ -42,7 +42,7 @@ class SoftObstacle(Effect):
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> SoftObstacle:
         given = keys_of(raw, place, reader, ("stiffness",), ("lower", "upper"), one_of=("lower", "upper"))
-        sides = {side: reader.formula(given[side], f"{place}.{side}") for side in ("lower", "upper") if side in given}
+        sides = {side: reader.field(given[side], f"{place}.{side}") for side in ("lower", "upper") if side in given}
         return cls(reader.value(given["stiffness"], f"{place}.stiffness"), **sides)
 
     @classmethod

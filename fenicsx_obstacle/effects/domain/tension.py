@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
     import ufl
 
-    from fenicsx_obstacle.scenes.materials import Value
+    from fenicsx_obstacle.effects.field import Field
 
 
 @register
@@ -38,7 +38,7 @@ class Tension(Effect):
         return cls(reader.value(raw, place))
 
     @property
-    def isotropic_tension(self) -> Value:
+    def isotropic_tension(self) -> Field:
         return self.value
 
     def push(self, data: Sampler) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.range import NO_SOLUTION
 from fenicsx_obstacle.solvers.stopping import NOTHING
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
-from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, row_of
+from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, asked, row_of
 from fenicsx_obstacle.studies.hard.units import Units, all_units
 
 EPS: tuple[float | str, ...] = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, "auto")
@@ -136,9 +136,9 @@ class _Court:
                 for method, eps in (("vi", None), ("penalty", TRIAL)):
                     if (method, eps) not in self.known:
                         continue
-                    asked = scene.change(_solve(method, None if eps is None else eps * units.eps))
+                    options = asked(scene.options, method, None if eps is None else eps * units.eps)
                     try:
-                        answer = bench.answer(asked)
+                        answer = bench.answer(options)
                     except (InputError, NotConverged) as error:
                         yield row_of(self.scene, method, eps, FAILED, start, message=str(error), trial=units.name)
                         continue
@@ -151,7 +151,7 @@ class _Court:
     def _judged(self, method: str, eps: float | str | None, before: Sequence[Trial]) -> Iterator[Row]:
         start = time.perf_counter()
         try:
-            answer = self.bench.answer(self.scene.change(_solve(method, eps)))
+            answer = self.bench.answer(asked(self.scene.options, method, eps))
         except InputError as error:
             yield row_of(self.scene, method, eps, REFUSED if FLOOR in str(error) else FAILED, start, message=str(error))
             return
@@ -195,10 +195,6 @@ def take(bench: Workbench, ground: Ground, eps: float | None) -> Solved:
     return ground.take(p, eps)
 
 
-def _solve(method: str, eps: float | str | None) -> dict[str, Any]:
-    return {"solve.method": method} if eps is None else {"solve.method": method, "solve.eps": eps}
-
-
 def _scatter(points: np.ndarray) -> np.ndarray:
     """Numbers between -1 and 1 by place, alike on all ranks."""
     mixed = np.sin(np.array([12.9898, 78.233, 37.719]) @ points) * 437.585453
@@ -227,7 +223,7 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
     more = record["newton_iterations"] - before.iterations
     return [
         Finding("other units: steps", "equations scale", more if units.shift else abs(more), 1,
-                units.exact(g.problem.scene)),
+                units.exact(g.problem.model)),
         Finding("other units: the same u in the energy norm", "equations scale", distance, R + old.R + known, g.held),
         Finding("other units: the same u at every node", "equations scale", largest(g.comm, np.abs(e) - room), 0.0,
                 g.monotone),

@@ -13,15 +13,15 @@ from fenicsx_obstacle.accuracy.invariants import Finding, of_one, violated
 from fenicsx_obstacle.accuracy.solved import Ground, Solved
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.discrete.moments import INERTIA
+from fenicsx_obstacle.effects.field import fields_in
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes.moments import INERTIA
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.vocabulary import TIME
 from fenicsx_obstacle.solvers.newton import penalty_pressure
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
 from fenicsx_obstacle.solvers.vi import residual_pressure
-from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, row_of
+from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, asked, row_of
 
 
 def judge_moving(
@@ -29,13 +29,12 @@ def judge_moving(
 ) -> Iterator[Row]:
     """Solve a scene with time by SNES VI, and by each method for each eps; a row for each answer (collective)."""
     known: tuple[Answer, Solved] | None = None
-    asked = [("vi", None), *((method, eps) for eps in epsilons for method in methods)]
+    ways = [("vi", None), *((method, eps) for eps in epsilons for method in methods)]
     with closing(Workbench(scene, comm)) as bench:
-        for method, eps in asked:
+        for method, eps in ways:
             start = time.perf_counter()
-            change = {"solve.method": method, **({} if eps is None else {"solve.eps": eps})}
             try:
-                answer = bench.answer(scene.change(change))
+                answer = bench.answer(asked(bench.options, method, eps))
             except (InputError, NotConverged) as error:
                 verdict = REFUSED if FLOOR in str(error) else FAILED
                 yield row_of(scene, method, eps, verdict, start, message=str(error))
@@ -65,11 +64,9 @@ def _energies(answer: Answer) -> list[Finding]:
     scene, course = answer.scene, answer.course
     assert course is not None and scene.time is not None
     energy = course.column("energy")
-    values = [value for effect in scene.effects for value in effect.formulas]
-    obstacle, edges = scene.tables.obstacle, [part.value for part in scene.tables.boundary]
-    given = [value for value in (obstacle.lower, obstacle.upper, *edges) if value is not None]
-    values += [scene.formula(value, "") for value in given]
-    rests = not any(TIME in scene.needs(value) for value in values)
+    model = scene.model
+    given = [model.lower, model.upper, *(part.value for part in model.boundary)]
+    rests = not any(field.moves for field in fields_in([*(effect.inputs for effect in model.effects), *given]))
     falls = rests and np.isfinite(energy).all() and scene.time.scheme in ("euler", "midpoint")
     if not falls:
         return []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,7 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
         points = gathered(level.comm, level.points.T[: level.owned])
         order = None if points is None else _by_place(points)
         for method in ("vi", *METHODS):
-            change = {"solve.method": method} if method == "vi" else {"solve.method": method, "solve.eps": TRIAL}
-            bench.answer(scene.change(change))
+            bench.answer(replace(bench.options, method=method, eps=TRIAL))
             solved = take(bench, ground, None if method == "vi" else TRIAL)
             energy = np.array([solved.energy or 0.0, energy_round_off(solved) if solved.energy is not None else 0.0])
             for name, values in (("u", solved.w + solved.r), ("p", solved.p), ("z", solved.z), ("q", solved.q)):

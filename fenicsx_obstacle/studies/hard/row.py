@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from fenicsx_obstacle.accuracy.invariants import Finding
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
 
 RIGHT, REFUSED, FAILED = "right", "refused", "FAILED"
 FLOOR = "floor of round-off"  # words of the refusal
 Row = dict[str, Any]
+
+
+def asked(options: SolverOptions, method: str, eps: float | str | None) -> SolverOptions:
+    """The options that a row asks for; None is for no eps."""
+    return replace(options, method=method, eps=options.eps if eps is None else eps)
 
 
 def row_of(

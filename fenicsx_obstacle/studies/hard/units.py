@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.effects.effect import find
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_SHAPE
@@ -55,12 +56,12 @@ class Units:
         """By what pressures are."""
         return self.force * self.height / self.length**2
 
-    def exact(self, scene: Scene) -> bool:
+    def exact(self, model: Model) -> bool:
         """Whether arithmetic is the same in these units: powers of slopes that are no integers are rounded anew, and
         where slopes bend, so are shifted heights."""
         if self.shift != 0.0:
-            return all(effect.affine for effect in scene.effects)
-        return self.height == self.length or not any(effect.rounds_slopes for effect in scene.effects)
+            return all(effect.affine for effect in model.effects)
+        return self.height == self.length or not any(effect.rounds_slopes for effect in model.effects)
 
     def of(self, scene: Scene) -> Scene:
         """The scene in these units, without its exact solution and report; meshes of files keep their length."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -34,8 +35,8 @@ def digits(comm: MPI.Comm) -> Found:
     lost = []
     direct = defaults("penalty_", DIRECT), defaults("vi_", DIRECT)
     with direct[0], direct[1], closing(Workbench(sample("disk", 32), comm)) as bench:
-        problem, scene = bench.problem, bench.problem.scene
-        vi = bench.answer(scene.change({"solve.method": "vi"})).pressure.x.array[: problem.level.owned]
+        problem = bench.problem
+        vi = bench.answer(replace(bench.options, method="vi")).pressure.x.array[: problem.level.owned]
         size = largest(comm, np.abs(vi))
         last_digit = largest(comm, np.spacing(np.abs(problem.obstacles()[1])))
         for eps in EPS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import solve_penalty
 from fenicsx_obstacle.solvers.snes import defaults
@@ -113,14 +114,15 @@ def nesting(comm: MPI.Comm) -> list[Finding]:
 
 
 def _runs(scene: Scene, comm: MPI.Comm) -> list[Answer]:
-    with closing(Workbench(scene.change({"solve.method": "successive"}), comm)) as bench:
-        return [bench.answer(bench.problem.scene.change({"solve.eps": eps})) for eps in (1e-2, 1e-6, 1e-10)]
+    options = replace(scene.options, method="successive")
+    with closing(Workbench(scene, comm)) as bench:
+        return [bench.answer(replace(options, eps=eps)) for eps in (1e-2, 1e-6, 1e-10)]
 
 
 def _sheared(comm: MPI.Comm) -> Scene:
     """A flat ceiling over a parallelogram, whose triangles are all obtuse, the diagonals the longest sides."""
     shape: dict[str, Any] = {"mesh": {"shape": "rectangle", "cells": 16}, "boundary": [{"value": 0}], "tension": 1}
-    mesh = levels.build(Scene(**shape), comm).mesh
+    mesh = meshes.build(Scene(**shape), comm).mesh
     mesh.geometry.x[:, 0] += 0.8 * mesh.geometry.x[:, 1]
     return Scene(**{**shape, "mesh": mesh}, load=4, upper=0.05)
 
@@ -166,8 +168,8 @@ def _counted(scene: Scene, comm: MPI.Comm) -> dict[tuple[str, float | str], int]
         counts = {}
         for start, method in ((COLD, "successive"), (NESTED, "penalty")):
             for eps in (SMALL, "h^2"):
-                asked = scene.change({"solve.method": method, "solve.eps": eps})
-                counts[start, eps] = bench.answer(asked).record["newton_iterations"]
+                options = scene.options_with(method=method, eps=eps)
+                counts[start, eps] = bench.answer(options).record["newton_iterations"]
         problem = bench.problem
         problem.refer(problem.cold_start())
         counts[FALLING, SMALL] = sum(solve_penalty(problem, eps).iterations for eps in CONTINUED)

@@ -16,6 +16,7 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.scenes.catalogue import scene
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
 
 VI = "u_h"  # stands among values of eps for no penalty
 Eps = float | str  # a number, a formula in h, or VI
@@ -79,12 +80,12 @@ def gap(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm) -> Gap:
     found = Gap(ladder)
     for bench in ladder.benches(comm):
         problem = bench.problem
-        distance, reference = Distance(problem), bench.answer(solved_with(problem.scene, VI))
+        distance, reference = Distance(problem), bench.answer(solved_with(bench.scene, VI))
         found.h.append(problem.level.h)
         found.size.append(distance.pressure(reference.pressure.x.array))
         steep = distance.energy(reference.pressure.x.array)  # the nodes of I are those of V_h
         for value in epsilons:
-            answer = bench.answer(solved_with(problem.scene, value))
+            answer = bench.answer(solved_with(bench.scene, value))
             e, d = answer.u.x.array - reference.u.x.array, answer.pressure.x.array - reference.pressure.x.array
             eps = answer.record["eps"]
             found.eps.setdefault(value, []).append(eps)
@@ -120,7 +121,7 @@ def errors(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: boo
         found.h.append(bench.problem.level.h)
         distance = Distance(bench.problem)
         for value in epsilons:
-            answer = bench.answer(solved_with(bench.problem.scene, value))
+            answer = bench.answer(solved_with(bench.scene, value))
             norms = {**answer.record["errors"], "close": distance.energy(_nodal_error(answer))}
             if dual:
                 norms["dual"] = bench.exact.dual.error(answer.pressure, answer.record["eps"])
@@ -130,9 +131,9 @@ def errors(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: boo
     return found
 
 
-def solved_with(scene: Scene, eps: Eps) -> Scene:
-    """The scene with this eps, or solved as the variational inequality."""
-    return scene.change({"solve.method": "vi"} if eps == VI else {"solve.eps": eps})
+def solved_with(scene: Scene, eps: Eps) -> SolverOptions:
+    """The options of a scene with this eps, or for the variational inequality."""
+    return scene.options_with(method="vi") if eps == VI else scene.options_with(eps=eps)
 
 
 def _nodal_error(answer: Answer) -> np.ndarray:

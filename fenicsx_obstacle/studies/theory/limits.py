@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -63,12 +63,12 @@ def approach(scene: Scene, comm: MPI.Comm, epsilons: Sequence[float] = EPS) -> A
         problem = bench.problem
         distance, D, own = Distance(problem), problem.weights, problem.level.owned
         side = 1.0 if problem.above is not None else -1.0
-        reference = bench.answer(scene.change({"solve.method": "vi"}))
+        reference = bench.answer(replace(bench.options, method="vi"))
         p, height = reference.pressure.x.array[:own], reference.record["u_range"]
         limit, most = total(comm, D * p**2), largest(comm, np.abs(p))
         before = None
         for eps in epsilons:
-            answer = bench.answer(scene.change({"solve.eps": eps}))
+            answer = bench.answer(replace(bench.options, eps=eps))
             excess = side * (answer.u.x.array - reference.u.x.array)
             mine = answer.pressure.x.array[:own]
             seen.energy.append(distance.energy(excess))
@@ -148,8 +148,8 @@ def extremes(comm: MPI.Comm) -> list[Finding]:
 
 def _solved(scene: Scene, comm: MPI.Comm) -> tuple[float, float]:
     """Largest |u_eps| and |p_eps| at eps = 1e-6."""
-    with closing(Workbench(scene.change({"solve.eps": 1e-6}), comm)) as bench:
-        answer = bench.answer()
+    with closing(Workbench(scene, comm)) as bench:
+        answer = bench.answer(replace(bench.options, eps=1e-6))
     return largest(comm, np.abs(answer.u.x.array)), largest(comm, np.abs(answer.pressure.x.array))
 
 

@@ -12,10 +12,10 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.bring import solve_form
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.forms.rules import nodal_rule
 from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Panel, check, constant, statement
 
@@ -54,7 +54,7 @@ class Line:
 
     def __init__(self, comm: MPI.Comm):
         scene = Scene(mesh={"shape": "interval", "cells": 200}, tension=1, boundary=[{"value": 0}])
-        self.level: Level = levels.build(scene, comm)
+        self.level: Level = meshes.build(scene, comm)
         self.V, self.comm = self.level.V, comm
         self._first, self._second = fem.Function(self.V), fem.Function(self.V)
         rule = nodal_rule(releases.cell_name(self.level.mesh))

@@ -11,8 +11,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.accuracy.stability import Stability
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.forms.pairs import pairs
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.theory.statement import (
     Curve,
@@ -65,7 +65,7 @@ class Case:
         found = []
         for n in self.cells:
             scene = Scene(mesh={"shape": "rectangle", "cells": n, **self.mesh}, tension=1)
-            found.append(of(Stability(levels.build(scene, comm).mesh, pairs()[self.pair])))
+            found.append(of(Stability(meshes.build(scene, comm).mesh, pairs()[self.pair])))
             releases.free([comm])
         return found
 

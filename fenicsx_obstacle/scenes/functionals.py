@@ -22,9 +22,10 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, nearest
+from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
 from fenicsx_obstacle.scenes.report import NORMAL_FLUX
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.words import counted, nearest
 
 
 class Report:
@@ -34,8 +35,8 @@ class Report:
         values: Figures so far, by name.
     """
 
-    def __init__(self, data: Data):
-        self.data, self.scene, self.level = data, data.scene, data.level
+    def __init__(self, data: Data, scene: Scene):
+        self.data, self.scene, self.level = data, scene, data.level
         self.values: dict[str, float] = {}
         self._corners, self._dofs = corners(self.level.mesh), releases.cell_dofs(self.level.V)
         self._every = np.arange(own_cells(self.level.mesh))
@@ -51,13 +52,12 @@ class Report:
         dim, pair = self.level.mesh.geometry.dim, self.level.pair
         if not pair.nests:
             raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}")
-        elastic = next(effect for effect in self.scene.effects if effect.elastic)
-        if elastic.isotropic_tension is None:
+        if self.data.model.elastic.isotropic_tension is None:
             for formula in self.scene.report.values():
                 if {"flux", NORMAL_FLUX} & formula.names:
                     raise InputError(f"{formula.place}: flux needs a tension alike in all directions and at all slopes")
         for formula in self.scene.report.values():
-            if self.data.radial and NORMAL_FLUX in formula.names:
+            if self.data.model.radial and NORMAL_FLUX in formula.names:
                 raise InputError(f"{formula.place}: {NORMAL_FLUX} is for plane problems, not for axial symmetry")
             for node in ast.walk(formula.tree):
                 match node:
@@ -164,7 +164,7 @@ class Report:
         return np.sqrt(np.maximum(np.sum(rises * solved, axis=1), 0.0))
 
     def _tension(self, cells: np.ndarray) -> np.ndarray | float:
-        tension = next(effect.isotropic_tension for effect in self.scene.effects if effect.elastic)
+        tension = self.data.model.elastic.isotropic_tension
         assert tension is not None
         values = self.data.cellwise(tension)
         if isinstance(values, fem.Constant):

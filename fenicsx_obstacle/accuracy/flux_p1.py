@@ -1,0 +1,160 @@
+"""Multiplier and equilibrated flux of a P1 state: what proves how far it is from the solution.
+
+For any P1 function u_h, converged or not, nodal multipliers lambda >= 0 (lower obstacle), nu >= 0 (upper) and a rest
+rho come from its residual alone, eps-free, and a flux sigma in RT0 with continuous normal parts and
+
+    div sigma = -(f_0 + mean lambda - mean nu + mean rho)   in each cell, f_0 the mean of the load,
+
+is found vertex by vertex as a sum of fluxes on the patches, each the nearest (in the norm of mu^(-1/2)) to the broken
+RT0 interpolant of phi_i mu grad u_h. (Braess and Schoeberl 2008 for equations; the interpolant in place of phi_i mu
+grad u_h itself keeps the flux near on irregular meshes.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.accuracy.cell_data import Load, of_solver, other_effects, tension_of
+from fenicsx_obstacle.accuracy.fans import Fans
+from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous, with_ghosts
+from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.parallel import total
+
+SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
+
+
+@dataclass(frozen=True)
+class FluxP1:
+    """Multipliers and flux; arrays of local dofs, ghosts included, or of owned cells.
+
+    Attributes:
+        lower: lambda >= 0, in the unit of the load.
+        upper: nu >= 0.
+        rest: rho, what no obstacle carries.
+        solver_rest: The same of the solver's own load, one value per cell: 0 where it has converged.
+        normal: s: sigma = sum of s_j (x - x_j)/(2 |T|) in a cell; s_j is the flux out of it opposite to vertex j.
+        incompatible: Largest flux that a fan of a free vertex leaves over, 0 up to round-off.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    rest: np.ndarray
+    solver_rest: np.ndarray
+    normal: np.ndarray
+    incompatible: float
+
+
+class EquilibrationP1:
+    """Everything about flux and multipliers that depends on mesh and data alone.
+
+    Attributes:
+        triangles: The owned cells.
+        fans: Their corners around the vertices.
+        mu: Tension of each cell, as the solver has it.
+        load: Its moments are int_T f phi_l, shape (cells, 3), its oscillation ||f - f_0||_T.
+        missing: Force at owned vertices that the load's formula gives more than what the solver makes of it.
+    """
+
+    def __init__(self, triangles: Triangles):
+        """Sample the load, sort the corners (collective)."""
+        self.triangles, data = triangles, triangles.data
+        self.level = data.level
+        self.fans = Fans(triangles)
+        self.mu = of_solver(triangles, data, tension_of(data), np.full((1, 3), 1 / 3), positive=True)[:, 0]
+        self._prepare_others(other_effects(data))
+        self.load = Load(triangles, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
+        self.missing = self.fans.at_vertices(self.fans.gather(self.load.missing)[0])
+        x, y = triangles.x[..., 0], triangles.x[..., 1]
+        scale = 1 / (4 * triangles.area * self.mu)[:, None]
+        # the edge opposite to a vertex, and from each vertex to the middle of the cell
+        to_x, to_y = x.mean(axis=1, keepdims=True) - x, y.mean(axis=1, keepdims=True) - y
+        edge_x, edge_y = triangles.normal[1] * scale, -triangles.normal[0] * scale
+        self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
+        self._B = edge_x * previous(to_x) + edge_y * previous(to_y)
+        G = scale * (triangles.normal[0] ** 2 + triangles.normal[1] ** 2)
+        self._fan_A, self._fan_B, fan_G = self.fans.gather(self._A, self._B, G)
+        self._fan_G = self.fans.sums(fan_G)
+
+    def _prepare_others(self, effects: list[Effect]) -> None:
+        """Their terms against the discontinuous P1 functions of single cells (collective)."""
+        self._terms: Any = None
+        if not any(effect.integrals for effect in effects):
+            return
+        broken = releases.functionspace(self.level.mesh, "DG", 1)
+        self._u, v = fem.Function(self.level.V), ufl.TestFunction(broken)
+        self._terms = releases.form(residual(effects, self._u, v, self.triangles.data))
+        self._moments_of_others = fem.Function(broken)
+
+    def _all_moments(self, u: np.ndarray) -> np.ndarray:
+        """Moments of the load less those of other effects at u (collective)."""
+        if self._terms is None:
+            return self.load.moments
+        self._u.x.array[:] = u
+        vector = releases.vec(self._moments_of_others)
+        with vector.localForm() as local:
+            local.set(0.0)
+        fem.petsc.assemble_vector(vector, self._terms)
+        dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
+        return self.load.moments - self._moments_of_others.x.array[self.triangles.turned(dofs)]
+
+    def flux(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> FluxP1:
+        """Multipliers and flux of a state (collective).
+
+        Args:
+            u: Values at local dofs.
+            touches_lower: Whether u is at the lower obstacle or beyond it, at owned dofs.
+            touches_upper: Whether it is at the upper one or beyond it.
+        """
+        triangles, fans, V = self.triangles, self.fans, self.level.V
+        beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
+        correction = next_(beta) * self._A + previous(beta) * self._B
+        drops, correction = fans.gather(beta + self._all_moments(u), correction)
+        residual = np.where(fans.free, -fans.at_vertices(drops) / fans.mass, 0.0)
+        lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
+        with_solver_load = np.where(fans.free, residual + self.missing / fans.mass, 0.0)
+        solver_rest = self._multipliers(with_solver_load, touches_lower, touches_upper)[2]
+        lower, upper = (
+            self._along_the_boundary(values, touches)
+            for values, touches in ((lower, touches_lower), (upper, touches_upper))
+        )
+        own = self.level.owned
+        pressure = (lower[:own] - upper[:own] + rest)[fans.vertex]
+        before, after = fans.walk(drops + fans.along(pressure) * fans.area)
+        shift = -(fans.sums(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
+        # nothing leaves through the free boundary
+        open_ = ~fans.closed
+        shift[open_ & ~fans.exit_held] = -after[fans.last[open_ & ~fans.exit_held]]
+        shift[open_ & ~fans.entry_held] = 0.0
+        shift = fans.along(shift)
+        to_b, to_c = fans.scatter(after + shift, before + shift)
+        return FluxP1(
+            lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
+            normal=previous(to_b) - next_(to_c), incompatible=fans.left_over(after),
+        )  # fmt: skip
+
+    def _multipliers(
+        self, residual: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The residual as lambda - nu + rho: what pushes away from an obstacle that is touched, and the rest."""
+        lower = np.where(touches_lower, np.maximum(residual, 0.0), 0.0)
+        upper = np.where(touches_upper, np.maximum(-residual, 0.0), 0.0)
+        return lower, upper, residual - lower + upper
+
+    def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
+        """Where u is given and touches, the mean of the neighbours: any value >= 0 will do, 0 is far off in contact."""
+        level, dofs, values = self.level, self.triangles.dofs, with_ghosts(self.level.V, values)
+        wanted = touches & ~self.fans.free
+        if total(level.comm, np.count_nonzero(wanted)) == 0:
+            return values
+        for _ in range(SWEEPS):
+            corner = values[dofs]
+            others = self.fans.gather(corner.sum(axis=1, keepdims=True) - corner, np.full(corner.shape, 2.0))
+            sums, counts = (self.fans.at_vertices(part) for part in others)
+            values = with_ghosts(level.V, np.where(wanted, sums / counts, values[: level.owned]))
+        return values

@@ -1,0 +1,249 @@
+"""Data from numbers, Constants, Functions, UFL expressions, callables, and these by the names of cells."""
+
+from __future__ import annotations
+
+import inspect
+import numbers
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from ufl.algorithms import extract_arguments
+from ufl.corealg.traversal import unique_pre_traversal
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.effects.field import ByCells, Field, Names
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import agree
+from fenicsx_obstacle.words import plain, shown
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.levels import Level
+
+EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x as Function.interpolate takes it, or a \
+dict of these by the names of cells"
+
+
+class Symbols:
+    """What UFL expressions of data are made of, on one mesh.
+
+    Attributes:
+        mesh: The mesh.
+        axes: x, y and z.
+        names: Constants for t and eps.
+        made: Expressions made so far, for fields that share some.
+    """
+
+    def __init__(self, mesh: Any, names: Mapping[str, fem.Constant]):
+        self.mesh, self.names = mesh, names
+        x = ufl.SpatialCoordinate(mesh)
+        self.zero = x[0] - x[0]  # gives expressions without coordinates a domain, which grad needs
+        self.axes = [x[i] if i < mesh.geometry.dim else self.zero for i in range(3)]
+        self.radius = ufl.sqrt(ufl.inner(x, x))
+        self.made: dict[Any, Any] = {}
+
+
+class Number(Field):
+    """A number, or the value that a Constant has when it is asked for."""
+
+    uniform = True
+
+    def __init__(self, value: float | fem.Constant, source: str):
+        self.value, self.source = value, source
+
+    @property
+    def text(self) -> str:  # type: ignore[override]
+        return plain(self._number)
+
+    @property
+    def _number(self) -> float:
+        return float(self.value.value if isinstance(self.value, fem.Constant) else self.value)
+
+    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+        return np.full(x.shape[1:], self._number)
+
+    def expression(self, symbols: Symbols) -> Any:
+        return self.value + symbols.zero
+
+
+class OfCallable(Field):
+    """A Python function of x, shape (3, n), or of x and t, that returns n values."""
+
+    def __init__(self, function: Callable[..., Any], source: str):
+        self.function, self.source = function, source
+        self.text = getattr(function, "__name__", type(function).__name__)
+        self.moves = _arguments(function) == 2
+
+    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+        given = (x.copy(), names.get("t", 0.0)) if self.moves else (x.copy(),)
+        try:
+            values = np.asarray(self.function(*given), dtype=np.float64)
+            return np.array(np.broadcast_to(values, x.shape[1:]))
+        except Exception as error:
+            got = f"{type(error).__name__}: {error}"
+            wanted = "takes x of shape (3, n), as Function.interpolate does, and returns n values"
+            raise InputError(f"{self.source}: the callable {wanted}; this one: {got}") from error
+
+    def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
+        values = np.empty(0)
+        with agree(V.mesh.comm):
+            values = self.at(x, names)
+        return values
+
+
+class OfFunction(Field):
+    """A Function of this mesh or of another one; at points, within the cells of this rank."""
+
+    everywhere = False
+
+    def __init__(self, function: fem.Function, source: str):
+        self.function, self.source, self.text = function, source, function.name
+        if function.ufl_shape != ():
+            count = int(np.prod(function.ufl_shape))
+            raise InputError(f"{source} is a Function with {count} components: expected one of one")
+
+    @property
+    def _mesh(self) -> Any:
+        return self.function.function_space.mesh
+
+    def on(self, level: Level) -> Field:
+        if self._mesh.ufl_domain() == level.mesh.ufl_domain():
+            return self
+        V = level.V if _continuous(self.function.function_space) else level.W
+        taken = fem.Function(V, name=self.function.name)
+        points = level.points if V is level.V else np.array(V.tabulate_dof_coordinates().T)
+        taken.x.array[:] = self._elsewhere(level, points)
+        return OfFunction(taken, self.source)
+
+    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+        rows, cells = releases.cells_near(self._mesh, x.T, 0.0, within=True)
+        found = np.full(x.shape[1], np.nan)
+        first = np.unique(rows, return_index=True)[1]
+        if len(first):
+            found[rows[first]] = np.ravel(self.function.eval(x.T[rows[first]], cells[first]))
+        return found
+
+    def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
+        own = self.function.function_space
+        if own == V:
+            return self.function.x.array
+        if _continuous(V) and not _continuous(own):
+            raise InputError(
+                f"{self.source} is a Function that is not continuous: at a vertex each cell has a value of its own; "
+                "interpolate it into a continuous space"
+            )
+        taken = fem.Function(V)
+        taken.interpolate(releases.expression(self.function, V))
+        return taken.x.array
+
+    def expression(self, symbols: Symbols) -> Any:
+        return self.function + symbols.zero
+
+    def _elsewhere(self, level: Level, points: np.ndarray) -> np.ndarray:
+        """Values at points (3, n) of the cells of another mesh (collective)."""
+        from fenicsx_obstacle.discrete.points import values_of  # only where a Function is of another mesh
+
+        comm = level.comm
+        if MPI.Comm.Compare(self._mesh.comm, comm) not in (MPI.IDENT, MPI.CONGRUENT):
+            raise InputError(
+                f"{self.source} is a Function on a mesh of other ranks: make that mesh with the communicator of u's"
+            )
+        parts = comm.allgather(points.T)
+        everywhere, start = np.vstack(parts), sum(len(part) for part in parts[: comm.rank])
+        values = values_of(self.function, everywhere)
+        lost = np.flatnonzero(~np.isfinite(values))
+        if len(lost):
+            where = ", ".join(f"{x:.4g}" for x in min(everywhere[lost].tolist())[: level.mesh.geometry.dim])
+            words = f"with no finite value at ({where}): is that outside?"
+            raise InputError(f"{self.source} is a Function on another mesh, {words}")
+        return values[start : start + len(parts[comm.rank])]
+
+
+class OfExpression(Field):
+    """A UFL expression of Functions, Constants and coordinates on one mesh."""
+
+    everywhere = False
+
+    def __init__(self, expression: Any, source: str):
+        self.ufl, self.source, self.text = expression, source, str(expression)
+        if expression.ufl_shape != ():
+            raise InputError(
+                f"{source} is an expression of shape {expression.ufl_shape}: expected one of one component"
+            )
+        if extract_arguments(expression):
+            raise InputError(f"{source} holds a test or trial function: expected {EXPECTED}")
+        self._sampled: OfFunction | None = None
+
+    def on(self, level: Level) -> Field:
+        if foreign(self.ufl, level.mesh.ufl_domain()):
+            raise InputError(
+                f"{self.source} is an expression on another mesh: interpolate it there, and give that Function"
+            )
+        return self
+
+    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+        if self._sampled is None:
+            mesh = ufl.domain.extract_domains(self.ufl)[0].ufl_cargo()
+            sampled = fem.Function(releases.functionspace(mesh, "DG", 2))
+            sampled.interpolate(releases.expression(self.ufl, sampled.function_space))
+            self._sampled = OfFunction(sampled, self.source)
+        return self._sampled.at(x, names)
+
+    def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
+        taken = fem.Function(V)
+        taken.interpolate(releases.expression(self.ufl, V))
+        return taken.x.array
+
+    def expression(self, symbols: Symbols) -> Any:
+        return self.ufl + symbols.zero
+
+
+def field(value: Any, source: str) -> Field:
+    """A datum from what a user of DOLFINx has.
+
+    Args:
+        value: A number, a Constant, a Function, a UFL expression, a callable of x or of (x, t), a Field, or a dict of
+            these by the names of cells.
+        source: What messages call it.
+
+    Raises:
+        InputError: If it is none of them.
+    """
+    if isinstance(value, Field):
+        return value
+    if isinstance(value, fem.Function):
+        return OfFunction(value, source)
+    if isinstance(value, fem.Constant) and value.ufl_shape == ():
+        return Number(value, source)
+    if isinstance(value, ufl.core.expr.Expr):
+        return OfExpression(value, source)
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        return Number(float(value), source)
+    if isinstance(value, Mapping) and value:
+        return ByCells({name: field(part, f"{source}.{name}") for name, part in value.items()}, source)
+    if callable(value) and not isinstance(value, type):
+        return OfCallable(value, source)
+    raise InputError(f"{source} = {shown(value)}: expected {EXPECTED}")
+
+
+def foreign(expression: Any, domain: Any) -> bool:
+    """Whether any part of an expression lives on another mesh."""
+    leaves = (node for node in unique_pre_traversal(expression) if not node.ufl_operands)
+    return any(one != domain for leaf in leaves for one in ufl.domain.extract_domains(leaf))
+
+
+def _continuous(V: fem.FunctionSpace) -> bool:
+    return bool(V.dofmap.dof_layout.entity_dofs(0, 0))
+
+
+def _arguments(function: Callable[..., Any]) -> int:
+    """How many positional arguments a callable must be given; 1 where that is unknown."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return 1
+    plain_ones = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return sum(one.kind in plain_ones and one.default is inspect.Parameter.empty for one in parameters)

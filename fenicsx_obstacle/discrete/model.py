@@ -1,0 +1,74 @@
+"""What is to be solved, before there is a mesh: effects, obstacles, boundary conditions, time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fenicsx_obstacle.discrete.moments import Moments
+from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.field import Field
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of the boundary, or a curve or surface inside, and what is given there; all of the boundary by default.
+
+    Attributes:
+        name: What messages call it.
+        on: Names of parts of the mesh, or None.
+        where: A condition that holds on its facets: a datum that is not 0 at their vertices; or None.
+        value: Of u, where it is given.
+        lower: Obstacle there.
+        upper: Obstacle there.
+        acts: Keys of the effects that act on it.
+    """
+
+    name: str
+    on: tuple[str, ...] | None = None
+    where: Field | None = None
+    value: Field | None = None
+    lower: Field | None = None
+    upper: Field | None = None
+    acts: tuple[str, ...] = ()
+
+    @property
+    def bears(self) -> bool:
+        """Whether there is an obstacle on it."""
+        return self.lower is not None or self.upper is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An obstacle problem.
+
+    Attributes:
+        effects: Whose sum is a(u, v) - f(v).
+        lower: Obstacle in the domain.
+        upper: Obstacle in the domain.
+        boundary: Of two parts that meet, the later one counts.
+        time: The moments, or None.
+        source: Where it comes from, for messages.
+    """
+
+    effects: tuple[Effect, ...]
+    lower: Field | None = None
+    upper: Field | None = None
+    boundary: Sequence[Part] = ()
+    time: Moments | None = None
+    source: str = "problem"
+
+    @property
+    def thin(self) -> bool:
+        """Whether obstacles are on the boundary, or on curves inside, instead of in the domain."""
+        return any(part.bears for part in self.boundary)
+
+    @property
+    def elastic(self) -> Effect:
+        """The effect that gives a(u, v) its stiffness."""
+        return next(effect for effect in self.effects if effect.elastic)
+
+    @property
+    def radial(self) -> bool:
+        """Whether all integrals have the weight x."""
+        return any(effect.radial for effect in self.effects)

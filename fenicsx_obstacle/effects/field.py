@@ -1,0 +1,168 @@
+"""A datum of a problem: a tension, a load, an obstacle, a boundary value. One class, whoever gives it.
+
+A `Field` is a scalar function of place and time. `discrete.fields` makes one of what users of DOLFINx have; formulas of
+a scene are another class of it, and a plug-in may have one of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+from fenicsx_obstacle.errors import InputError
+
+if TYPE_CHECKING:  # reading a scene imports no finite elements
+    import numpy as np
+    from dolfinx import fem
+
+    from fenicsx_obstacle.discrete.fields import Symbols
+    from fenicsx_obstacle.discrete.levels import Level
+
+Names = Mapping[str, Any]  # what a datum may depend on besides x: t, eps, `distance` as a function of points (n, 3)
+NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
+
+
+class Bounds(Protocol):
+    """Bounds of a datum over simplices.
+
+    Attributes:
+        lower: Shape (simplices,).
+        upper: Likewise.
+        degree: As a polynomial where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
+        whole: Whether no condition cuts a simplex.
+        defined: Whether it has a value all over it.
+        finite: Whether the bounds are.
+    """
+
+    @property
+    def lower(self) -> np.ndarray: ...
+    @property
+    def upper(self) -> np.ndarray: ...
+    @property
+    def degree(self) -> np.ndarray: ...
+    @property
+    def whole(self) -> np.ndarray: ...
+    @property
+    def defined(self) -> np.ndarray: ...
+    @property
+    def finite(self) -> np.ndarray: ...
+
+
+class Enclosed(Protocol):
+    """A datum on simplices, known without sampling."""
+
+    def enclosure(self) -> Bounds:
+        """Bounds over each simplex, divided where they would be infinite."""
+
+    def once(self) -> Bounds:
+        """Bounds over each simplex as it is."""
+
+    def truth(self) -> Any:
+        """Where a condition `may_hold` and where it `may_fail`."""
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        """Values at the points that determine a polynomial of a degree, shape (simplices, points)."""
+
+
+class Field:
+    """A scalar datum, dimension as its user says.
+
+    Attributes:
+        source: Where it stands, for messages: "ball.toml: [obstacle] lower".
+        text: What stands there.
+    """
+
+    source: str
+    text: str
+    uniform: bool = False  # the same number everywhere, at one moment
+    moves: bool = False  # depends on the time t
+    needs_distance: bool = False  # depends on the distance to the boundary of the domain
+    everywhere: bool = True  # has a value at any point, on every rank
+    parts: Mapping[str, Field] | None = None  # one for the cells of each name
+
+    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+        """Values at points (local; a Function: within the cells of this rank, not-a-number elsewhere).
+
+        Args:
+            x: Shape (3, n).
+            names: Values of t and of what else it depends on.
+
+        Returns:
+            Shape (n,).
+        """
+        raise NotImplementedError
+
+    def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
+        """Values at the local dofs of a scalar space (collective).
+
+        Args:
+            V: The space.
+            x: Points of its dofs, shape (3, dofs); of what jumps between cells a little within them.
+            names: As for `at`.
+        """
+        return self.at(x, names)
+
+    def on(self, level: Level) -> Field:
+        """The same on a mesh: what lives on another one is interpolated (collective)."""
+        return self
+
+    def margins(self, x: np.ndarray, names: Names) -> list[np.ndarray]:
+        """For each condition in it a value at points that is positive where it holds: a search follows them."""
+        return []
+
+    def over(self, corners: np.ndarray, names: Names) -> Enclosed | None:
+        """Bounds over simplices of given corners, shape (simplices, corners, 2); None where none are known."""
+        return None
+
+    def expression(self, symbols: Symbols) -> Any:
+        """As a UFL expression that can be differentiated.
+
+        Raises:
+            InputError: If it cannot be.
+        """
+        raise InputError(f"{self}: cannot be differentiated")
+
+    def because(self, point: np.ndarray, names: Names) -> str:
+        """Why its value at a point (3,) is not finite, in words that end a sentence; may be empty."""
+        return ""
+
+    def __str__(self) -> str:
+        return f"{self.source} = {self.text}"
+
+
+class ByCells(Field):
+    """One datum for the cells of each name: `tension = {steel = 1, rubber = "2 + x"}`."""
+
+    def __init__(self, parts: Mapping[str, Field], source: str):
+        self.parts, self.source = parts, source
+
+    @property
+    def text(self) -> str:  # type: ignore[override]
+        return "{" + ", ".join(f"{name} = {part.text}" for name, part in self._parts.items()) + "}"
+
+    @property
+    def _parts(self) -> Mapping[str, Field]:
+        assert self.parts is not None
+        return self.parts
+
+    @property
+    def moves(self) -> bool:  # type: ignore[override]
+        return any(part.moves for part in self._parts.values())
+
+    @property
+    def needs_distance(self) -> bool:  # type: ignore[override]
+        return any(part.needs_distance for part in self._parts.values())
+
+    def on(self, level: Level) -> Field:
+        return ByCells({name: part.on(level) for name, part in self._parts.items()}, self.source)
+
+
+def fields_in(data: Iterable[Any]) -> list[Field]:
+    """The fields among some values and within tuples and lists of them."""
+    found: list[Field] = []
+    for part in data:
+        if isinstance(part, Field):
+            found.append(part)
+        elif isinstance(part, tuple | list):
+            found += fields_in(part)
+    return found

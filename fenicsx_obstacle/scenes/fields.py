@@ -1,0 +1,104 @@
+"""A formula of a scene as a datum: sampled, enclosed on cells, or differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fenicsx_obstacle.effects.field import Enclosed, Field, Names
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
+from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.fields import Symbols
+
+
+@dataclass(frozen=True, eq=False)
+class FormulaField(Field):
+    """A formula with the definitions of its scene.
+
+    Attributes:
+        formula: The formula.
+        vocabulary: The scene, which knows the names in it.
+    """
+
+    formula: Formula
+    vocabulary: Vocabulary
+
+    @property
+    def source(self) -> str:  # type: ignore[override]
+        return self.formula.place
+
+    @property
+    def text(self) -> str:  # type: ignore[override]
+        return self.formula.text
+
+    @property
+    def needs(self) -> set[str]:
+        """Names that it uses, itself and through definitions."""
+        return self.vocabulary.needs(self.formula)
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        return not self.needs & {*COORDINATES, "distance"}
+
+    @property
+    def moves(self) -> bool:  # type: ignore[override]
+        return TIME in self.needs
+
+    @property
+    def needs_distance(self) -> bool:  # type: ignore[override]
+        return "distance" in self.needs
+
+    def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
+        """Refuse names that mean nothing.
+
+        Raises:
+            InputError: As `Formula.check_names`.
+        """
+        self.formula.check_names(known)
+
+    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+        return self.vocabulary.at_points(self.formula, x, self._known(x, names))
+
+    def margins(self, x: np.ndarray, names: Names) -> list[np.ndarray]:
+        from fenicsx_obstacle.scenes.conditions import margins  # only where a search follows them
+
+        with np.errstate(all="ignore"):
+            return margins(self.vocabulary, self.formula, x, self._known(x, names))
+
+    def over(self, corners: np.ndarray, names: Names) -> Enclosed:
+        from fenicsx_obstacle.scenes.enclosures import Cells, OnCells  # only where bounds are asked for
+
+        return OnCells(Cells(self.vocabulary, corners, names.get("distance")), self.formula)
+
+    def because(self, point: np.ndarray, names: Names) -> str:
+        return self.vocabulary.infinite(self.formula, point, {key: names[key] for key in names if key != "distance"})
+
+    def expression(self, symbols: Symbols) -> Any:
+        from fenicsx_obstacle import releases  # only where there is an exact solution
+
+        alphabet, made = ufl_alphabet(), symbols.made.setdefault(id(self.vocabulary), {})
+        angle = releases.atan2(symbols.axes[1], symbols.axes[0])
+        values = dict(zip(COORDINATES, (*symbols.axes, symbols.radius, angle), strict=True))
+        names = {**CONSTANTS, **symbols.names, **values}
+        try:
+            for key, definition in self.vocabulary.define.items():  # others may hold what UFL cannot differentiate
+                if key in self.needs and key not in made:
+                    made[key] = definition.evaluate({**names, **made}, alphabet)
+            expression = self.formula.evaluate({**names, **made}, alphabet) + symbols.zero
+            if not releases.finite(expression):
+                raise ValueError("it holds an infinite number, or not a number")
+            return expression
+        except releases.UFL_ERRORS as error:
+            raise InputError(f"{self}: cannot be differentiated: {error}") from None
+
+    def _known(self, x: np.ndarray, names: Names) -> Names:
+        """The names with the distance of these points, where it is needed."""
+        if not self.needs_distance:
+            return names
+        return {**names, "distance": names["distance"](x.T)}

@@ -1,0 +1,114 @@
+"""From the [mesh] table of a scene to its mesh: a shape, a file, or the caller's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete import files, shapes
+from fenicsx_obstacle.discrete.grids import coarsest_grid
+from fenicsx_obstacle.discrete.levels import Level, of_mesh, of_pair, refined
+from fenicsx_obstacle.discrete.memory import check_memory
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.scenes.scene import Scene
+
+
+def build(scene: Scene, comm: MPI.Comm) -> Level:
+    """The scene's mesh, refined as often as it says (collective).
+
+    A shape begins with a coarser grid where that leads to the same vertices: the levels below serve multigrid.
+
+    Raises:
+        InputError: If the mesh needs more memory than there is, or its file cannot be read.
+    """
+    pair = scene.pair
+    level, refine = _begin(scene, comm)
+    for _ in range(refine):
+        dim = level.mesh.topology.dim
+        check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
+        level = refined(level)
+    return of_pair(level, pair)
+
+
+def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
+    """The level that `build` begins with (collective).
+
+    Raises:
+        InputError: As `build`.
+    """
+    level, _ = _begin(scene, comm)
+    return of_pair(level, scene.pair)
+
+
+def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
+    """The coarsest level, and how often to refine it."""
+    table, pair = scene.tables.mesh, scene.pair
+    refine = table.refine
+    if scene.mesh is not None:
+        level = of_mesh(releases.settle(scene.mesh), scene.source)
+    elif table.file is not None:
+        path = scene.folder / table.file
+        found = files.read(path, comm)
+        level = of_mesh(found.mesh, str(path), found.facets, found.groups)
+        level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
+    else:
+        shape = shape_of(scene)
+        dim = len(shape.cells)
+        unknowns = shape.vertices(2.0**refine * pair.degree)
+        check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
+        mesh, sides, h, halvings = coarsest_grid(shape, comm)
+        level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
+    try:
+        pair.rule(releases.cell_name(level.mesh))
+    except InputError as error:
+        raise InputError(f"{scene.source}: [solve] {error}") from None
+    if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
+        raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
+    return level, refine
+
+
+def shape_of(scene: Scene) -> shapes.Shape:
+    """The recipe that [mesh] names.
+
+    Raises:
+        InputError: If its corners or its radius make no domain, or it has no cells of the kind asked for.
+    """
+    table = scene.tables.mesh
+
+    def corner(axis: str) -> tuple[float, float]:
+        a, b = (scene.number(value, f"[mesh] {axis}") for value in getattr(table, axis))
+        place = f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]"
+        if not a < b:
+            raise InputError(f"{place}: the first end must be less than the second")
+        if not max(1e-14, 1e-13 * max(abs(a), abs(b))) < b - a < 1e150:
+            raise InputError(f"{place}: too near or too far for floating point; choose another unit or origin")
+        return a, b
+
+    match table.shape:
+        case "interval":
+            return shapes.box("interval", [corner("x")], table.cells)
+        case "rectangle":
+            cell = _cell(scene, "triangle", "quadrilateral")
+            return shapes.box(cell, [corner("x"), corner("y")], table.cells, table.diagonal, table.perturb)
+        case "box":
+            cell = _cell(scene, "tetrahedron", "hexahedron")
+            return shapes.box(cell, [corner("x"), corner("y"), corner("z")], table.cells, perturb=table.perturb)
+        case "l-shape":
+            return shapes.l_shape([corner("x"), corner("y")], table.cells)
+    radius = scene.number(table.radius, "[mesh] radius")
+    if radius <= 0:
+        raise InputError(f"{scene.source}: [mesh] radius = {radius:g}: must be positive")
+    return shapes.disk(radius, table.cells)
+
+
+def _cell(scene: Scene, *kinds: str) -> str:
+    """The kind of cell that [mesh] names, or else the first of these that the pair is for."""
+    asked = scene.tables.mesh.cell
+    if asked is None:
+        return next((kind for kind in kinds if kind in scene.pair.rules), kinds[0])
+    if asked not in kinds:
+        raise InputError(f"{scene.source}: [mesh] cell = '{asked}': this shape has {' or '.join(kinds)} cells")
+    return asked

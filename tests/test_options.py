@@ -1,0 +1,80 @@
+"""Options of a solve: checked without a scene, filled from its table [solve], and written back into it."""
+
+import sys
+from dataclasses import replace
+from subprocess import run
+
+import pytest
+from conftest import COMM, membrane
+
+from fenicsx_obstacle import InputError
+from fenicsx_obstacle.answers.choose import penalty_parameter
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
+
+WRONG = {
+    r"SolverOptions: eps = 0: must be positive and finite": {"eps": 0},
+    r"SolverOptions: eps = -h: must be positive and finite": {"eps": EpsFormula("-h", lambda h: -h)},
+    r"SolverOptions: eps = nan: is nan": {"eps": float("nan")},
+    r"SolverOptions: eps = 'h\^2': expected a number, an EpsFormula or 'auto'": {"eps": "h^2"},
+    r"SolverOptions: eps = None: expected a number, an EpsFormula or 'auto'": {"eps": None},
+    r"SolverOptions: method = 'Newton': expected penalty, successive or vi": {"method": "Newton"},
+    r"SolverOptions: start = 'warm': expected nested or cold": {"start": "warm"},
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_values_are_checked(message):
+    """What fits no key is refused, with the values that do."""
+    with pytest.raises(InputError, match=message):
+        SolverOptions(**WRONG[message])
+
+
+def test_eps_of_options():
+    """A number is absolute; a formula in h is divided by the largest tension, alike from a scene and without one."""
+    scene = membrane(upper=0.1, tension=4, define={"c": 2}).change({"mesh.cells": 8, "solve.eps": "c*h^2"})
+    problem = Workbench(scene, COMM).problem
+    h = problem.level.h
+    assert penalty_parameter(problem, scene.options) == pytest.approx(2 * h**2 / 4, rel=1e-14)
+    own = SolverOptions(eps=EpsFormula("2*h^2", lambda h: 2 * h**2))
+    assert penalty_parameter(problem, own) == penalty_parameter(problem, scene.options)
+    assert penalty_parameter(problem, SolverOptions()) == penalty_parameter(problem, scene.options_with(eps="h^2/100"))
+    assert penalty_parameter(problem, SolverOptions(eps=1e-3)) == 1e-3
+    assert penalty_parameter(problem, scene.options_with(eps="c/1000")) == 2e-3
+
+
+def test_answers_say_their_options():
+    """The scene of an answer has the options of the solve in [solve], and gives the same options when read anew."""
+    scene = membrane(upper=0.1, load=8, define={"c": 2}).change({"mesh.cells": 8, "solve.element": "P2"})
+    bench = Workbench(scene, COMM)
+    for options in (
+        replace(bench.options, eps=1e-4),
+        scene.options_with(eps="c*h", method="successive"),
+        SolverOptions("vi", start="cold"),
+        SolverOptions(),
+    ):
+        answer = bench.answer(options)
+        assert answer.scene.options == options and answer.record["method"] == options.method
+        assert answer.scene.tables == answer.scene.change({}).tables
+        assert answer.scene.change({}).options == options
+        assert answer.record["element"] == "P2" == answer.scene.tables.solve.element
+
+
+def test_a_new_number_checks_no_scene(monkeypatch):
+    """Another eps or method makes no scene anew."""
+    bench = Workbench(membrane(upper=0.1, load=8).change({"mesh.cells": 8}), COMM)
+    monkeypatch.setattr(Scene, "_fill", None)
+    for method in ("penalty", "vi"):
+        assert bench.answer(replace(bench.options, method=method, eps=1e-3)).record["converged"]
+
+
+@pytest.mark.serial
+def test_options_need_no_scene():
+    """Options are there without scenes."""
+    code = (
+        "import sys; sys.modules['fenicsx_obstacle.scenes'] = None\n"
+        "from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions\n"
+        "print(SolverOptions(eps=EpsFormula('h', lambda h: h)).formula.value(0.5))"
+    )
+    assert run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "0.5\n"
