@@ -793,11 +793,11 @@ def test_one_class_is_a_whole_effect():
         {"moving_load": {"force": force, "speed": 0}}, {"load": force}))  # fmt: skip
     for element in ("P1", "P1-voronoi"):  # Voronoi areas are for loads per area
         mine, theirs = (solve(scene, element=element).record for scene in (still, load))
-        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-12) and mine["speed"] == 0
+        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-9) and mine["speed"] == 0
     assert len(all_units(still, 1.0)) == 7
     there = Units("there", length=4.0, height=8.0, force=2.0)
-    other = solve(there.of(still)).u.x.array / there.height
-    assert largest(COMM, np.abs(other - solve(still).u.x.array)) < 1e-12
+    energy = solve(there.of(still)).record["energy"] / (there.force * there.height**2)
+    assert energy == pytest.approx(solve(still).record["energy"], rel=1e-9)
     with pytest.raises(InputError, match="moving_load does not go with inertia"):
         membrane(moving_load={"force": 1, "speed": 1}, inertia=1)
     moving = membrane(moving_load={"force": "-8*exp(-30*(x - 0.2)^2)", "speed": 0.6}, lower=-0.1,

@@ -19,24 +19,26 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest
 
-KNOWN = ("tension", "load")  # effects whose terms the bound has
 SHARP = 0.1  # of the largest value: what varies so much in a cell may jump there
 Fields = Callable[[np.ndarray | slice, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def tension_of(data: Data) -> Field:
-    """The value of the effect 'tension'."""
-    return data.model.elastic.value
+    """mu, of a scene that `refuse_no_bound` lets pass."""
+    tension = data.model.elastic.isotropic_tension
+    assert tension is not None
+    return tension
 
 
 def load_of(data: Data) -> Field | None:
-    """The value of the effect 'load', if there is one."""
-    return next((effect.value for effect in data.model.effects if effect.key == "load"), None)
+    """f, if there is a load per area; of several the first."""
+    return next((load for effect in data.model.effects if (load := effect.area_load) is not None), None)
 
 
 def other_effects(data: Data) -> list[Effect]:
-    """The effects besides tension and load."""
-    return [effect for effect in data.model.effects if effect.key not in KNOWN]
+    """The effects besides that tension and load."""
+    load = load_of(data)
+    return [e for e in data.model.effects if e.isotropic_tension is None and (load is None or e.area_load is not load)]
 
 
 def obstacles_of(data: Data) -> list[tuple[float, Field]]:
