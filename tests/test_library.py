@@ -70,7 +70,7 @@ def test_a_problem_from_fields_is_solved_and_bounded(element):
     assert largest(COMM, -0.1 - exact[problem.weights > 0]) <= 1e-12
     bound = Estimator(problem).bound()
     assert 0 < bound.relative < (0.4 if element == "P1" else 0.1)
-    assert bound.words == "certified on the polygon of the mesh"
+    assert bound.words.startswith("certified on the polygon of the mesh")
     for eps in (1e-3, 1e-6):
         problem.refer(problem.cold_start())
         solve_penalty(problem, eps)

@@ -167,8 +167,8 @@ class OfExpression(Field):
 
     everywhere = False
 
-    def __init__(self, expression: Any, source: str):
-        self.ufl, self.source, self.text = expression, source, str(expression)
+    def __init__(self, expression: Any, source: str, mesh: Any = None):
+        self.ufl, self.source, self.text, self._mesh = expression, source, str(expression), mesh
         if expression.ufl_shape != ():
             raise InputError(
                 f"{source} is an expression of shape {expression.ufl_shape}: expected one of one component"
@@ -182,23 +182,30 @@ class OfExpression(Field):
             raise InputError(
                 f"{self.source} is an expression on another mesh: interpolate it there, and give that Function"
             )
-        return self
+        return OfExpression(self.ufl, self.source, level.mesh)
 
     def at(self, x: np.ndarray, names: Names) -> np.ndarray:
         if self._sampled is None:
-            mesh = ufl.domain.extract_domains(self.ufl)[0].ufl_cargo()
-            sampled = fem.Function(releases.functionspace(mesh, "DG", 2))
-            sampled.interpolate(releases.expression(self.ufl, sampled.function_space))
+            assert self._mesh is not None  # `on` gives it
+            sampled = fem.Function(releases.functionspace(self._mesh, "DG", 2))
+            sampled.interpolate(releases.expression(self._on(self._mesh), sampled.function_space))
             self._sampled = OfFunction(sampled, self.source)
         return self._sampled.at(x, names)
 
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
         taken = fem.Function(V)
-        taken.interpolate(releases.expression(self.ufl, V))
+        taken.interpolate(releases.expression(self._on(V.mesh), V))
         return taken.x.array
 
     def expression(self, symbols: Symbols) -> Any:
         return self.ufl + symbols.zero
+
+    def _on(self, mesh: Any) -> Any:
+        """The expression with a domain, which one of numbers alone has not."""
+        if ufl.domain.extract_domains(self.ufl):
+            return self.ufl
+        x = ufl.SpatialCoordinate(mesh)
+        return self.ufl + (x[0] - x[0])
 
 
 def field(value: Any, source: str) -> Field:
