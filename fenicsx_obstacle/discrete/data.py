@@ -447,18 +447,20 @@ class Data:
     def _on_dofs(self, field: Field, dofs: np.ndarray) -> fem.Function:
         """A Function with the values of a datum at some local dofs, 0 elsewhere (collective)."""
         function = fem.Function(self.level.V)
-        function.x.array[dofs] = self._agreed(field, self.level.points[:, dofs])
+        function.x.array[dofs] = self._at_dofs(field, self.level.V, dofs)
         self.refuse_infinite(function, field)
         return function
 
     # sampling
 
-    def _agreed(self, field: Field, x: np.ndarray) -> np.ndarray:
-        """`at`, with an error of any rank on all (collective)."""
-        here, names = self.here(field), self.names(field)
+    def _at_dofs(self, field: Field, V: fem.FunctionSpace, dofs: np.ndarray) -> np.ndarray:
+        """Values of a datum at some local dofs (collective)."""
+        here, names, points = self.here(field), self.names(field), self._points(V)
+        if not field.everywhere:
+            return here.interpolate(V, points, names)[dofs]
         values = np.empty(0)
         with agree(self.level.comm):
-            values = here.at(x, names)
+            values = here.at(points[:, dofs], names)
         return values
 
     def _sample(self, function: fem.Function, field: Field, more: Names | None = None) -> None:
@@ -524,14 +526,14 @@ class Data:
 
     def _sample_materials(self, function: fem.Function, field: Field, parts: Mapping[str, Field]) -> None:
         """Each datum in the cells of its material: every cell must have one value (collective)."""
-        groups, comm, points = self.level.groups, self.level.comm, self._points(self.level.W)
+        groups, comm = self.level.groups, self.level.comm
         values, times = function.x.array, np.zeros(len(function.x.array), dtype=int)
         for name, part in parts.items():
             if name not in groups:
                 hint = nearest(name, groups) if groups else "; the mesh has no named groups of cells"
                 raise InputError(f"{field.source}: no material named '{name}'" + hint)
             inside = self.level.indicator(name)
-            values[inside] = self._agreed(part, points[:, inside])
+            values[inside] = self._at_dofs(part, self.level.W, inside)
             times += inside
         for name in groups:
             if total(comm, np.count_nonzero(self.level.indicator(name) & (times == 0))) > 0:
