@@ -8,6 +8,8 @@ command restrict it to them. A set takes about two minutes. Set OMP_NUM_THREADS=
 On the number of ranks of the reference all values are compared to 1e-9, relative. Values of round-off (the balance of
 forces, errors where the discrete solution is exact) need to agree to 1e-12 of what they are the round-off of: the
 field, the forces of the report. Moments of fields are integrals with cancellation: to 1e-9 of the field's norm.
+Iteration counts of the scene press are not compared: which of its symmetric nodes touches first in a step is decided
+by the last digit, and two runs on 2 ranks differ by 1 or 2 of 45 Newton steps.
 
 On other numbers of ranks, such as 3, the reference is that of 1 rank, and 1e-9 is 1e-6: dofs are numbered and sums are
 taken in another order, solvers stop at unbalanced forces of 1e-10 of the acting ones, and stiffness and 1/eps amplify
@@ -99,6 +101,8 @@ def _rounded(value: Any) -> Any:
 def differences(name: str, old: dict[str, Any], new: dict[str, Any], same_ranks: bool) -> Iterator[str]:
     """A line for each value that is missing, new, or differs."""
     for key in sorted({*old, *new}):
+        if name.split("/")[1] == "press" and key.startswith(PARTITIONED):
+            continue
         if not same_ranks and (key.startswith(PARTITIONED) or ("biactive" in name and key.startswith("contact."))):
             continue
         if key not in old or key not in new:
