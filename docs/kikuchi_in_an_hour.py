@@ -32,7 +32,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene, contact_pressure, penalty, solve, solve_form, study
 from fenicsx_obstacle.accuracy.stability import Stability
-from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.show.figures import COLOURS
 
 COMM = MPI.COMM_WORLD
@@ -216,7 +216,7 @@ keep(page, "3_h")
 def stability(name, n):
     """The constants of a pair on n x n squares, or these cut into triangles."""
     scene = Scene(mesh={"shape": "rectangle", "cells": n}, tension=1).change({"solve.element": name})
-    level = levels.build(scene, COMM)
+    level = meshes.build(scene, COMM)
     return Stability(level.mesh, level.pair)
 
 

@@ -139,8 +139,8 @@ def test_obstacles_that_cannot_be_taken():
         (lambda: 0.3, r"the callable takes x of shape \(3, n\).*TypeError"),
         (lambda x: x, "the callable takes x of shape"),
         (lambda x: "high", "the callable takes x of shape"),
-        (lambda x: np.nan * x[0], "upper is not a finite number"),
-        (float("nan"), "upper is not a finite number"),
+        (lambda x: np.nan * x[0], "upper = <lambda>: is not a finite number"),
+        (float("nan"), "upper = nan: is not a finite number"),
     ]
     for g, message in cases:
         with pytest.raises(InputError, match=message):

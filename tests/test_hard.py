@@ -16,8 +16,8 @@ from fenicsx_obstacle.accuracy.invariants import beside_inequality, falling, of_
 from fenicsx_obstacle.accuracy.solved import Ground
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.scenes.hard import FOLDER, Case, case, cases, named
+from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import smallest_eps
-from fenicsx_obstacle.solvers.snes import defaults
 from fenicsx_obstacle.studies.hard.judge import METHODS, judge, take
 from fenicsx_obstacle.studies.hard.ranks import agree_on, fields_of
 from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT

@@ -9,8 +9,8 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.hard import case
+from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import solve_penalty
-from fenicsx_obstacle.solvers.snes import defaults
 from fenicsx_obstacle.studies.theory.iteration import (
     COLD,
     CYCLE,

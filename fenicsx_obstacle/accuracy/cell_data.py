@@ -13,7 +13,8 @@ from fenicsx_obstacle.accuracy.exactness import Known, in_cells, number
 from fenicsx_obstacle.accuracy.quadrature import DEGREE, rule
 from fenicsx_obstacle.accuracy.rt1 import quadratics
 from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
-from fenicsx_obstacle.discrete.data import Data, array_of
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.fields import array_of
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError

@@ -274,7 +274,7 @@ class Answer:
         """
         from fenicsx_obstacle.answers.folder import read
 
-        return read(Path(folder), comm)
+        return read(cls, Path(folder), comm)
 
     @checked()
     def plot(self, path: str | Path | None = None) -> Picture:

@@ -8,19 +8,23 @@ Q_h where they are not nodal, cell by cell.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf_mesh
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.levels import Level, of_pair
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.parallel import gathered
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.answer import Answer
+
 
 OWN_MESH = ("element.xdmf", "element.h5")  # a mesh of the caller's own, where fields.xdmf has cut cells
 OF_Q = ("pressure", "contact")  # fields of Q_h, the others are of V_h

@@ -15,7 +15,6 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.element import OWN_MESH, element_of, mesh_of, own_mesh, restored
 from fenicsx_obstacle.answers.paraview import FRAMES, to_hdf5, xdmf
 from fenicsx_obstacle.errors import InputError
@@ -25,6 +24,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
 if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.answer import Answer
     from fenicsx_obstacle.answers.course import Course
 
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
@@ -66,8 +66,8 @@ def save(answer: Answer, folder: Path) -> None:
         on_root(comm, write)
 
 
-def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
-    """Read an answer (collective)."""
+def read(kind: type[Answer], folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
+    """Read an answer, of this class (collective)."""
 
     def load() -> tuple[dict[str, Any], dict[str, np.ndarray], dict[str, np.ndarray], tuple[Step, ...], Course | None]:
         if folder.is_file():
@@ -101,7 +101,7 @@ def read(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
         fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)
     except InputError as error:
         raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-    answer = Answer(
+    answer = kind(
         scene, level, fields["u"], fields["pressure"], fields["contact"],
         fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
     )  # fmt: skip

@@ -8,18 +8,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import permutations, product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.duality import at_nodes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.parents import numbers
 from fenicsx_obstacle.parallel import before
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.answer import Answer
+
 
 _SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from math import factorial
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import ufl
@@ -15,9 +15,10 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, volumes
+from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model, Part
-from fenicsx_obstacle.effects.field import Field, Names
+from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
@@ -27,16 +28,9 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.motion import Moment, Motion
     from fenicsx_obstacle.discrete.parts import Facets, Parts
 
-Cellwise: TypeAlias = fem.Function | fem.Constant
 Sampled = TypeVar("Sampled", bound=Cellwise)
-Rows: TypeAlias = tuple[tuple[Field, ...], ...]
 STEEP = 3.0  # quadratics through positive values stay positive up to 4 on triangles, 4.5 on squares, 3.09 on cubes
 INWARD = 1e-6  # of the way to the middle of the cell
-
-
-def array_of(function: Cellwise) -> np.ndarray:
-    """Values at local dofs, or the one there is."""
-    return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
 
 
 def _flatten_jumps(tension: fem.Function) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import numbers
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import ufl
@@ -25,6 +25,14 @@ if TYPE_CHECKING:
 
 EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x as Function.interpolate takes it, or a \
 dict of these by the names of cells"
+
+
+Cellwise: TypeAlias = fem.Function | fem.Constant  # a datum in cells, as forms take it
+
+
+def array_of(function: Cellwise) -> np.ndarray:
+    """Values at local dofs, or the one there is."""
+    return np.atleast_1d(function.value) if isinstance(function, fem.Constant) else function.x.array
 
 
 class Symbols:

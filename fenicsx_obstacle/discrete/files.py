@@ -17,7 +17,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import cell_facets, facet_vertices, own_cells
-from fenicsx_obstacle.discrete.meshing import Arrays
+from fenicsx_obstacle.discrete.gmsh_model import Arrays
 from fenicsx_obstacle.discrete.soundness import refuse_unsound
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.data import Data, array_of
+from fenicsx_obstacle.discrete.fields import array_of
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.parallel import largest
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.data import Data
+
 
 LEAK = 0.1  # of what flows out of a patch of cells: less that flows in is due to where its midpoints are
 

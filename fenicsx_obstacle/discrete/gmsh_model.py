@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.meshing import Arrays
 from fenicsx_obstacle.discrete.soundness import place, refuse_unsound
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.words import counted
@@ -16,6 +16,33 @@ from fenicsx_obstacle.words import counted
 _LINEAR = {0: 15, 1: 1, 2: 2, 3: 4}  # Gmsh's numbers of points, straight lines, triangles, tetrahedra
 _KINDS = ("point", "curve", "surface", "volume")
 _LISTED = 5  # entities in a message
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """A mesh as arrays.
+
+    Attributes:
+        points: Coordinates, shape (points, gdim); each is a vertex of a cell.
+        cells: Rows of `points`, shape (cells, dim + 1).
+        materials: Names of the groups of cells.
+        cell_material: Row of `materials` of each cell; empty without materials.
+        parts: Names of the groups of facets.
+        facets: Rows of `points` of each facet in a group, shape (facets, dim).
+        facet_part: Row of `parts` of each of these facets.
+        straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
+        remarks: What the user should know of the file.
+    """
+
+    points: np.ndarray
+    cells: np.ndarray
+    materials: tuple[str, ...]
+    cell_material: np.ndarray
+    parts: tuple[str, ...]
+    facets: np.ndarray
+    facet_part: np.ndarray
+    straight: bool | None
+    remarks: tuple[str, ...]
 
 
 def arrays_of(model: Any) -> Arrays:

@@ -8,7 +8,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, duals
-from fenicsx_obstacle.discrete.data import Cellwise
+from fenicsx_obstacle.discrete.fields import Cellwise
 
 CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 _DEGREE = {2: {1: 0, 2: 1, 3: 2}, 3: {1: 0, 3: 1, 6: 2}, 4: {1: 0, 4: 1, 10: 2}}  # by vertices and dofs of a cell

@@ -10,41 +10,14 @@ import json
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, straight
 from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
-
-
-@dataclass(frozen=True)
-class Arrays:
-    """A mesh as arrays.
-
-    Attributes:
-        points: Coordinates, shape (points, gdim); each is a vertex of a cell.
-        cells: Rows of `points`, shape (cells, dim + 1).
-        materials: Names of the groups of cells.
-        cell_material: Row of `materials` of each cell; empty without materials.
-        parts: Names of the groups of facets.
-        facets: Rows of `points` of each facet in a group, shape (facets, dim).
-        facet_part: Row of `parts` of each of these facets.
-        straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
-        remarks: What the user should know of the file.
-    """
-
-    points: np.ndarray
-    cells: np.ndarray
-    materials: tuple[str, ...]
-    cell_material: np.ndarray
-    parts: tuple[str, ...]
-    facets: np.ndarray
-    facet_part: np.ndarray
-    straight: bool | None
-    remarks: tuple[str, ...]
 
 
 def load(path: Path) -> Arrays:
@@ -77,8 +50,6 @@ def load(path: Path) -> Arrays:
 
 def _run(source: str, target: str) -> int:
     import gmsh
-
-    from fenicsx_obstacle.discrete.gmsh_model import arrays_of, straight
 
     gmsh.initialize([], False)
     gmsh.option.setNumber("General.Terminal", 0)

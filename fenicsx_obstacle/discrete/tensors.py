@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from fenicsx_obstacle.discrete.data import Data, Rows
+from fenicsx_obstacle.effects.field import Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.words import counted
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.data import Data
+
 
 ROUND_OFF = 1e-10  # of the entries
 

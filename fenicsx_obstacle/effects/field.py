@@ -163,3 +163,6 @@ def fields_in(data: Iterable[Any]) -> list[Field]:
         elif isinstance(part, tuple | list):
             found += fields_in(part)
     return found
+
+
+Rows = tuple[tuple[Field, ...], ...]  # of a matrix

@@ -5,11 +5,10 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
@@ -20,6 +19,10 @@ from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, draw_plan, strokes, trian
 from fenicsx_obstacle.show.simplices import Patch, patch_of, rims, zero
 from fenicsx_obstacle.show.space import draw_view
 from fenicsx_obstacle.words import title_of
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.answer import Answer
+
 
 MAX_DRAWN = 1e150  # matplotlib squares what it draws
 PRESSURE = "contact pressure p"

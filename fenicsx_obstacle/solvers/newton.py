@@ -14,9 +14,10 @@ import numpy as np
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.solvers.linear import user_has_set
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.shrinking import Shrinking
-from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
+from fenicsx_obstacle.solvers.snes import Outcome, require, run
 from fenicsx_obstacle.solvers.stopping import GREW, TOLERANCE, TOO_MANY, Stopping, Watch
 
 NEWTON = {

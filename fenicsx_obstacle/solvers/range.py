@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from petsc4py import PETSc
 
@@ -11,6 +13,7 @@ from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults
 from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
 
 NEAR = 1e-8  # of the values of the data: not beyond them
@@ -163,17 +166,14 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
 
 def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:
     """Solve A x = b; whether that was possible (collective)."""
-    from fenicsx_obstacle.solvers.snes import DIRECT, GENERAL, LARGEST, defaults
-
     for options in (GENERAL, DIRECT) if problem.level.dofs <= LARGEST else (GENERAL,):
         ksp = PETSc.KSP().create(problem.level.comm)
         ksp.setOperators(problem.A)
         ksp.setOptionsPrefix("sensitivity_")
         with defaults("sensitivity_", {**options, "ksp_rtol": 1e-4}):
             ksp.setFromOptions()
-        ksp.solve(b, x)
-        reason = ksp.getConvergedReason()
+        solved = attempt(partial(ksp.solve, b, x)) and ksp.getConvergedReason() > 0
         ksp.destroy()
-        if reason > 0:
+        if solved:
             return True
     return False

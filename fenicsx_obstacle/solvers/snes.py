@@ -15,30 +15,14 @@ from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.solvers.inexact import Inexact
+from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, INEXACT, LARGEST, LINEAR, attempt, defaults, user_has_set
 from fenicsx_obstacle.solvers.meaning import determined, stiffness_of
-from fenicsx_obstacle.solvers.multigrid import SMOOTHER, Multigrid, OnInactive
+from fenicsx_obstacle.solvers.multigrid import Multigrid, OnInactive
 from fenicsx_obstacle.solvers.range import complaint
 from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
 
 _log = logging.getLogger(__name__)
-LARGEST = 200_000  # unknowns for a direct solver
-LINEAR = {
-    "ksp_type": "cg",
-    "ksp_norm_type": "natural",  # the energy norm: independent of eps and of units
-    "ksp_rtol": 1e-10,
-    "ksp_atol": 0.0,  # PETSc's 1e-50 is a force or an energy in somebody's units
-    "ksp_max_it": 500,
-    "pc_type": "hypre",
-    "pc_hypre_type": "boomeramg",
-}
-DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_norm_type": "preconditioned"}  # without symmetry
-INEXACT = {
-    "ksp_type": "cg",
-    "ksp_norm_type": "unpreconditioned",  # the others apply the cycle once more
-    "ksp_max_it": 500,
-    **SMOOTHER,
-}
+_locked: list[Any] = []  # what PETSc was using when a library of it gave up cannot be destroyed
 
 
 @dataclass(frozen=True)
@@ -132,14 +116,18 @@ def run(
         if multigrid is not None:
             snes.ksp.setConvergenceTest(Inexact(stopping))
         snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
-        snes.solve(None, x)
+        finished = attempt(lambda: snes.solve(None, x))
     problem.take(x)
+    reason = snes.getConvergedReason() if finished else PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
-        time.perf_counter() - start, snes.getConvergedReason(), stopping.blunt, stopping.before,
+        time.perf_counter() - start, reason, stopping.blunt, stopping.before,
     )  # fmt: skip
-    for owner in (snes, x, residual):
-        owner.destroy()
+    if finished:
+        for owner in (snes, x, residual):
+            owner.destroy()
+    else:
+        _locked.append((snes, x, residual))
     failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
     if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{name}_{key}") for key in LINEAR):
         _log.info("a linear system could not be solved by iteration; a direct solver goes on")
@@ -174,24 +162,3 @@ def require(outcome: Outcome, problem: Problem, eps: float | None, tolerance: fl
         if found is not None:
             raise NotConverged(outcome.solver, found, outcome.iterations, eps=None, h=problem.level.h)
     return outcome
-
-
-class defaults:
-    """Options that hold unless the user has set them, and are gone afterwards."""
-
-    def __init__(self, prefix: str, options: Mapping[str, Any]):
-        self.database = PETSc.Options()
-        self.values = {prefix + key: value for key, value in options.items() if not self.database.hasName(prefix + key)}
-
-    def __enter__(self) -> None:
-        for key, value in self.values.items():
-            self.database[key] = value
-
-    def __exit__(self, *error: object) -> None:
-        for key in self.values:
-            self.database.delValue(key)
-
-
-def user_has_set(option: str) -> bool:
-    """Whether the user's PETSc options name this one."""
-    return bool(PETSc.Options().hasName(option))

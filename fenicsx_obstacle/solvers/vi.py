@@ -10,9 +10,10 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.solvers.linear import user_has_set
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
-from fenicsx_obstacle.solvers.snes import Outcome, require, run, user_has_set
+from fenicsx_obstacle.solvers.snes import Outcome, require, run
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping, Watch
 
 # without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function

@@ -23,7 +23,7 @@ from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.snes import defaults
+from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.studies.processes import tell
 
 

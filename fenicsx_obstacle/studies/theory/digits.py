@@ -11,8 +11,8 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.solvers.linear import DIRECT, defaults
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
-from fenicsx_obstacle.solvers.snes import DIRECT, defaults
 from fenicsx_obstacle.studies.theory.samples import sample
 from fenicsx_obstacle.studies.theory.statement import Curve, Found, Panel, check, constant, rate, statement
 

@@ -18,8 +18,8 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import solve_penalty
-from fenicsx_obstacle.solvers.snes import defaults
 from fenicsx_obstacle.solvers.stopping import Step
 from fenicsx_obstacle.studies.theory.samples import Small, sample
 from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Panel, check, constant, rate, statement

@@ -15,7 +15,7 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.snes import DIRECT, defaults
+from fenicsx_obstacle.solvers.linear import DIRECT, defaults
 from fenicsx_obstacle.studies.theory.samples import sample
 from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Panel, check, constant, statement
 

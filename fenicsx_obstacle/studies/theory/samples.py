@@ -44,7 +44,7 @@ class Small:
         n = len(self.b)
         self.level = SimpleNamespace(comm=MPI.COMM_SELF, owned=n, h=1.0, pair=P1)
         self.w, self.reference, values = (SimpleNamespace(x=SimpleNamespace(array=np.zeros(n))) for _ in range(3))
-        self.scene = SimpleNamespace(effects=(), time=None)
+        self.model = SimpleNamespace(effects=(), time=None)
         self.data = SimpleNamespace(fixed=(np.empty(0, dtype=np.int32), values))
         self.eps = SimpleNamespace(value=1.0)
         self.fixed, self.weights = np.zeros(n, dtype=bool), np.ones(n)

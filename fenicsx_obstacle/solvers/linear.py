@@ -1,0 +1,72 @@
+"""Linear systems: PETSc options by default, which the user's own override."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from petsc4py import PETSc
+
+from fenicsx_obstacle.solvers.multigrid import SMOOTHER
+
+IN_LIBRARY = 76  # PETSC_ERR_LIB
+LARGEST = 200_000  # unknowns for a direct solver
+LINEAR = {
+    "ksp_type": "cg",
+    "ksp_norm_type": "natural",  # the energy norm: independent of eps and of units
+    "ksp_rtol": 1e-10,
+    "ksp_atol": 0.0,  # PETSc's 1e-50 is a force or an energy in somebody's units
+    "ksp_max_it": 500,
+    "pc_type": "hypre",
+    "pc_hypre_type": "boomeramg",
+}
+DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_norm_type": "preconditioned"}  # without symmetry
+INEXACT = {
+    "ksp_type": "cg",
+    "ksp_norm_type": "unpreconditioned",  # the others apply the cycle once more
+    "ksp_max_it": 500,
+    **SMOOTHER,
+}
+
+
+def attempt(solve: Callable[[], object]) -> bool:
+    """Let PETSc solve; whether hypre let it finish (collective: what hypre gives up for is seen by all ranks).
+
+    BoomerAMG raises where its matrix or vectors overflow, and from then on at every call in this process, since its
+    error flag stays. Without the flag the next solve is as good as the first.
+
+    Raises:
+        PETSc.Error: Any other error.
+    """
+    try:
+        solve()
+    except PETSc.Error as error:
+        hypre = ctypes.CDLL(PETSc.__file__)  # with all libraries that PETSc is linked to
+        if error.ierr != IN_LIBRARY or not hasattr(hypre, "HYPRE_ClearAllErrors"):
+            raise
+        hypre.HYPRE_ClearAllErrors()
+        return False
+    return True
+
+
+class defaults:
+    """Options that hold unless the user has set them, and are gone afterwards."""
+
+    def __init__(self, prefix: str, options: Mapping[str, Any]):
+        self.database = PETSc.Options()
+        self.values = {prefix + key: value for key, value in options.items() if not self.database.hasName(prefix + key)}
+
+    def __enter__(self) -> None:
+        for key, value in self.values.items():
+            self.database[key] = value
+
+    def __exit__(self, *error: object) -> None:
+        for key in self.values:
+            self.database.delValue(key)
+
+
+def user_has_set(option: str) -> bool:
+    """Whether the user's PETSc options name this one."""
+    return bool(PETSc.Options().hasName(option))
