@@ -18,9 +18,9 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
-from fenicsx_obstacle.accuracy.bound import Estimator
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.estimation.bound import Estimator
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 

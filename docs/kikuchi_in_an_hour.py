@@ -31,7 +31,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene, contact_pressure, penalty, solve, solve_form, study
-from fenicsx_obstacle.accuracy.stability import Stability
+from fenicsx_obstacle.estimation.stability import Stability
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.show.figures import COLOURS
 

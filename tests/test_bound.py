@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.accuracy.bound import Bound
-from fenicsx_obstacle.accuracy.triangles import halved_rule
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.bound import Bound
+from fenicsx_obstacle.estimation.triangles import halved_rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
 from fenicsx_obstacle.scenes import catalogue

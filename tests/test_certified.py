@@ -10,9 +10,9 @@ from mpi4py import MPI
 from test_bound import distance
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.accuracy.standing import Standing
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.points import values_at
+from fenicsx_obstacle.estimation.standing import Standing
 
 SQUARE = {"shape": "rectangle", "cells": 8}
 AROUND = {"shape": "rectangle", "x": [-1, 1], "y": [-1, 1], "cells": 8}

@@ -7,12 +7,12 @@ import pytest
 from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.studies.truth import ExactTruth

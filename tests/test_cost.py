@@ -11,7 +11,7 @@ from test_cli import CLEAN, run
 from test_rows import kill
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.accuracy.truth import contact_truth
+from fenicsx_obstacle.estimation.truth import contact_truth
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.studies import cost, price

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.accuracy import polynomials
+from fenicsx_obstacle.estimation import polynomials
 from fenicsx_obstacle.scenes.enclosures import Cells
 
 SCENE = membrane(load=1).change({"mesh.cells": 1})

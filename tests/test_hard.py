@@ -12,9 +12,9 @@ from mpi4py import MPI
 from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError, solve
-from fenicsx_obstacle.accuracy.invariants import beside_inequality, falling, of_one, same, violated
-from fenicsx_obstacle.accuracy.solved import Ground
 from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.estimation.invariants import beside_inequality, falling, of_one, same, violated
+from fenicsx_obstacle.estimation.solved import Ground
 from fenicsx_obstacle.scenes.hard import FOLDER, Case, case, cases, named
 from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import smallest_eps

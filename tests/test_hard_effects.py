@@ -9,10 +9,10 @@ from conftest import COMM, membrane, slow_except
 from mpi4py import MPI
 
 from fenicsx_obstacle import solve
-from fenicsx_obstacle.accuracy.invariants import beside_inequality, of_one, same, violated
-from fenicsx_obstacle.accuracy.solved import Ground
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.effects.effect import known
+from fenicsx_obstacle.estimation.invariants import beside_inequality, of_one, same, violated
+from fenicsx_obstacle.estimation.solved import Ground
 from fenicsx_obstacle.scenes.hard import case, cases
 from fenicsx_obstacle.studies.hard.judge import judge, take
 from fenicsx_obstacle.studies.hard.ranks import agree_on, fields_of

@@ -8,11 +8,11 @@ from conftest import COMM, DEMOS, membrane, slow_except
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.accuracy import rt1
-from fenicsx_obstacle.accuracy.contact import touching
-from fenicsx_obstacle.accuracy.triangles import lattice
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.estimation import rt1
+from fenicsx_obstacle.estimation.contact import touching
+from fenicsx_obstacle.estimation.triangles import lattice
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes import catalogue
 

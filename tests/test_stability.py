@@ -8,7 +8,7 @@ import pytest
 from conftest import COMM
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.accuracy.stability import Stability
+from fenicsx_obstacle.estimation.stability import Stability
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.studies.theory.statement import slope

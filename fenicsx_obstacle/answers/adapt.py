@@ -25,7 +25,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.accuracy.bound import Bound
+    from fenicsx_obstacle.estimation.bound import Bound
 
 _log = logging.getLogger(__name__)
 BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few

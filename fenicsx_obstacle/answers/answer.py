@@ -21,10 +21,10 @@ from fenicsx_obstacle.words import counted, shown, title_of
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from fenicsx_obstacle.accuracy.bound import Bound
     from fenicsx_obstacle.answers.course import Course
     from fenicsx_obstacle.answers.linear import Cut
     from fenicsx_obstacle.discrete.levels import Level
+    from fenicsx_obstacle.estimation.bound import Bound
     from fenicsx_obstacle.show.pictures import Picture
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenicsx_obstacle.accuracy.contact import Contact, contact_of
 from fenicsx_obstacle.answers.given import check_form, conditions, obstacle, penalty_parameter
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import of_space
@@ -17,6 +16,7 @@ from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.contact import Contact, contact_of
 from fenicsx_obstacle.parallel import smallest
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.stopping import Step

@@ -12,7 +12,6 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.answers.paraview import to_hdf5
@@ -22,6 +21,7 @@ from fenicsx_obstacle.discrete.inside import values, values_and_slopes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, new_files, on_root, total
 from fenicsx_obstacle.releases import cell_name

@@ -14,7 +14,6 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.norms import Exact
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.choose import Method, chain, method_of, nested, stepwise
 from fenicsx_obstacle.answers.figures import figures_of, with_errors
@@ -24,6 +23,7 @@ from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.parallel import largest, peak_memory_mb
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
@@ -36,9 +36,9 @@ from fenicsx_obstacle.solvers.stopping import Watch
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.accuracy.bound import Bound, Estimator
     from fenicsx_obstacle.answers.course import Course
     from fenicsx_obstacle.answers.march import March
+    from fenicsx_obstacle.estimation.bound import Bound, Estimator
     from fenicsx_obstacle.scenes.functionals import Report
 
 _log = logging.getLogger(__name__)
@@ -121,7 +121,7 @@ class Workbench:
             InputError: If there are none for its elements.
         """
         if self._estimator is None:
-            from fenicsx_obstacle.accuracy.bound import Estimator  # only where it is asked for
+            from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
 
             self._estimator = Estimator(self.problem)
             if self.problem.affine:

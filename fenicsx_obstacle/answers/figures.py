@@ -9,11 +9,11 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.norms import Exact
-from fenicsx_obstacle.accuracy.round_off import round_off
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.norms import Exact
+from fenicsx_obstacle.estimation.round_off import round_off
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
@@ -47,7 +47,7 @@ def figures_of(
     if level.remarks:
         figures["mesh_remarks"] = list(level.remarks)
     if _may_jump(problem):
-        from fenicsx_obstacle.accuracy.edges import boundary_jump  # only where a scene has such values
+        from fenicsx_obstacle.estimation.edges import boundary_jump  # only where a scene has such values
 
         if (jump := boundary_jump(problem.data)) is not None:
             figures["boundary_jump"] = jump

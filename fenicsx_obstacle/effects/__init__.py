@@ -2,6 +2,6 @@
 
 Each effect is a file: `domain/KEY.py` for a key of [effects], `boundary/KEY.py` for one of [[boundary]].
 
-Enters: terms, energies, flags, the reading of their data. Stays out: meshes and formulas, which a Sampler turns into
-Functions; the obstacle, which is a constraint and no effect.
+Enters: terms, energies, flags, the reading of their data, which are Fields. Stays out: meshes, on which a Sampler turns
+Fields into Functions; the obstacle, which is a constraint and no effect.
 """

@@ -1,5 +1,5 @@
-"""Reading a scene: TOML tables, formulas and the shapes of domains.
+"""Scenes, from TOML or Python: tables, formulas and catalogues, from which models and meshes are made.
 
-Enters: what can be known and refused before a mesh exists, with the place in the file. Stays out: DOLFINx and PETSc, so
-that a mistake in a scene is told at once.
+Enters: what can be known and refused before a mesh exists, with the place in the file; meshes from [mesh], figures of
+[report]. Reading a scene imports neither DOLFINx nor PETSc, so that a mistake in it is told at once.
 """

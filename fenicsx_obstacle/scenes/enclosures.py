@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy import polynomials
+from fenicsx_obstacle.estimation import polynomials
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.intervals import Enclosure
 from fenicsx_obstacle.scenes.tree_walk import TreeWalk, Truth

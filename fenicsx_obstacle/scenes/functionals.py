@@ -15,12 +15,12 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.quadrature import blocks, rule
-from fenicsx_obstacle.accuracy.supports import NormalFlux
 from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.supports import NormalFlux
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
 from fenicsx_obstacle.scenes.report import NORMAL_FLUX

@@ -33,7 +33,7 @@ from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.words import nearest, shown
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.accuracy.norms import ExactSolution
+    from fenicsx_obstacle.estimation.norms import ExactSolution
 
 MAX_OPERATIONS = 5000  # of an exact solution: it is differentiated and compiled
 RESERVED = {
@@ -199,7 +199,7 @@ class Scene(Vocabulary):
         table = self.tables.exact
         if table is None:
             return None
-        from fenicsx_obstacle.accuracy.norms import ExactSolution  # reading a scene imports no finite elements
+        from fenicsx_obstacle.estimation.norms import ExactSolution  # reading a scene imports no finite elements
 
         pressure = None if table.pressure is None else self.field(table.pressure, "[exact] pressure")
         return ExactSolution(self.field(table.u, "[exact] u"), pressure)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy import polynomials
+from fenicsx_obstacle.estimation import polynomials
 from fenicsx_obstacle.scenes import intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.bound import Bound
+from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.parallel import gathered, on_root
 from fenicsx_obstacle.show.figures import figure, save
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
@@ -24,6 +23,7 @@ from fenicsx_obstacle.answers.changes import changed
 from fenicsx_obstacle.answers.choose import penalty_parameter
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.norms import Distance, Exact
-from fenicsx_obstacle.accuracy.truth import contact_truth
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.estimation.norms import Distance, Exact
+from fenicsx_obstacle.estimation.truth import contact_truth
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.invariants import Finding, beside_inequality, falling, of_one, same, violated
-from fenicsx_obstacle.accuracy.solved import EPSILON, Ground, Solved
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.estimation.invariants import Finding, beside_inequality, falling, of_one, same, violated
+from fenicsx_obstacle.estimation.solved import EPSILON, Ground, Solved
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty

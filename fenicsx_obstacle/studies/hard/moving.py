@@ -9,13 +9,13 @@ from contextlib import closing
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.invariants import Finding, of_one, violated
-from fenicsx_obstacle.accuracy.solved import Ground, Solved
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.moments import INERTIA
 from fenicsx_obstacle.effects.field import fields_in
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.estimation.invariants import Finding, of_one, violated
+from fenicsx_obstacle.estimation.solved import Ground, Solved
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure

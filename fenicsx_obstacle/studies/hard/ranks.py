@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.invariants import Finding, energy_round_off
-from fenicsx_obstacle.accuracy.solved import Ground
 from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.estimation.invariants import Finding, energy_round_off
+from fenicsx_obstacle.estimation.solved import Ground
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors, gathered
 from fenicsx_obstacle.scenes.hard import case
 from fenicsx_obstacle.scenes.scene import Scene

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from fenicsx_obstacle.accuracy.invariants import Finding
+from fenicsx_obstacle.estimation.invariants import Finding
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.invariants import violated
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.invariants import violated
 from fenicsx_obstacle.scenes.hard import Case
 from fenicsx_obstacle.studies.hard.judge import METHODS, TRIAL
 from fenicsx_obstacle.studies.hard.ranks import agree_on

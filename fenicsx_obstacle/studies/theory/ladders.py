@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.scenes.catalogue import scene
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.norms import Distance
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.linear import DIRECT, defaults

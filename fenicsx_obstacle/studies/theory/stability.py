@@ -10,7 +10,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.stability import Stability
+from fenicsx_obstacle.estimation.stability import Stability
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene

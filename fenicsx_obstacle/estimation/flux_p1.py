@@ -20,10 +20,10 @@ import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.cell_data import Load, of_solver, other_effects, tension_of
-from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous, with_ghosts
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.estimation.cell_data import Load, of_solver, other_effects, tension_of
+from fenicsx_obstacle.estimation.fans import Fans
+from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
 from fenicsx_obstacle.parallel import total
 
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches

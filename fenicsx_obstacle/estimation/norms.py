@@ -13,7 +13,6 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.quadrature import DEGREE
 from fenicsx_obstacle.discrete.data import Data, Weighted
 from fenicsx_obstacle.discrete.fields import Symbols
 from fenicsx_obstacle.discrete.model import Model
@@ -21,6 +20,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Sampler, residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.quadrature import DEGREE
 from fenicsx_obstacle.parallel import largest, total
 
 

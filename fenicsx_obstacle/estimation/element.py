@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.cell_data import Tension
-from fenicsx_obstacle.accuracy.flux_p1 import EquilibrationP1, FluxP1
-from fenicsx_obstacle.accuracy.flux_p2 import EquilibrationP2, FluxP2
-from fenicsx_obstacle.accuracy.rim import Rim
-from fenicsx_obstacle.accuracy.standing import Obstacle
+from fenicsx_obstacle.estimation.cell_data import Tension
+from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
+from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
+from fenicsx_obstacle.estimation.rim import Rim
+from fenicsx_obstacle.estimation.standing import Obstacle
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.triangles import Triangles
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import largest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,

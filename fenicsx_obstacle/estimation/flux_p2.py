@@ -19,12 +19,12 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.cell_data import Load, of_solver, tension_of
-from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.quadrature import rule
-from fenicsx_obstacle.accuracy.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
-from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous, with_ghosts
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
+from fenicsx_obstacle.estimation.fans import Fans
+from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
+from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.edges import cut_parts
-from fenicsx_obstacle.accuracy.exactness import Known
-from fenicsx_obstacle.accuracy.rim import Rim
-from fenicsx_obstacle.accuracy.triangles import Triangles
+from fenicsx_obstacle.estimation.edges import cut_parts
+from fenicsx_obstacle.estimation.exactness import Known
+from fenicsx_obstacle.estimation.rim import Rim
+from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import total
 
 UNTRUSTED = 10.0  # times the bound: if the load could add so much between its samples they say nothing

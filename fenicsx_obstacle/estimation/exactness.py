@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy import polynomials
-from fenicsx_obstacle.accuracy.quadrature import blocks
-from fenicsx_obstacle.accuracy.triangles import Triangles
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Field
+from fenicsx_obstacle.estimation import polynomials
+from fenicsx_obstacle.estimation.quadrature import blocks
+from fenicsx_obstacle.estimation.triangles import Triangles
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.quadrature import blocks, rule
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
 
 
 class Triangles:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.cell_data import obstacles_of
-from fenicsx_obstacle.accuracy.element import Element, Terms
-from fenicsx_obstacle.accuracy.flux_p1 import EquilibrationP1, FluxP1
-from fenicsx_obstacle.accuracy.peaks import Peaks
-from fenicsx_obstacle.accuracy.triangles import Triangles
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.cell_data import obstacles_of
+from fenicsx_obstacle.estimation.element import Element, Terms
+from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
+from fenicsx_obstacle.estimation.peaks import Peaks
+from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import largest
 
 ROUND_OFF = 1e-9  # of the heights

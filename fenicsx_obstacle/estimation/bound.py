@@ -30,15 +30,15 @@ from math import hypot, pi, sqrt
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle.accuracy.cell_data import other_effects
-from fenicsx_obstacle.accuracy.contact import touching
-from fenicsx_obstacle.accuracy.element import Element, Terms
-from fenicsx_obstacle.accuracy.element_p1 import ElementP1
-from fenicsx_obstacle.accuracy.element_p2 import ElementP2
-from fenicsx_obstacle.accuracy.friedrichs import friedrichs
-from fenicsx_obstacle.accuracy.scope import refuse_no_bound
-from fenicsx_obstacle.accuracy.standing import Hypotheses
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.cell_data import other_effects
+from fenicsx_obstacle.estimation.contact import touching
+from fenicsx_obstacle.estimation.element import Element, Terms
+from fenicsx_obstacle.estimation.element_p1 import ElementP1
+from fenicsx_obstacle.estimation.element_p2 import ElementP2
+from fenicsx_obstacle.estimation.friedrichs import friedrichs
+from fenicsx_obstacle.estimation.scope import refuse_no_bound
+from fenicsx_obstacle.estimation.standing import Hypotheses
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant

@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.triangles import Triangles
+from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 

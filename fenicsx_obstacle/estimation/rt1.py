@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.quadrature import rule
+from fenicsx_obstacle.estimation.quadrature import rule
 
 MASS = (np.ones((3, 3)) + np.eye(3)) / 12  # int psi_j psi_k over the area
 _KINDS = {1: 2 / 120, 2: 4 / 120, 3: 12 / 120}

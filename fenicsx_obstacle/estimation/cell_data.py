@@ -9,15 +9,15 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.exactness import Known, in_cells, number
-from fenicsx_obstacle.accuracy.quadrature import DEGREE, rule
-from fenicsx_obstacle.accuracy.rt1 import quadratics
-from fenicsx_obstacle.accuracy.triangles import Triangles, halved_rule
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import array_of
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.exactness import Known, in_cells, number
+from fenicsx_obstacle.estimation.quadrature import DEGREE, rule
+from fenicsx_obstacle.estimation.rt1 import quadratics
+from fenicsx_obstacle.estimation.triangles import Triangles, halved_rule
 from fenicsx_obstacle.parallel import largest, smallest
 
 SHARP = 0.1  # of the largest value: what varies so much in a cell may jump there

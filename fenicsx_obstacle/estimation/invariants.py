@@ -22,7 +22,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.solved import EPSILON, FEW, TOUCHING, Solved, balanced_to
+from fenicsx_obstacle.estimation.solved import EPSILON, FEW, TOUCHING, Solved, balanced_to
 from fenicsx_obstacle.parallel import largest, total
 
 

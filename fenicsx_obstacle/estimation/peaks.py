@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.exactness import in_cells, number
-from fenicsx_obstacle.accuracy.fans import Fans
-from fenicsx_obstacle.accuracy.polynomials import MAX_DEGREE, coefficients, inner_points, round_off
-from fenicsx_obstacle.accuracy.quadrature import blocks, rule
-from fenicsx_obstacle.accuracy.rim import Rim
-from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.exactness import in_cells, number
+from fenicsx_obstacle.estimation.fans import Fans
+from fenicsx_obstacle.estimation.polynomials import MAX_DEGREE, coefficients, inner_points, round_off
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.rim import Rim
+from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
 
 SPARE = 1.5  # times the height that a few points of a cell have found,

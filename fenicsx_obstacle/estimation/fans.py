@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.accuracy.triangles import Triangles, next_, previous
+from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous
 from fenicsx_obstacle.parallel import largest
 
 

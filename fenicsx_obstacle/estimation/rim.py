@@ -11,11 +11,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.edges import Jumps, edges_of
-from fenicsx_obstacle.accuracy.exactness import on_simplices
-from fenicsx_obstacle.accuracy.polynomials import MAX_DEGREE, coefficients, evaluate, inner_points
-from fenicsx_obstacle.accuracy.quadrature import gauss
-from fenicsx_obstacle.accuracy.triangles import Triangles
+from fenicsx_obstacle.estimation.edges import Jumps, edges_of
+from fenicsx_obstacle.estimation.exactness import on_simplices
+from fenicsx_obstacle.estimation.polynomials import MAX_DEGREE, coefficients, evaluate, inner_points
+from fenicsx_obstacle.estimation.quadrature import gauss
+from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import largest, total
 
 SEGMENTS = 16  # of an edge where u is given

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.accuracy.cell_data import obstacles_of
-from fenicsx_obstacle.accuracy.element import Element, Terms
-from fenicsx_obstacle.accuracy.exactness import in_cells
-from fenicsx_obstacle.accuracy.flux_p2 import EquilibrationP2, FluxP2
-from fenicsx_obstacle.accuracy.peaks import DENSE
-from fenicsx_obstacle.accuracy.polynomials import coefficients, inner_points, round_off
-from fenicsx_obstacle.accuracy.rim import Rim
-from fenicsx_obstacle.accuracy.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
-from fenicsx_obstacle.accuracy.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.cell_data import obstacles_of
+from fenicsx_obstacle.estimation.element import Element, Terms
+from fenicsx_obstacle.estimation.exactness import in_cells
+from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
+from fenicsx_obstacle.estimation.peaks import DENSE
+from fenicsx_obstacle.estimation.polynomials import coefficients, inner_points, round_off
+from fenicsx_obstacle.estimation.rim import Rim
+from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
+from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.parallel import total
 
 SPARSE = 4  # parts of an edge where obstacles are looked at first

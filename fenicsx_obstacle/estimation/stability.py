@@ -11,8 +11,8 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy import singular
 from fenicsx_obstacle.discrete.own_weights import own_weights
+from fenicsx_obstacle.estimation import singular
 from fenicsx_obstacle.forms.pairs import Pair
 
 RICHER = 2  # degrees above V_h of the space that stands for H^1_0

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.accuracy.cell_data import other_effects
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.cell_data import other_effects
 
 
 def refuse_no_bound(problem: Problem) -> None:

@@ -1,5 +1,0 @@
-"""What an answer is worth: error norms, contact sets, forces, bounds, what the theory promises.
-
-Enters: what measures a state that is there. Stays out: what solves or refines; only `answers` sees solvers and accuracy
-together.
-"""
