@@ -58,5 +58,7 @@ def nearest(word: str, known: Any) -> str:
 
 def shown(value: Any) -> str:
     """A value, or its beginning, in one line."""
-    text = " ".join(repr(value).split())
+    import numpy as np  # only where a message shows a value
+
+    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
     return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."
