@@ -164,3 +164,42 @@ def test_data_that_are_none(value, message):
     """What cannot be a datum is refused on all ranks, with the name its giver gave it."""
     with pytest.raises(InputError, match="test: load.*" + message):
         membrane(of_mesh(square(8), "test"), load=value)
+
+
+def jumping(mesh):
+    """A tension of 1 and 10, on whole cells."""
+    mu = fem.Function(functionspace(mesh, "DG", 0))
+    mu.interpolate(lambda x: np.where(x[0] < 0.5, 1.0, 10.0))
+    return mu
+
+
+SAMPLED = {
+    "load": lambda mesh: {"load": lambda x: -8 * (1 + x[0])},
+    "tension": lambda mesh: {"tension": jumping(mesh)},
+    "obstacle": lambda mesh: {"lower": -0.1 + 0 * ufl.SpatialCoordinate(mesh)[0]},
+    "boundary value": lambda mesh: {"boundary": [Part("all", value=field(lambda x: 0.1 * x[0], "test: value"))]},
+}
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("what", SAMPLED)
+def test_bounds_say_what_was_sampled(what, element):
+    """Of a Function, UFL or a callable nothing is known between its samples: the bound names it."""
+    mesh = square()
+    problem = membrane(of_pair(of_mesh(mesh, "test"), pairs()[element]), **SAMPLED[what](mesh))
+    problem.refer(problem.cold_start())
+    solve_penalty(problem, 1e-6)
+    bound = Estimator(problem).bound()
+    assert bound.words.startswith("certified on the polygon of the mesh for the sampled")
+    assert what in bound.words and not bound.guaranteed
+
+
+def test_parts_that_are_given_by_callables_may_end_inside_edges():
+    """Where u is held is known at vertices only: the bound is an indicator, which names the part."""
+    where = field(lambda x: (x[0] < 1e-9) & (x[1] < 0.311), "test: where")
+    problem = membrane(
+        of_mesh(square(), "test"), boundary=[Part("a side", where=where, value=field(0.0, "test: value"))]
+    )
+    problem.refer(problem.cold_start())
+    solve_vi(problem)
+    assert Estimator(problem).bound().words.startswith("an indicator: a side where")

@@ -585,5 +585,5 @@ class _Radius(Field):
     def __init__(self, source: str):
         self.source = source
 
-    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         return x[0]

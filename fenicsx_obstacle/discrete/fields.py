@@ -70,7 +70,7 @@ class Number(Field):
     def _number(self) -> float:
         return float(self.value.value if isinstance(self.value, fem.Constant) else self.value)
 
-    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         return np.full(x.shape[1:], self._number)
 
     def expression(self, symbols: Symbols) -> Any:
@@ -85,7 +85,7 @@ class OfCallable(Field):
         self.text = getattr(function, "__name__", type(function).__name__)
         self.moves = _arguments(function) == 2
 
-    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         given = (x.copy(), names.get("t", 0.0)) if self.moves else (x.copy(),)
         try:
             values = np.asarray(self.function(*given), dtype=np.float64)
@@ -126,7 +126,9 @@ class OfFunction(Field):
         taken.x.array[:] = self._elsewhere(level, points)
         return OfFunction(taken, self.source)
 
-    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        if cells is not None:
+            return np.ravel(self.function.eval(x.T, cells)) if len(cells) else np.empty(0)
         rows, cells = releases.cells_near(self._mesh, x.T, 0.0, within=True)
         found = np.full(x.shape[1], np.nan)
         first = np.unique(rows, return_index=True)[1]
@@ -192,13 +194,13 @@ class OfExpression(Field):
             )
         return OfExpression(self.ufl, self.source, level.mesh)
 
-    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         if self._sampled is None:
             assert self._mesh is not None  # `on` gives it
             sampled = fem.Function(releases.functionspace(self._mesh, "DG", 2))
             sampled.interpolate(releases.expression(self._on(self._mesh), sampled.function_space))
             self._sampled = OfFunction(sampled, self.source)
-        return self._sampled.at(x, names)
+        return self._sampled.at(x, names, cells)
 
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
         taken = fem.Function(V)

@@ -77,12 +77,13 @@ class Field:
     everywhere: bool = True  # has a value at any point, on every rank
     parts: Mapping[str, Field] | None = None  # one for the cells of each name
 
-    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         """Values at points (local; a Function: within the cells of this rank, not-a-number elsewhere).
 
         Args:
             x: Shape (3, n).
             names: Values of t and of what else it depends on.
+            cells: The local cell of each point, where it is known: a Function may jump between cells.
 
         Returns:
             Shape (n,).

@@ -236,6 +236,7 @@ def cut_parts(triangles: Triangles) -> list[str]:
         held = np.isin(triangles.facets[cells, opposite], data.held[number])
         known = part.where.over(inside, {})
         if known is None:
+            found.append(f"{part.name} where = {part.where.text} may end inside an edge: only its samples are known")
             continue
         truth = known.truth()
         holds, fails = (np.broadcast_to(may, len(cells)) for may in (truth.may_hold, truth.may_fail))

@@ -57,18 +57,19 @@ def in_cells(triangles: Triangles, value: Field) -> Known:
     if value.parts is not None:
         parts = [(field, triangles.data.level.groups[name]) for name, field in value.parts.items()]
     for field, cells in parts:
-        for name, values in vars(on_simplices(triangles.data, field, triangles.x[cells])).items():
+        for name, values in vars(on_simplices(triangles.data, field, triangles.x[cells], cells)).items():
             getattr(found, name)[cells] = values
     return found
 
 
-def on_simplices(data: Data, field: Field, corners: np.ndarray) -> Known:
+def on_simplices(data: Data, field: Field, corners: np.ndarray, cells: np.ndarray) -> Known:
     """Of a datum on triangles or edges in the plane (collective where it is the first to need the distance).
 
     Args:
         data: Of the problem.
         field: The datum. Of one that knows no bounds a value in the middle stands for them: it is sampled.
         corners: Shape (simplices, corners, 2).
+        cells: The owned cell that each is, or is an edge of.
     """
     count, names = len(corners), data.names(field)
     if field.uniform:
@@ -77,20 +78,20 @@ def on_simplices(data: Data, field: Field, corners: np.ndarray) -> Known:
     here = data.here(field)
     found = Known(np.empty(count), np.empty(count), np.empty(count, dtype=int))
     for block in blocks(count):
-        cells = here.over(corners[block], names)
-        if cells is None:
+        known = here.over(corners[block], names)
+        if known is None:
             x = np.zeros((3, block.stop - block.start))
             x[:2] = corners[block].mean(axis=1).T
-            found.lower[block] = found.upper[block] = here.at(x, names)
+            found.lower[block] = found.upper[block] = here.at(x, names, cells[block])
             found.degree[block] = NO_POLYNOMIAL
             continue
-        bounds = cells.enclosure()
+        bounds = known.enclosure()
         lower, upper = np.where(bounds.defined, bounds.lower, -np.inf), np.where(bounds.defined, bounds.upper, np.inf)
         degree = np.where(bounds.whole & bounds.finite, bounds.degree, NO_POLYNOMIAL)
         degree = np.where(degree > polynomials.MAX_DEGREE, NO_POLYNOMIAL, degree)
         for d in np.unique(degree[degree < NO_POLYNOMIAL]):
             inside = np.flatnonzero(degree == d)
-            low, high = polynomials.bounds(cells.values(int(d), inside), corners.shape[1], int(d))
+            low, high = polynomials.bounds(known.values(int(d), inside), corners.shape[1], int(d))
             lower[inside], upper[inside] = np.maximum(lower[inside], low), np.minimum(upper[inside], high)
         found.lower[block], found.upper[block], found.degree[block] = lower, upper, degree
     return found

@@ -62,7 +62,7 @@ class Rim:
             jumps.look(field, edges, ends)
             if field.uniform:
                 continue
-            known = on_simplices(data, field, edges.corners)
+            known = on_simplices(data, field, edges.corners, beside)
             sampled += np.count_nonzero(~known.exact)
             if not known.finite.all():
                 self.unbounded = np.append(edges.at(np.flatnonzero(~known.finite)[:1], np.full(1, 0.5))[0], 0.0)

@@ -85,7 +85,7 @@ class Triangles:
             x = np.zeros((3, (block.stop - block.start) * where.shape[-2]))
             inside = (where if where.ndim == 2 else where[block]) @ self.x[cells[block]]
             x[:2] = inside.reshape(-1, 2).T
-            found[block] = here.at(x, names).reshape(-1, where.shape[-2])
+            found[block] = here.at(x, names, np.repeat(cells[block], where.shape[-2])).reshape(-1, where.shape[-2])
         return found
 
 

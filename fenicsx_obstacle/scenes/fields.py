@@ -62,7 +62,7 @@ class FormulaField(Field):
         """
         self.formula.check_names(known)
 
-    def at(self, x: np.ndarray, names: Names) -> np.ndarray:
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         return self.vocabulary.at_points(self.formula, x, self._known(x, names))
 
     def margins(self, x: np.ndarray, names: Names) -> list[np.ndarray]:
