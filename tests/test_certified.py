@@ -6,10 +6,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 from conftest import COMM, membrane, slow_except
+from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from test_bound import distance
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.estimation.standing import Standing
@@ -237,3 +238,12 @@ def test_words_are_the_same_on_any_number_of_ranks():
         together, alone = (solve(scene, comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
         assert set(COMM.allgather(together.words)) == {together.words}
         assert together.words.partition(" near")[0] == alone.words.partition(" near")[0]
+
+
+def test_jumps_on_a_mesh_of_the_callers_own():
+    """Ranks tell each other of a jump in words: a mesh cannot be sent."""
+    mesh = releases.settle(dmesh.create_unit_square(COMM, 8, 8))
+    scene = Scene(mesh=mesh, tension=1, load=-1, boundary=[{"value": "where(x > 0.3, 1, 0)"}])
+    assert "jump at (0.3" in solve(scene).record["boundary_jump"]
+    with pytest.raises(InputError, match=r"jump at \(0\.3"):
+        solve(scene, bound=True)

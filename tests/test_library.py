@@ -203,3 +203,87 @@ def test_parts_that_are_given_by_callables_may_end_inside_edges():
     problem.refer(problem.cold_start())
     solve_vi(problem)
     assert Estimator(problem).bound().words.startswith("an indicator: a side where")
+
+
+def test_one_datum_may_serve_twice():
+    """A Field as two fluxes acts on both parts; as load and as tension it is checked as a tension."""
+    level = of_mesh(square(8), "test")
+    one = field(1.0, "test: flux")
+    sides = [Part(side, where=field(where, f"test: {side}"))
+             for side, where in (("left", lambda x: x[0] < 1e-9), ("right", lambda x: x[0] > 1 - 1e-9))]  # fmt: skip
+    rest = Part("rest", where=field(lambda x: (x[1] < 1e-9) | (x[1] > 1 - 1e-9), "test: rest"), value=field(0.0, "v"))
+    flux = find("flux")
+    effects = (find("tension")(one), flux(one, 0), flux(one, 1))
+    problem = Problem(Data(Model(effects, boundary=(*sides, rest), source="test"), level))
+    assert problem.load == pytest.approx(2 * (1 - 1 / 8))  # of each side but for what its two held ends take
+    negative = field(lambda x: x[0] - 2, "test: datum")
+    with pytest.raises(InputError, match=r"test: datum.*must be positive"):
+        Problem(
+            Data(Model((find("load")(negative), find("tension")(negative)), None, None, [rest], source="test"), level)
+        )
+
+
+def test_models_that_contradict_themselves():
+    """Two tensions, or none; obstacles in the domain and on its boundary."""
+    one = field(1.0, "test: one")
+    tension, load = find("tension")(one), find("load")(one)
+    for effects in ((load,), (tension, tension)):
+        with pytest.raises(InputError, match="test: one effect must give"):
+            Model(effects, source="test")
+    with pytest.raises(InputError, match="one or the other"):
+        Model((tension,), lower=one, boundary=[Part("edge", lower=one)], source="test")
+
+
+def test_what_has_no_value_at_nodes():
+    """Values by cells, and UFL of a Function that jumps, are refused as obstacles and boundary values."""
+    mesh = square(8)
+    level = of_mesh(mesh, "test", None, {"all": np.arange(mesh.topology.index_map(2).size_local)})
+    with pytest.raises(InputError, match="takes one formula for all materials"):
+        membrane(level, lower={"all": 1.0})
+    with pytest.raises(InputError, match="which cells share"):
+        membrane(level, boundary=[Part("edge", value=field({"all": 1.0}, "test: value"))])
+    with pytest.raises(InputError, match="is not continuous"):
+        membrane(level, lower=-1.0 * jumping(mesh))
+
+
+def test_data_outside_the_mesh_are_not_asked_for():
+    """A table that ends with the domain is a tension like any other."""
+
+    def table(x):
+        if x.size and (x.min() < -1e-9 or x.max() > 1 + 1e-9):
+            raise ValueError("outside the table")
+        return 2 + x[0]
+
+    problem = membrane(of_mesh(square(8), "test"), tension=table)
+    assert largest(COMM, -problem.data.values(problem.model.effects[0].value)) < -2
+
+
+def test_data_of_some_cells_on_any_number_of_ranks():
+    """UFL in a few cells, and a callable that cannot take an empty x: no rank waits for another."""
+    mesh = square()
+    middle = corners(mesh)[: own_cells(mesh)].mean(axis=1)
+    few = np.linalg.norm(middle[:, :2] - 0.05, axis=1) < 0.1
+    groups = {"few": np.flatnonzero(few), "rest": np.flatnonzero(~few)}
+    level = of_mesh(mesh, "test", None, groups)
+    x = ufl.SpatialCoordinate(mesh)
+    found = []
+    for part in (-8 * (1 + x[0]), lambda x: -8 * (1 + x[0]) + 0 * x[0].max()):
+        problem = membrane(level, load={"few": part, "rest": -1.0})
+        problem.refer(problem.cold_start())
+        solve_penalty(problem, 1e-6)
+        bound = Estimator(problem).bound()
+        assert "sampled load" in bound.words
+        found.append(bound.total)
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def test_functions_away_from_the_origin():
+    """A Function as boundary value has a value at every point of its mesh, wherever that lies."""
+    mesh = settle(dmesh.create_rectangle(COMM, [np.array([10.1, 10.1]), np.array([10.7, 10.7])], [9, 9]))
+    value = fem.Function(functionspace(mesh, "Lagrange", 2))
+    value.interpolate(lambda x: x[0] ** 2)
+    level = of_pair(of_mesh(mesh, "test"), pairs()["P2"])
+    problem = membrane(level, lower=None, boundary=[Part("all", value=field(value, "test: value"))])
+    problem.refer(problem.cold_start())
+    solve_penalty(problem, 1.0)
+    assert np.isfinite(Estimator(problem).bound().total)

@@ -53,7 +53,7 @@ def _check_parts(data: Data) -> None:
         both = np.isin(data.facets[number], held)
         if part.value is None and total(data.level.comm, np.count_nonzero(both)) > 0:
             sides = [side for side in ("lower", "upper") if getattr(part, side) is not None]
-            key = next(iter([*part.acts, *sides]))
+            key = [*data.model.acts(number), *sides][0]
             others = " and ".join(
                 f"no. {other + 1}"
                 for other, facets in enumerate(data.held)

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
 STEEP = 3.0  # quadratics through positive values stay positive up to 4 on triangles, 4.5 on squares, 3.09 on cubes
-INWARD = 1e-6  # of the way to the middle of the cell
 
 
 def _flatten_jumps(tension: fem.Function) -> None:
@@ -88,10 +87,11 @@ class Data:
         self.givers: list[tuple[str, np.ndarray]] = []
         self._bcs = bcs
         self._here: dict[Field, Field] = {}
-        self._cellwise: dict[Field, Cellwise] = {}
+        # one datum may be given for several purposes, with other bounds in each
+        self._cellwise: dict[tuple[Field, bool, float | None], Cellwise] = {}
         self._heights: dict[Field, fem.Function] = {}
-        self._on_part: dict[Field, fem.Function] = {}
-        self._definite: dict[Field, Rows] = {}
+        self._on_part: dict[tuple[Field, int, float | None], fem.Function] = {}
+        self._definite: set[Rows] = set()
 
     @property
     def now(self) -> dict[str, float]:
@@ -108,9 +108,15 @@ class Data:
         """What a datum may depend on besides x, now (collective if it is the first to need the distance)."""
         return {**self.now, **({"distance": self.boundary_distance} if field.needs_distance else {})}
 
-    def at(self, field: Field, x: np.ndarray) -> np.ndarray:
-        """Values of a datum at points (3, n), now (collective on first use)."""
-        return self.here(field).at(x, self.names(field))
+    def at(self, field: Field, x: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
+        """Values of a datum at points (3, n), of local cells where these are known, now (collective on first use)."""
+        return self.here(field).at(x, self.names(field), cells)
+
+    def on(self, level: Level) -> Data:
+        """The same data for other elements on the same mesh: what was interpolated is taken as it is."""
+        other = Data(self.model, level, self.moment, self._bcs)
+        other._here = self._here
+        return other
 
     def follow(self, fields: Iterable[Field], sample: Callable[[], Sampled]) -> Sampled:
         """What is sampled of some data; if they depend on time it is renewed whenever time goes on (collective)."""
@@ -134,7 +140,7 @@ class Data:
                 made.value = fresh.value
             else:
                 made.x.array[:] = fresh.x.array
-        for rows in self._definite.values():
+        for rows in self._definite:
             if any(entry.moves for row in rows for entry in row):
                 self._check_definite(rows)
         assert self.model.time is not None
@@ -150,10 +156,10 @@ class Data:
         Raises:
             InputError: If it is not finite, or not positive, or below the least, somewhere, or a material has no value.
         """
-        if field not in self._cellwise:
-            sample = partial(self._checked_cells, field, positive, least)
-            self._cellwise[field] = self.follow([field], sample)
-        return self._cellwise[field]
+        key = field, positive, least
+        if key not in self._cellwise:
+            self._cellwise[key] = self.follow([field], partial(self._checked_cells, *key))
+        return self._cellwise[key]
 
     def values(self, field: Field) -> np.ndarray:
         """The values of `cellwise` at local dofs of W, or the one there is (collective on first use)."""
@@ -208,12 +214,12 @@ class Data:
             InputError: If it is neither somewhere, or has not as many rows as points have coordinates.
         """
         entries = [[self.cellwise(entry) for entry in row] for row in rows]
-        if rows[0][0] not in self._definite:
+        if rows not in self._definite:
             from fenicsx_obstacle.discrete.tensors import check_between  # only where a model has a matrix
 
             self._check_definite(rows)
             check_between(self, rows)
-            self._definite[rows[0][0]] = rows
+            self._definite.add(rows)
         return ufl.as_matrix(entries)
 
     def eigenvalues(self, rows: Rows) -> np.ndarray:
@@ -384,9 +390,10 @@ class Data:
         Raises:
             InputError: If it is not finite, or below the least, somewhere.
         """
-        if field not in self._on_part:
-            self._on_part[field] = self.follow([field], partial(self._sample_part, field, part, least))
-        return self._on_part[field]
+        key = field, part, least
+        if key not in self._on_part:
+            self._on_part[key] = self.follow([field], partial(self._sample_part, *key))
+        return self._on_part[key]
 
     def _sample_part(self, field: Field, part: int, least: float | None) -> fem.Function:
         function = self._on_dofs(field, self.dofs_on(self.facets[part]))
@@ -402,7 +409,7 @@ class Data:
 
         found = []
         for number, part in enumerate(self.model.boundary):
-            keys = [*part.acts, *(["contact"] if part.bears else [])]
+            keys = [*self.model.acts(number), *(["contact"] if part.bears else [])]
             found += [(number, key, self.facets[number]) for key in keys]
         return Parts(self.level, found, radial=self.model.radial)
 
@@ -449,7 +456,7 @@ class Data:
 
     def _at_dofs(self, field: Field, V: fem.FunctionSpace, dofs: np.ndarray) -> np.ndarray:
         """Values of a datum at some local dofs (collective)."""
-        here, names, points = self.here(field), self.names(field), self._points(V)
+        here, names, points = self.here(field), self.names(field), self.level.points_of(V)
         if not field.everywhere:
             return here.interpolate(V, points, names)[dofs]
         values = np.empty(0)
@@ -460,24 +467,12 @@ class Data:
     def _sample(self, function: fem.Function, field: Field, more: Names | None = None) -> None:
         names = {**self.names(field), **(more or {})}
         if field.uniform:
-            function.x.array[:] = field.at(np.zeros((3, 1)), names)
+            function.x.array[:] = self.here(field).at(np.zeros((3, 1)), names)
         else:
             V = function.function_space
-            function.x.array[:] = self.here(field).interpolate(V, self._points(V), names)
+            function.x.array[:] = self.here(field).interpolate(V, self.level.points_of(V), names)
             function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         self.refuse_infinite(function, field)
-
-    def _points(self, V: fem.FunctionSpace) -> np.ndarray:
-        """Points of the local dofs, shape (3, dofs)."""
-        if V is self.level.V:
-            return self.level.points
-        points = np.array(V.tabulate_dof_coordinates().T)
-        if V is self.level.W and self.level.pair.degree > 1:
-            # what jumps between cells has its value from within
-            dofs = releases.cell_dofs(V)
-            middle = corners(self.level.mesh).mean(axis=1).T[:, :, None]
-            points[:, dofs] += INWARD * (middle - points[:, dofs])
-        return points
 
     def _checked_cells(self, field: Field, positive: bool, least: float | None) -> Cellwise:
         made = self._sample_cells(field)
@@ -488,7 +483,7 @@ class Data:
         if least is not None:
             self._refuse(field, made, array_of(made) < least, f"must be at least {least:g}; it is")
         bound = 0.0 if positive else least
-        if bound is not None and field not in self._cellwise:  # once: not for each moment
+        if bound is not None and (field, positive, least) not in self._cellwise:  # once: not for each moment
             self._check_between(field, bound, "be positive" if positive else f"be at least {bound:g}")
         return made
 
@@ -507,7 +502,7 @@ class Data:
 
     def _sample_cells(self, field: Field) -> Cellwise:
         if field.uniform:
-            number = field.at(np.zeros((3, 1)), self.now)[0]
+            number = self.here(field).at(np.zeros((3, 1)), self.now)[0]
             constant = fem.Constant(self.level.mesh, PETSc.ScalarType(number))
             self.refuse_infinite(constant, field)
             return constant
@@ -568,7 +563,7 @@ class Data:
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
         """Value and place of the first bad dof, the same on every rank (collective)."""
-        points, values = self._points(function.function_space).T, function.x.array
+        points, values = self.level.points_of(function.function_space).T, function.x.array
         mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
         return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
 

@@ -11,7 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from ufl.algorithms import extract_arguments
+from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
@@ -73,12 +73,20 @@ class Number(Field):
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         return np.full(x.shape[1:], self._number)
 
+    def on(self, level: Level) -> Field:
+        return Number(self._number, self.source)  # a Constant may have another value later
+
     def expression(self, symbols: Symbols) -> Any:
         return self.value + symbols.zero
 
 
 class OfCallable(Field):
-    """A Python function of x, shape (3, n), or of x and t, that returns n values."""
+    """A Python function of x, shape (3, n), or of x and t, that returns n values.
+
+    Where it raises it has no value, so that all ranks go on; `interpolate` tells why.
+    """
+
+    everywhere = False  # it may be a table that ends with the domain
 
     def __init__(self, function: Callable[..., Any], source: str):
         self.function, self.source = function, source
@@ -86,6 +94,14 @@ class OfCallable(Field):
         self.moves = _arguments(function) == 2
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        try:
+            return self._values(x, names)
+        except InputError:
+            return np.full(x.shape[1:], np.nan)
+
+    def _values(self, x: np.ndarray, names: Names) -> np.ndarray:
+        if x.shape[1] == 0:
+            return np.empty(0)
         given = (x.copy(), names.get("t", 0.0)) if self.moves else (x.copy(),)
         try:
             values = np.asarray(self.function(*given), dtype=np.float64)
@@ -98,7 +114,7 @@ class OfCallable(Field):
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
         values = np.empty(0)
         with agree(V.mesh.comm):
-            values = self.at(x, names)
+            values = self._values(x, names)
         return values
 
 
@@ -122,8 +138,7 @@ class OfFunction(Field):
             return self
         V = level.V if _continuous(self.function.function_space) else level.W
         taken = fem.Function(V, name=self.function.name)
-        points = level.points if V is level.V else np.array(V.tabulate_dof_coordinates().T)
-        taken.x.array[:] = self._elsewhere(level, points)
+        taken.x.array[:] = self._elsewhere(level, level.points_of(V))
         return OfFunction(taken, self.source)
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
@@ -177,8 +192,8 @@ class OfExpression(Field):
 
     everywhere = False
 
-    def __init__(self, expression: Any, source: str, mesh: Any = None):
-        self.ufl, self.source, self.text, self._mesh = expression, source, str(expression), mesh
+    def __init__(self, expression: Any, source: str):
+        self.ufl, self.source, self.text = expression, source, str(expression)
         if expression.ufl_shape != ():
             raise InputError(
                 f"{source} is an expression of shape {expression.ufl_shape}: expected one of one component"
@@ -192,17 +207,23 @@ class OfExpression(Field):
             raise InputError(
                 f"{self.source} is an expression on another mesh: interpolate it there, and give that Function"
             )
-        return OfExpression(self.ufl, self.source, level.mesh)
+        here = OfExpression(self.ufl, self.source)
+        sampled = fem.Function(releases.functionspace(level.mesh, "DG", 2))
+        sampled.interpolate(releases.expression(here._on(level.mesh), sampled.function_space))
+        here._sampled = OfFunction(sampled, self.source)
+        return here
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
-        if self._sampled is None:
-            assert self._mesh is not None  # `on` gives it
-            sampled = fem.Function(releases.functionspace(self._mesh, "DG", 2))
-            sampled.interpolate(releases.expression(self._on(self._mesh), sampled.function_space))
-            self._sampled = OfFunction(sampled, self.source)
+        assert self._sampled is not None  # `on` makes it
         return self._sampled.at(x, names, cells)
 
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
+        spaces = [one.function_space for one in extract_coefficients(self.ufl) if isinstance(one, fem.Function)]
+        if _continuous(V) and not all(_continuous(one) for one in spaces):
+            raise InputError(
+                f"{self.source} holds a Function that is not continuous: at a vertex each cell has a value of its own; "
+                "interpolate it into a continuous space"
+            )
         taken = fem.Function(V)
         taken.interpolate(releases.expression(self._on(V.mesh), V))
         return taken.x.array

@@ -22,6 +22,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair
 from fenicsx_obstacle.parallel import largest
 
+INWARD = 1e-6  # of the way to the middle of the cell
+
 
 @dataclass(frozen=True, eq=False)
 class Level:
@@ -73,6 +75,17 @@ class Level:
             return np.ascontiguousarray(self.V.tabulate_dof_coordinates().T)
         # as the mesh has them: DOLFINx's own table is off in the last digit, differently on each rank
         return np.ascontiguousarray(self.mesh.geometry.x[releases.dof_nodes(self.V)].T)
+
+    def points_of(self, V: fem.FunctionSpace) -> np.ndarray:
+        """Points of the local dofs of a space on this mesh, shape (3, dofs); of W within its cells, where it jumps."""
+        if V is self.V:
+            return self.points
+        points = np.array(V.tabulate_dof_coordinates().T)
+        if V is self.W and self.pair.degree > 1:
+            dofs = releases.cell_dofs(V)
+            middle = corners(self.mesh).mean(axis=1).T[:, :, None]
+            points[:, dofs] += INWARD * (middle - points[:, dofs])
+        return points
 
     @cached_property
     def ends(self) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fenicsx_obstacle.discrete.moments import Moments
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,6 @@ class Part:
         value: Of u, where it is given.
         lower: Obstacle there.
         upper: Obstacle there.
-        acts: Keys of the effects that act on it.
     """
 
     name: str
@@ -30,7 +30,6 @@ class Part:
     value: Field | None = None
     lower: Field | None = None
     upper: Field | None = None
-    acts: tuple[str, ...] = ()
 
     @property
     def bears(self) -> bool:
@@ -57,6 +56,21 @@ class Model:
     boundary: Sequence[Part] = ()
     time: Moments | None = None
     source: str = "problem"
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself.
+
+        Raises:
+            InputError: If not exactly one effect is elastic, or obstacles are in the domain and on its boundary.
+        """
+        if (count := sum(effect.elastic for effect in self.effects)) != 1:
+            raise InputError(f"{self.source}: one effect must give a(u, v) its stiffness, such as tension; {count} do")
+        if self.thin and (self.lower is not None or self.upper is not None):
+            raise InputError(f"{self.source}: [obstacle] and obstacles in [[boundary]]: one or the other, not both")
+
+    def acts(self, number: int) -> list[str]:
+        """Keys of the effects that act on a part of the boundary, counted from 0."""
+        return [effect.key for effect in self.effects if getattr(effect, "part", None) == number]
 
     @property
     def thin(self) -> bool:

@@ -151,8 +151,8 @@ class ByCells(Field):
     def needs_distance(self) -> bool:  # type: ignore[override]
         return any(part.needs_distance for part in self._parts.values())
 
-    def on(self, level: Any) -> Field:
-        return ByCells({name: part.on(level) for name, part in self._parts.items()}, self.source)
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        raise InputError(f"{self}: values by the names of cells do not say what holds at a node, which cells share")
 
 
 def fields_in(data: Iterable[Any]) -> list[Field]:

@@ -38,8 +38,9 @@ def load_of(data: Data) -> Field | None:
 
 def other_effects(data: Data) -> list[Effect]:
     """The effects besides that tension and load."""
-    load = load_of(data)
-    return [e for e in data.model.effects if e.isotropic_tension is None and (load is None or e.area_load is not load)]
+    effects = data.model.effects
+    load = next((effect for effect in effects if effect.area_load is not None), None)
+    return [effect for effect in effects if effect is not data.model.elastic and effect is not load]
 
 
 def obstacles_of(data: Data) -> list[tuple[float, Field]]:

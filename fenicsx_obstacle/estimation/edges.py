@@ -34,10 +34,12 @@ class Edges:
     Attributes:
         start: Shape (edges, 2).
         end: Likewise.
+        cells: The local cell beside each.
     """
 
     start: np.ndarray
     end: np.ndarray
+    cells: np.ndarray
 
     def at(self, edges: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Points, shape (n, 2): t = 0 at the start, 1 at the end."""
@@ -55,7 +57,8 @@ class Edges:
 
 def edges_of(triangles: Triangles, cells: np.ndarray, opposite: np.ndarray) -> Edges:
     """The edges opposite to vertices of cells."""
-    return Edges(*(triangles.x[cells, (opposite + k) % 3] for k in (1, 2)))
+    start, end = (triangles.x[cells, (opposite + k) % 3] for k in (1, 2))
+    return Edges(start, end, cells)
 
 
 class Jumps:
@@ -69,7 +72,7 @@ class Jumps:
             scale: Largest boundary value.
         """
         self.data, self.scale = data, scale
-        self.worst: tuple[float, tuple[float, float], np.ndarray, Field] | None = None
+        self.worst: tuple[float, tuple[float, float], np.ndarray, str] | None = None
 
     def look(self, field: Field, edges: Edges, ends: np.ndarray) -> None:
         """Compare values on both sides wherever conditions change, and at the ends with the nodal values.
@@ -163,7 +166,7 @@ class Jumps:
     def _values(self, field: Field, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
         x = np.zeros((3, len(which)))
         x[:2] = edges.at(which, t).T
-        return self.data.at(field, x)
+        return self.data.at(field, x, edges.cells[which])
 
     def _judge(
         self,
@@ -182,7 +185,7 @@ class Jumps:
         first = int(np.argmax(np.where(jumps, np.where(np.isfinite(small), small, np.inf), -1.0)))
         if self.worst is None or small[first] > self.worst[0]:
             pair = float(close[0][first]), float(close[1][first])
-            self.worst = (float(small[first]), pair, np.append(places[first], 0.0), field)
+            self.worst = (float(small[first]), pair, np.append(places[first], 0.0), str(field))
 
 
 def boundary_jump(data: Data) -> str | None:
@@ -207,7 +210,7 @@ def boundary_jump(data: Data) -> str | None:
         members = np.array(facet_vertices(2))[np.argmax(table[cells] == facets[:, None], axis=1)]
         ends = np.take_along_axis(corners(level.mesh, cells), members[:, :, None], axis=1)[..., :2]
         nodal = values[np.take_along_axis(dofs[cells], members, axis=1)]
-        jumps.look(field, Edges(ends[:, 0], ends[:, 1]), nodal)
+        jumps.look(field, Edges(ends[:, 0], ends[:, 1], cells), nodal)
     return jumps.in_words()
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import obstacles_of
@@ -112,7 +111,7 @@ class ElementP2(Element):
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         assert problem.level.coarse is not None
-        triangles = Triangles(Data(problem.model, problem.level.coarse))
+        triangles = Triangles(problem.data.on(problem.level.coarse))
         equilibration = EquilibrationP2(triangles, problem.data)
         super().__init__(equilibration, problem.data.fixed[1].x.array[equilibration.nodes[:, 3:]])
         self.problem = problem

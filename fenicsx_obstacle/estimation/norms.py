@@ -186,8 +186,7 @@ class Exact:
 
     def nodal(self, eps: float | None) -> np.ndarray:
         """Exact values at local dofs."""
-        data, u = self.problem.data, self.solution.u
-        return data.here(u).at(self.problem.level.points, {**data.names(u), "eps": eps or 0.0})
+        return self.problem.data.nodal(self.solution.u, {"eps": eps or 0.0}).x.array
 
     @cached_property
     def dual(self) -> DualNorm:

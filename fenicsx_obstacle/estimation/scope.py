@@ -15,6 +15,8 @@ def refuse_no_bound(problem: Problem) -> None:
         InputError: Saying why.
     """
     model, level = problem.model, problem.level
+    if model.time is not None:
+        raise InputError(f"{model.source}: the error bound is for one equilibrium, not for [time]")
     mesh, pair = level.mesh, level.pair
     if releases.cell_name(mesh) != "triangle" or mesh.geometry.dim != 2 or not pair.bounded:
         what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"

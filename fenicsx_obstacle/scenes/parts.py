@@ -25,8 +25,6 @@ def check_parts(scene: Scene) -> None:
     """
     for number, part in enumerate(scene.tables.boundary):
         _check(scene, part, f"{scene.source}: {part_place(number)}")
-    if scene.model.thin and (scene.tables.obstacle.lower, scene.tables.obstacle.upper) != (None, None):
-        raise InputError(f"{scene.source}: [obstacle] and obstacles in [[boundary]]: one or the other, not both")
 
 
 def _check(scene: Scene, part: BoundaryTable, place: str) -> None:

@@ -300,8 +300,7 @@ class Scene(Vocabulary):
         for number, table in enumerate(self.tables.boundary):
             place = part_place(number)
             on = (table.on,) if isinstance(table.on, str) else table.on
-            acts = tuple(effect.key for effect in self.effects if getattr(effect, "part", None) == number)
-            parts.append(Part(place, on, acts=acts, **self._given(table, place, "where", "value", "lower", "upper")))
+            parts.append(Part(place, on, **self._given(table, place, "where", "value", "lower", "upper")))
         sides = self._given(self.tables.obstacle, "[obstacle]", "lower", "upper")
         return Model(self.effects, **sides, boundary=tuple(parts), source=self.source)
 

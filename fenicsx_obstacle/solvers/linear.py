@@ -31,11 +31,15 @@ INEXACT = {
 }
 
 
-def attempt(solve: Callable[[], object]) -> bool:
+def attempt(solve: Callable[[], object], *used: PETSc.Object) -> bool:
     """Let PETSc solve; whether hypre let it finish (collective: what hypre gives up for is seen by all ranks).
 
     BoomerAMG raises where its matrix or vectors overflow, and from then on at every call in this process, since its
     error flag stays. Without the flag the next solve is as good as the first.
+
+    Args:
+        solve: What calls PETSc.
+        used: Its objects. What PETSc was using when it gave up is locked for ever, and must not be destroyed.
 
     Raises:
         PETSc.Error: Any other error.
@@ -47,6 +51,8 @@ def attempt(solve: Callable[[], object]) -> bool:
         if error.ierr != IN_LIBRARY or not hasattr(hypre, "HYPRE_ClearAllErrors"):
             raise
         hypre.HYPRE_ClearAllErrors()
+        for one in used:
+            one.incRef()
         return False
     return True
 

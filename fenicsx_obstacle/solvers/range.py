@@ -172,7 +172,7 @@ def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         ksp.setOptionsPrefix("sensitivity_")
         with defaults("sensitivity_", {**options, "ksp_rtol": 1e-4}):
             ksp.setFromOptions()
-        solved = attempt(partial(ksp.solve, b, x)) and ksp.getConvergedReason() > 0
+        solved = attempt(partial(ksp.solve, b, x), ksp, b, x) and ksp.getConvergedReason() > 0
         ksp.destroy()
         if solved:
             return True

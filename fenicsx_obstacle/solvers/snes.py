@@ -22,7 +22,6 @@ from fenicsx_obstacle.solvers.range import complaint
 from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
 
 _log = logging.getLogger(__name__)
-_locked: list[Any] = []  # what PETSc was using when a library of it gave up cannot be destroyed
 
 
 @dataclass(frozen=True)
@@ -116,18 +115,15 @@ def run(
         if multigrid is not None:
             snes.ksp.setConvergenceTest(Inexact(stopping))
         snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
-        finished = attempt(lambda: snes.solve(None, x))
+        finished = attempt(lambda: snes.solve(None, x), snes, x, residual)
     problem.take(x)
     reason = snes.getConvergedReason() if finished else PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
         time.perf_counter() - start, reason, stopping.blunt, stopping.before,
     )  # fmt: skip
-    if finished:
-        for owner in (snes, x, residual):
-            owner.destroy()
-    else:
-        _locked.append((snes, x, residual))
+    for owner in (snes, x, residual):
+        owner.destroy()
     failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
     if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{name}_{key}") for key in LINEAR):
         _log.info("a linear system could not be solved by iteration; a direct solver goes on")
