@@ -136,7 +136,7 @@ class _Court:
                 for method, eps in (("vi", None), ("penalty", TRIAL)):
                     if (method, eps) not in self.known:
                         continue
-                    options = asked(scene.options, method, None if eps is None else eps * units.eps)
+                    options = asked(scene, method, None if eps is None else eps * units.eps)
                     try:
                         answer = bench.answer(options)
                     except (InputError, NotConverged) as error:
@@ -151,7 +151,7 @@ class _Court:
     def _judged(self, method: str, eps: float | str | None, before: Sequence[Trial]) -> Iterator[Row]:
         start = time.perf_counter()
         try:
-            answer = self.bench.answer(asked(self.scene.options, method, eps))
+            answer = self.bench.answer(asked(self.scene, method, eps))
         except InputError as error:
             yield row_of(self.scene, method, eps, REFUSED if FLOOR in str(error) else FAILED, start, message=str(error))
             return

@@ -34,7 +34,7 @@ def judge_moving(
         for method, eps in ways:
             start = time.perf_counter()
             try:
-                answer = bench.answer(asked(bench.options, method, eps))
+                answer = bench.answer(asked(scene, method, eps))
             except (InputError, NotConverged) as error:
                 verdict = REFUSED if FLOOR in str(error) else FAILED
                 yield row_of(scene, method, eps, verdict, start, message=str(error))

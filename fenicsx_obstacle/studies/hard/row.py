@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from fenicsx_obstacle.estimation.invariants import Finding
@@ -16,9 +15,9 @@ FLOOR = "floor of round-off"  # words of the refusal
 Row = dict[str, Any]
 
 
-def asked(options: SolverOptions, method: str, eps: float | str | None) -> SolverOptions:
-    """The options that a row asks for; None is for no eps."""
-    return replace(options, method=method, eps=options.eps if eps is None else eps)
+def asked(scene: Scene, method: str, eps: float | str | None) -> SolverOptions:
+    """The options that a row asks for; None is for no eps, a text for a formula in h."""
+    return scene.options_with(method=method, **({} if eps is None else {"eps": eps}))
 
 
 def row_of(

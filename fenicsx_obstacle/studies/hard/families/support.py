@@ -68,7 +68,7 @@ class Unheld(Family):
             if answer is not None and "foundation" in self.feeble:
                 low, high = Field(answer.u).ends()
                 true = (-1 if self.upper else 1) * self.load / self.feeble["foundation"]
-                judgement.check(max(abs(low - true), abs(high - true)) <= 1e-4 * abs(true),
+                judgement.check(max(abs(low - true), abs(high - true)) <= AT_THE_LIMIT * abs(true),
                                 f"u from {low:.6g} to {high:.6g}; true: {true:.6g} everywhere")  # fmt: skip
             return
         answer = judgement.solve(self.scene, ANSWER, **self.options)
