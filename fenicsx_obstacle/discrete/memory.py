@@ -19,7 +19,7 @@ def check_memory(unknowns: float, dim: int, comm: MPI.Comm, source: str, remedy:
     """Refuse a mesh of so many unknowns where there is no room for it (collective).
 
     Raises:
-        InputError: Naming the scene's `source`, with the remedy.
+        InputError: Naming the `source`, with the remedy.
     """
     if not fits(unknowns, dim, comm):
         needed, free = unknowns * BYTES_PER_VERTEX[dim], _free_memory(comm)

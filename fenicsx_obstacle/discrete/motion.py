@@ -18,10 +18,10 @@ from fenicsx_obstacle.discrete.moments import INERTIA, Moments
 
 @dataclass
 class Moment:
-    """Where a scene is in time: one for all levels of a mesh.
+    """Where a model is in time: one for all levels of a mesh.
 
     Attributes:
-        t: Now, in the unit of [time] end.
+        t: Now, in the unit of the end.
         first: c of u_t = c u - past, in 1/time.
         second: c of u_tt = c u - past, in 1/time^2.
     """

@@ -48,7 +48,7 @@ class Facets:
 class Parts:
     """The measures of all parts of one level.
 
-    Where several [[boundary]] give a facet the same key, the last one counts.
+    Where several parts give a facet the same key, the last one counts.
     """
 
     def __init__(self, level: Level, parts: Sequence[tuple[int, str, np.ndarray]], *, radial: bool = False):
@@ -56,7 +56,7 @@ class Parts:
 
         Args:
             level: Mesh.
-            parts: Number of a [[boundary]], a key of it, and the local facets there.
+            parts: Number of a part, a key of it, and the local facets there.
             radial: Give all integrals the weight x.
 
         Raises:
@@ -86,7 +86,7 @@ class Parts:
         self._dS = ufl.Measure("dS", domain=mesh, subdomain_data=marks)
 
     def over(self, number: int, key: str, *, nodal: bool = False) -> Facets:
-        """Integration over the part that a [[boundary]], counted from 0, gives a key."""
+        """Integration over the part, counted from 0, that has a key."""
         found = self._with(self._bit[number, key])
         return self.rule.on(found) if nodal else found
 

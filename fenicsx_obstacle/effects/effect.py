@@ -1,7 +1,7 @@
-"""What an effect is, and the register of those that scenes can name.
+"""What an effect is, and the register of those that have a name.
 
-An effect is one class: its data, read from the scene, and its part of the residual. Residual, energy and the choice of
-the solver are folds over the effects that a scene names; what it does not name is not even imported.
+An effect is one class: its data, and its part of the residual. Residual, energy and the choice of the solver are folds
+over the effects of a model; what no scene names is not even imported.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Reader(Protocol):
 
 
 class Sampler(Protocol):
-    """Gives an effect its data on a mesh: Functions and Constants, never formulas, so that scenes share forms."""
+    """Gives an effect its data on a mesh: Functions and Constants, so that all models share compiled forms."""
 
     def cellwise(self, value: Field, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
@@ -67,17 +67,17 @@ class Sampler(Protocol):
         """Its eigenvalues in ascending order, shape (cells or 1, rows)."""
 
     def on_part(self, value: Field, part: int, *, least: float | None = None) -> Any:
-        """Nodal Function with the values of a formula on the part of a [[boundary]], counted from 0."""
+        """Nodal Function with the values of a datum on a part of the boundary, counted from 0."""
 
     def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
         """Forces at points as forces at owned nodes."""
 
     def height(self, value: Field) -> Any:
-        """Nodal Function with the values of a formula."""
+        """Nodal Function with the values of a datum."""
 
     @property
     def motion(self) -> Any:
-        """Derivatives in time, where the scene has time."""
+        """Derivatives in time, where the model has time."""
 
     @property
     def dx(self) -> Any:
@@ -88,7 +88,7 @@ class Sampler(Protocol):
         """The same by the nodal rule, where the element has one of degree 1."""
 
     def over(self, part: int, key: str, *, nodal: bool = False) -> Any:
-        """Integration over the part that a [[boundary]] gives a key, by the nodal rule of its facets if asked for."""
+        """Integration over the part of the boundary that has a key, by the nodal rule of its facets if asked for."""
 
 
 class OutputSampler(Sampler, Protocol):
@@ -136,7 +136,7 @@ class Effect:
     """One term of the equation. Subclasses give the form; the defaults say 'nothing'.
 
     Attributes:
-        value: The effect's data from the scene: a number, a formula, or one of these for each material.
+        value: Its datum, in the unit `unit`.
     """
 
     value: Field

@@ -105,7 +105,7 @@ class Estimator:
         self._hypotheses = Hypotheses(triangles, tension.known, load.known, unseen, self.element.rim)
 
     def lend_load(self) -> None:
-        """Let the problem have the load by the quadrature used here, which sees where formulas jump (collective)."""
+        """Let the problem have the load by the quadrature used here, which sees where data jump (collective)."""
         equilibration = self.element.equilibration
         self.problem.nodal.add_forces(equilibration.missing)
         equilibration.missing = np.zeros_like(equilibration.missing)

@@ -25,7 +25,7 @@ Fields = Callable[[np.ndarray | slice, np.ndarray], tuple[np.ndarray, np.ndarray
 
 
 def tension_of(data: Data) -> Field:
-    """mu, of a scene that `refuse_no_bound` lets pass."""
+    """mu, of a problem that `refuse_no_bound` lets pass."""
     tension = data.model.elastic.isotropic_tension
     assert tension is not None
     return tension
@@ -89,7 +89,7 @@ class Samples:
 
 
 class Load:
-    """Moments of the load's formula in the cells, and how far it is from the polynomials that the flux is in balance
+    """Moments of the load in the cells, and how far it is from the polynomials that the flux is in balance
     with.
 
     Attributes:
@@ -135,7 +135,7 @@ class Load:
         self.missing = self.moments - solver
 
     def _samples(self, value: Field) -> Iterator[Samples]:
-        """Of the formula: in all cells, then once more, to replace these, where it may jump or is a polynomial."""
+        """Of the datum: in all cells, then once more, to replace these, where it may jump or is a polynomial."""
         triangles = self._triangles
         points, weights = rule(2)
         values = triangles.values(value, points)
@@ -164,7 +164,7 @@ class Load:
 
 
 class Tension:
-    """The tension's formula in the cells, with samples where it varies within them.
+    """The tension in the cells, with samples where it varies within them.
 
     Attributes:
         least: A lower bound in each cell, or its least sample.

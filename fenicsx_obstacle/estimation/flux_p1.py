@@ -58,7 +58,7 @@ class EquilibrationP1:
         fans: Their corners around the vertices.
         mu: Tension of each cell, as the solver has it.
         load: Its moments are int_T f phi_l, shape (cells, 3), its oscillation ||f - f_0||_T.
-        missing: Force at owned vertices that the load's formula gives more than what the solver makes of it.
+        missing: Force at owned vertices that the load gives more than what the solver makes of it.
     """
 
     def __init__(self, triangles: Triangles):

@@ -57,7 +57,7 @@ class EquilibrationP2:
         nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
         mu: Mean tension of each cell, as the solver has it.
         load: Its moments are int f psi_j psi_k, shape (cells, 3, 3), its oscillation ||f - Pi_1 f||_T.
-        missing: Force at owned nodes that the load's formula gives more than what the solver makes of it.
+        missing: Force at owned nodes that the load gives more than what the solver makes of it.
     """
 
     def __init__(self, triangles: Triangles, data: Data):

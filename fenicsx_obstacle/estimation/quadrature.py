@@ -1,4 +1,4 @@
-"""The quadrature of formulas on simplices, and cells in parts that fit into memory."""
+"""The quadrature of data on simplices, and cells in parts that fit into memory."""
 
 from __future__ import annotations
 
