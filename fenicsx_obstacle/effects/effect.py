@@ -60,6 +60,9 @@ class Sampler(Protocol):
     def values(self, value: Field) -> np.ndarray:
         """The values of `cellwise` at local cells, or the one there is."""
 
+    def at_nodes(self, value: Field) -> np.ndarray:
+        """Values at owned nodes."""
+
     def matrix(self, rows: tuple[tuple[Field, ...], ...]) -> Any:
         """Symmetric, positive definite matrix with one value per cell."""
 
@@ -122,13 +125,6 @@ class Units(Protocol):
 
     def height_of(self, value: Any) -> Any:
         """A number or a formula for a height."""
-
-
-class NodalSampler(Protocol):
-    """Gives an effect its data at nodes."""
-
-    def at_nodes(self, value: Field) -> np.ndarray:
-        """Values at owned nodes."""
 
 
 @dataclass(frozen=True)
@@ -293,7 +289,7 @@ class Effect:
         """Its tension in local cells where it is elastic, for the scale of eps."""
         return None
 
-    def density(self, data: NodalSampler) -> np.ndarray | None:
+    def density(self, data: Sampler) -> np.ndarray | None:
         """Its values at owned nodes where it is a load per area, else None: for lumping with other weights."""
         return None if self.area_load is None else data.at_nodes(self.area_load)
 

@@ -69,6 +69,10 @@ class ExactData:
         """Sampled."""
         return self.data.values(field)
 
+    def at_nodes(self, field: Field) -> np.ndarray:
+        """Sampled."""
+        return self.data.at_nodes(field)
+
     def matrix(self, rows: tuple[tuple[Field, ...], ...]) -> Any:
         """The data themselves."""
         return ufl.as_matrix([[self.cellwise(entry) for entry in row] for row in rows])
