@@ -244,9 +244,12 @@ class Ground:
         noise = np.where(self.free, FEW * (self.diagonal * (np.abs(w) + np.abs(r)) + pressing), 0.0)
         below, above = problem.gaps()
         # where all data are zero solvers take for nothing what they cannot compare with any force
-        nearest = smallest(self.comm, [np.abs(gap[gap != 0]).min(initial=np.inf) for gap in (below, above)])
+        nearest = smallest(
+            self.comm, [self._nearest(*pair) for pair in zip((below, above), problem.obstacles(), strict=True)]
+        )
         if np.isfinite(nearest):
-            noise = noise + np.where(self.free, NOTHING * nearest * self.diagonal, 0.0)
+            nothing = np.where(self.free, NOTHING * nearest * self.diagonal, 0.0)
+            noise, forces = noise + nothing, max(forces, total(self.comm, nothing))
         state = problem.state()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
@@ -262,6 +265,12 @@ class Ground:
             R = self._reach(left, np.where(self.free, elastic - self.D * p, 0.0), slip, last)
         return Solved(self, eps, w, r, np.array(p), elastic, below, above, energy, forces, noise, self.diagonal, span,
                       z, R)  # fmt: skip
+
+    def _nearest(self, gap: np.ndarray, obstacle: np.ndarray | float) -> float:
+        """The smallest gap above the last digit of an obstacle: what is below it touches (collective)."""
+        heights = np.abs(obstacle)
+        digit = EPSILON * max(largest(self.comm, np.where(np.isfinite(heights), heights, 0.0)), 0.0)
+        return float(np.abs(gap[np.abs(gap) > digit]).min(initial=np.inf))
 
     def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
         """R of a residual, of which `left` is the size with its round-off."""
