@@ -161,9 +161,9 @@ class Data:
             self._cellwise[key] = self.follow([field], partial(self._checked_cells, *key))
         return self._cellwise[key]
 
-    def values(self, field: Field) -> np.ndarray:
+    def values(self, field: Field, *, positive: bool = False) -> np.ndarray:
         """The values of `cellwise` at local dofs of W, or the one there is (collective on first use)."""
-        return array_of(self.cellwise(field))
+        return array_of(self.cellwise(field, positive=positive))
 
     def nodal(self, field: Field, more: Names | None = None) -> fem.Function:
         """Nodal interpolant in V, with values of further names (collective).

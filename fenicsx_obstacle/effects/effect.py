@@ -57,7 +57,7 @@ class Sampler(Protocol):
     def cell_size(self) -> Any:
         """The side h of each cell."""
 
-    def values(self, value: Field) -> np.ndarray:
+    def values(self, value: Field, *, positive: bool = False) -> np.ndarray:
         """The values of `cellwise` at local cells, or the one there is."""
 
     def at_nodes(self, value: Field) -> np.ndarray:

@@ -26,7 +26,7 @@ class OfSlope(Effect):
         return 0.0, 0.0
 
     def stiffness(self, data: Sampler) -> np.ndarray:
-        return data.values(self.value)
+        return data.values(self.value, positive=True)
 
     def squared_norm(self, e: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner

@@ -65,9 +65,9 @@ class ExactData:
         """0: exact data need no upwinding."""
         return 0.0
 
-    def values(self, field: Field) -> np.ndarray:
+    def values(self, field: Field, *, positive: bool = False) -> np.ndarray:
         """Sampled."""
-        return self.data.values(field)
+        return self.data.values(field, positive=positive)
 
     def at_nodes(self, field: Field) -> np.ndarray:
         """Sampled."""

@@ -119,14 +119,8 @@ def _sensitive(problem: Problem, active: np.ndarray) -> str | None:
     u = (problem.w.x.array + problem.reference.x.array)[:own]
     spread = largest(comm, u) - smallest(comm, u)
     middle = (largest(comm, u) + smallest(comm, u)) / 2
-    nodal.spring(problem.A, np.where(active != 0, np.inf, 0.0))
-    moved, forces = problem.A.createVecs()
-    forces.array[:] = np.where(problem.fixed | (active != 0), 0.0, EPSILON * nodal.diagonal * np.abs(u - middle))
-    solved = _solve(problem, forces, moved)
-    most = largest(comm, np.abs(moved.array_r))
-    for vector in (moved, forces):
-        vector.destroy()
-    if solved and not most <= LIMIT * spread:
+    moved = _moved_by(problem, active, EPSILON * nodal.diagonal * np.abs(u - middle))
+    if moved is not None and not moved <= LIMIT * spread:
         return "round-off decides u, by more than 1 % of its range: the equation is nearly singular"
     return None
 
@@ -148,20 +142,26 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
         return None
     free = ~problem.fixed & (active == 0)
     if largest(level.comm, depth_of_sources(data, velocity)[free]) <= DEEP:
-        problem.nodal.spring(problem.A, np.where(active != 0, np.inf, 0.0))
-        z, load = problem.A.createVecs()
-        load.array[:] = np.where(free, problem.nodal.unit_load(), 0.0)
-        solved = _solve(problem, load, z)
-        most = largest(level.comm, np.abs(z.array_r))
-        for vector in (z, load):
-            vector.destroy()
-        if not solved or most * speed(data, velocity) <= TRAPPED * data.extent:
+        time = _moved_by(problem, active, problem.nodal.unit_load())
+        if time is None or time * speed(data, velocity) <= TRAPPED * data.extent:
             return None
     return (
         "the drift flows away from some places on all sides, or in circles, so that u is large there, and the cells "
         f"are too coarse to say how large: their Peclet number |drift| h/(2 tension) reaches {number:.3g}, and must be "
         "below 1 here"
     )
+
+
+def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float | None:
+    """How far forces at owned dofs move u where it is free, contact held; None if that is not found (collective)."""
+    problem.nodal.spring(problem.A, np.where(active != 0, np.inf, 0.0))
+    x, b = problem.A.createVecs()
+    b.array[:] = np.where(problem.fixed | (active != 0), 0.0, forces)
+    solved = _solve(problem, b, x)
+    most = largest(problem.level.comm, np.abs(x.array_r))
+    for vector in (x, b):
+        vector.destroy()
+    return most if solved else None
 
 
 def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:

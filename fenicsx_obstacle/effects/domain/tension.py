@@ -48,7 +48,7 @@ class Tension(Effect):
         return data.cellwise(self.value, positive=True)
 
     def stiffness(self, data: Sampler) -> np.ndarray:
-        return data.values(self.value)
+        return data.values(self.value, positive=True)
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner
