@@ -43,6 +43,7 @@ napoleon_use_ivar = True
 toc_object_entries = False  # one page for each room; its modules are in the contents, its functions are not
 
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
 nitpicky = True  # what pages name in the code has to be there; types of others are theirs
 nitpick_ignore_regex = [("py:.*", r"(?!fenicsx_obstacle\.).*"), ("py:class", r".*\.Sampled")]  # a type variable
 suppress_warnings = ["ref.python"]  # two modules may have a Row or a Distance of their own

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
@@ -34,6 +35,7 @@ except KeyboardInterrupt:
 def main() -> None:
     """Run the command line; does not return."""
     guard_streams()
+    left = os.environ.pop("OBSTACLE_STATUS", "")  # a file; processes that this one starts have a status of their own
     arguments = sys.argv[1:]
     petsc = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     arguments = arguments[: len(arguments) - len(petsc) - 1] if "--" in arguments else arguments
@@ -41,7 +43,9 @@ def main() -> None:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  (help and messages come from rank 0 alone)
     status = _run(arguments, petsc)
     why = lost_output() if status == 0 else None
-    sys.exit(status if why is None else _fail(f"Error: standard output: {why}; files are complete", LOST_OUTPUT))
+    if why is not None:
+        status = _fail(f"Error: standard output: {why}; files are complete", LOST_OUTPUT)
+    sys.exit(0 if left and _leave(status, left) else status)
 
 
 def _run(arguments: list[str], petsc: list[str]) -> int:
@@ -89,13 +93,23 @@ def _fail(message: str, status: int) -> int:
     return status
 
 
+def _leave(status: int, file: str) -> bool:
+    """Leave the exit status in the file that the launcher `obstacle` reads; whether that was possible."""
+    try:
+        if status != 0:
+            Path(file).write_text(str(status))
+    except OSError:
+        return False
+    return True
+
+
 def _begin(petsc: list[str]) -> None:
     """MPI, PETSc with its options, and an exception hook that ends all ranks."""
     # first: mpirun ends all ranks once one has left with a status but without MPI, the one with the message too
     from mpi4py import MPI
 
     if petsc and not petsc[0].startswith("-"):
-        sys.exit(_fail(f"Error: after -- come PETSc's options, such as -penalty_pc_type lu, not {petsc[0]}", 2))
+        raise click.ClickException(f"after -- come PETSc's options, such as -penalty_pc_type lu, not {petsc[0]}")
     import petsc4py
 
     petsc4py.init([sys.argv[0], *petsc])

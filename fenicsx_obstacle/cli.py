@@ -246,13 +246,14 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 @commands.command()
 @click.argument("name", metavar="[NAME]", required=False)
 @click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: N random scenes.")
+@click.option("--truths", is_flag=True, help="With --random: only scenes whose true error is known; a table of bounds.")
 @click.option("--broken", is_flag=True, help="Instead: input that is wrong in every way, and what is said about it.")
 @click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
 @click.option("--output", type=Place(), default=Path("out/hard"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
 @options("seed", "json", "quiet", "log")
 def hard(
-    name: str | None, count: int | None, seed: int | None, broken: bool, faults: bool, output: Path,
+    name: str | None, count: int | None, truths: bool, seed: int | None, broken: bool, faults: bool, output: Path,
     json_file: str | None, quiet: bool,
 ) -> int:  # fmt: skip
     """Solve hard scenes, and check every answer against the theory.
@@ -265,8 +266,11 @@ def hard(
     from fenicsx_obstacle.show.hard import show_hard
     from fenicsx_obstacle.show.progress import progress
 
-    if (name is not None) + broken + faults + (count is not None) > 1 or (seed is not None and count is None):
-        raise InputError("hard: NAME, --random, --broken and --faults exclude each other; --seed goes with --random")
+    if (name is not None) + broken + faults + (count is not None) > 1 or (
+        count is None and (truths or seed is not None)
+    ):
+        raise InputError("hard: NAME, --random, --broken and --faults exclude each other; --seed and --truths go with "
+                         "--random")  # fmt: skip
     check_places(output, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress("hard", quiet=quiet):
@@ -274,8 +278,10 @@ def hard(
             rows = show_broken(output, say)
         elif faults:
             rows = show_faults(output, say)
+        elif count is not None:
+            rows = show_random(count, output, say, seed, truths=truths)
         else:
-            rows = show_hard(name, output, say) if count is None else show_random(count, output, say, seed)
+            rows = show_hard(name, output, say)
     if json_file is not None:
         write_json(json_file, rows)
     return 3 if any(row["verdict"] == "FAILED" for row in rows) else 0

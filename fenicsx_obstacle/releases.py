@@ -280,3 +280,14 @@ def from_xdmf(file: io.XDMFFile, name: str) -> dmesh.Mesh:
 def failed(solver: Any) -> bool:
     """Whether a KSP or SNES stopped without convergence."""
     return solver.getConvergedReason() <= 0
+
+
+def polynomial_degree(V: fem.FunctionSpace) -> int | None:
+    """Of the functions of a scalar space on simplices; None where they may be no polynomials."""
+    element = V.ufl_element()
+    if cell_name(V.mesh) not in ("interval", "triangle", "tetrahedron"):
+        return None
+    if OLD:
+        return int(element.degree()) if element.family() in ("Lagrange", "Discontinuous Lagrange") else None
+    known = element.family_name in ("P", "Lagrange", "Discontinuous Lagrange")
+    return int(element.embedded_superdegree) if known else None

@@ -28,8 +28,10 @@ within() {
     mount -t proc proc "$0/proc"
     mount --rbind /sys "$0/sys"
     mount --rbind /dev "$0/dev"
-    # Open MPI names its segments by host and process: two releases tested at once must not meet
+    # Open MPI names its segments and folders by host and process, and processes are counted anew here: what another run
+    # has there, or what one that was killed has left there, must not be met
     mount -t tmpfs tmpfs "$0/dev/shm"
+    mount -t tmpfs tmpfs "$0/tmp"
     exec chroot "$0" env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin bash -c "cd \"\$0\" && exec \"\$@\"" "$@"
   ' "$roots/$1" "$copy" "${@:2}"
 }

@@ -67,18 +67,6 @@ def scenes() -> dict[str, Scene]:
     return given
 
 
-SAMPLED = "certified for the sampled "
-BOTH = SAMPLED + "obstacle and boundary value"
-WORDS = {
-    "no contact": SAMPLED + "load", "perturbed": SAMPLED + "load", "free side": SAMPLED + "load",
-    "L-shape": SAMPLED + "boundary value", "full contact": SAMPLED + "obstacle",
-    "full contact, edge too": SAMPLED + "obstacle", "tension that varies": SAMPLED + "load",
-    "jump of tension": SAMPLED + "load and obstacle", "ball": BOTH, "biactive": SAMPLED + "load",
-    "biactive_power": SAMPLED + "load", "cone": BOTH, "disk_flat": SAMPLED + "boundary value",
-    "disk_mu_jump": SAMPLED + "tension and boundary value", "halfplane": SAMPLED + "load and boundary value",
-    "nsv": SAMPLED + "load", "ring_wedge": BOTH, "smooth_square": SAMPLED + "load and obstacle",
-    "torsion_disk": BOTH, "two_obstacle_square": SAMPLED + "load and obstacle",
-}  # fmt: skip
 EPS = ("h", "h^2", "1e-10")
 NAMES = sorted(scenes())[:: COMM.size]  # on several ranks they differ by round-off only
 
@@ -108,7 +96,7 @@ def test_the_flux_is_in_balance():
         triangles, equilibration = element.triangles, element.equilibration
         lower, upper = problem.gaps()
         flux = equilibration.flux(problem.heights().x.array, lower <= 0, upper <= 0)
-        pressure = (flux.lower - flux.upper + flux.rest)[triangles.dofs].mean(axis=1)
+        pressure = (flux.lower - flux.upper + flux.rest[triangles.dofs]).mean(axis=1)
         load = equilibration.load.moments.sum(axis=1) / triangles.area  # f_0
         scale = largest(COMM, np.abs(load)) + largest(COMM, np.abs(pressure))
         balance = flux.normal.sum(axis=1) / triangles.area + load + pressure
@@ -124,9 +112,9 @@ def test_the_flux_is_in_balance():
 def test_no_known_error_is_above_its_bound(name):
     for eps in EPS:
         row = measured(name)[eps]
-        # soft obstacles let u touch beside the boundary, where the obstacle is compared on a lattice
-        soft = BOTH if (name, eps) == ("disk_flat", "h") else WORDS[name]
-        assert row.bound.words in (WORDS[name], soft) and not row.bound.guaranteed
+        # of r^(2/3) no slope is known at the corner
+        words = "certified for the sampled boundary value" if name == "L-shape" else "certified"
+        assert row.bound.words == words
         assert row.error <= row.bound.total
         assert row.error_v <= row.bound.admissible_total
         assert row.bound.total <= row.bound.admissible_total + row.bound.penalty + row.bound.data + ROUND_OFF
@@ -134,14 +122,15 @@ def test_no_known_error_is_above_its_bound(name):
 
 @pytest.mark.slow
 def test_bounds_are_near():
-    """Effectivity with eps <= h^2: of v_h median 1.9 and maximum 3.3, of u_h 2.3 and 3.9.
+    """Effectivity with eps <= h^2: of v_h median 1.9 and maximum 3.4, of u_h 2.3 and 3.9. The maximum of v_h is that of
+    full contact up to the boundary, where it is proved and no longer sampled.
 
     A sharp edge across the cells is left out: half of the bound is then what v_h must keep from it, and u_h need not.
     """
     rows = [measured(name)[eps] for name in NAMES for eps in EPS[1:] if name != "ring_wedge"]
     of_v = [row.bound.admissible_total / row.error_v for row in rows]
     of_u = [row.bound.total / row.error for row in rows]
-    assert np.median(of_v) <= 1.9 and max(of_v) <= 3.3
+    assert np.median(of_v) <= 1.9 and max(of_v) <= 3.4
     assert np.median(of_u) <= 2.3 and max(of_u) <= 3.9
 
 
@@ -269,7 +258,7 @@ def test_held_curves_inside():
     bench = Workbench(two, level=replace(level, named=named, coarse=None, parents=None, places=None, shape=None))
     both = bench.answer(bound=True).bound
     one = solve(scene, cells=8, bound=True).bound
-    assert both.words == "certified on the polygon of the mesh for the sampled load"
+    assert both.words == "certified on the polygon of the mesh"
     # Friedrichs' constant alone is that of the whole
     assert np.isclose(both.discretisation, np.sqrt(2) * one.discretisation, rtol=1e-9)
     assert np.isclose(total(COMM, both.indicator), np.sqrt(2) * total(COMM, one.indicator), rtol=1e-9)

@@ -12,7 +12,6 @@ from test_bound import distance
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.estimation.standing import Standing
 
 SQUARE = {"shape": "rectangle", "cells": 8}
@@ -36,18 +35,25 @@ def one_dimensional_error(tension, answer):
     return np.sqrt(np.sum(width * mu * (c / mu - np.diff(u) / width) ** 2))
 
 
+def distance_from_finer(coarse, cells=64):
+    """Energy norm of the difference to the solution on a finer mesh, on one rank: the error but for that mesh's own."""
+    scene = coarse.scene.change({"mesh.cells": cells, "solve.element": "P1"})
+    with closing(Workbench(scene, MPI.COMM_SELF)) as fine:
+        u = fine.answer().u.x.array
+        return distance(fine.problem, u - coarse.at(fine.problem.level.points.T))
+
+
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize("contrast", slow_except([2, 1e3, 1e6], 2))
 @pytest.mark.parametrize("place", slow_except([0.503, 0.6251], 0.503))
 def test_a_jump_of_tension_between_samples(element, contrast, place):
-    """No sample sees it, the error is far above the bound: the words name the tension; on a mesh line it is exact."""
+    """No sample sees it, but the bound holds, up to a few times the error; on a mesh line it is exact."""
     where = f"where(x < {place}, {contrast}, 1)"
     answer = bounded(element, tension=where, boundary=SIDES)
     error = one_dimensional_error(lambda x: np.where(x < place, contrast, 1.0), answer)
-    assert answer.bound.total < error
-    assert answer.bound.words == "certified for the sampled tension" and not answer.bound.guaranteed
-    text = answer.summary()
-    assert "energy error at most" in text and "certified for the sampled tension" in text
+    assert answer.bound.words == "certified" and answer.bound.guaranteed
+    assert error <= answer.bound.total <= 4 * error
+    assert re.search(r"energy error at most .*certified", answer.summary())
     aligned = bounded(element, tension=where.replace(str(place), "0.625"), boundary=SIDES)
     error = one_dimensional_error(lambda x: np.where(x < 0.625, contrast, 1.0), aligned)
     assert aligned.bound.guaranteed and aligned.bound.words == "certified"
@@ -58,8 +64,11 @@ def test_a_jump_of_tension_between_samples(element, contrast, place):
     "tension", ["where(r < 0.517, 1e6, 1)", "1/(1.01 + sin(150*x))", "exp(x)", "1 + max(x, y)/9 + r"]
 )
 def test_tensions_that_are_no_polynomials(tension):
-    """A curve, waves, smooth formulas: for the sampled tension."""
-    assert bounded(tension=tension, boundary=SIDES).bound.words == "certified for the sampled tension"
+    """A curve, waves, smooth formulas: no error is above the bound."""
+    coarse = solve(Scene(mesh=SQUARE, tension=tension, boundary=SIDES), comm=MPI.COMM_SELF, bound=True)
+    assert coarse.bound.words == "certified"
+    error = distance_from_finer(coarse)
+    assert error <= coarse.bound.total
 
 
 @pytest.mark.parametrize("element", slow_except(["P1", "P2"], "P1"))
@@ -91,49 +100,45 @@ def test_exact_data_are_certified(element, data):
 
 @pytest.mark.parametrize("element", slow_except(["P1", "P2"], "P1"))
 @pytest.mark.parametrize(
-    ("harmonic", "words"),
-    [
-        ("x^2 - y^2", "certified"), ("x^5 - 10*x^3*y^2 + 5*x*y^4", "certified"),
-        ("exp(3*x)*sin(3*y)", "certified for the sampled boundary value"),
-    ],
-)  # fmt: skip
-def test_boundary_values_between_nodes(element, harmonic, words):
-    """Polynomials along the edges are integrated exactly, other boundary values are sampled; both bound the error."""
+    "harmonic", ["x^2 - y^2", "x^5 - 10*x^3*y^2 + 5*x*y^4", "exp(3*x)*sin(3*y)", "ln(hypot(x + 0.1, y))"]
+)
+def test_boundary_values_between_nodes(element, harmonic):
+    """Polynomials along the edges are integrated exactly, smooth values up to a remainder; both bound the error."""
     answer = bounded(element, boundary=[{"value": harmonic}], exact=harmonic)
     error = answer.record["errors"]["energy"]
     assert (
-        answer.bound.words == words and error <= answer.bound.total + 1e-10 and answer.bound.total <= 5 * error + 1e-10
+        answer.bound.words == "certified"
+        and error <= answer.bound.total + 1e-10
+        and answer.bound.total <= 5 * error + 1e-10
     )
 
 
 @pytest.mark.parametrize(
-    ("data", "one", "two"),
+    ("data", "two"),
     [
-        ({"load": -10, "lower": -0.1}, True, False),
-        ({"load": "200*(x - 1/2)", "lower": "-0.3 - x*(1 - x)", "upper": "0.3 + y^2"}, True, False),
-        ({"load": "200*(x - 1/2)", "lower": "-0.3 - 0.1*sin(x)"}, False, False),
-        ({"load": 1, "lower": "-1 - x^2"}, True, True),
-        ({"load": -20, "lower": "-0.2*(1 + x^2)*y"}, False, False),  # it touches beside the boundary
+        ({"load": -10, "lower": -0.1}, True),
+        ({"load": "200*(x - 1/2)", "lower": "-0.3 - x*(1 - x)", "upper": "0.3 + y^2"}, True),
+        ({"load": "200*(x - 1/2)", "lower": "-0.3 - 0.1*sin(x)"}, True),
+        ({"load": -10, "lower": "-0.1 - abs(x - 0.47)/3 - max(r - 0.7, 0)^2"}, True),
+        ({"load": 1, "lower": "-1 - x^2"}, True),
+        ({"load": -20, "lower": "-0.2*(1 + x^2)*y"}, False),  # it touches beside the boundary
     ],
 )
-def test_obstacles(data, one, two):
-    """Polynomials are exact with P1 unless u touches beside the boundary; with P2 only where u does not touch."""
-    for element, exact in (("P1", one), ("P2", two)):
-        bound = bounded(element, **data).bound
-        assert bound.words == ("certified" if exact else "certified for the sampled obstacle"), element
+def test_obstacles(data, two):
+    """Certified with P1, touching or not; with P2 unless u touches beside the boundary."""
     scene = Scene(**{"mesh": SQUARE, "tension": 1, **data}).change({"solve.eps": 1e-9})
-    coarse = solve(scene, comm=MPI.COMM_SELF, bound=True)
-    with closing(Workbench(scene.change({"mesh.cells": 64}), MPI.COMM_SELF)) as fine:
-        u = fine.answer().u.x.array
-        error = distance(fine.problem, u - values_at(coarse.level, coarse.u, fine.problem.level.points.T))
-    assert error <= coarse.bound.total <= 5 * error
+    for element, exact in (("P1", True), ("P2", two)):
+        coarse = solve(scene.change({"solve.element": element}), comm=MPI.COMM_SELF, bound=True)
+        assert coarse.bound.words == ("certified" if exact else "certified for the sampled obstacle"), element
+        error = distance_from_finer(coarse)
+        assert error <= coarse.bound.total <= 6 * error, element
 
 
 @pytest.mark.parametrize("element", slow_except(["P1", "P2"], "P1"))
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        ({"load": "-0.01*max(r, 1e-12)^(-1.9)", "mesh": AROUND}, "the load may be much larger"),
+        ({"load": "-0.01*r^(-1.9)", "mesh": AROUND}, "the load may be infinite"),
         ({"load": "1/(x - 0.503)"}, "the load may be infinite"),
         ({"load": 1, "tension": "abs(x - 0.503)"}, "the tension may be 0"),
         ({"load": 1, "tension": "1/(y - 0.503)^2"}, "the tension may be 0, negative, infinite"),
@@ -160,7 +165,7 @@ def test_polygons():
     """Curved domains: for the polygon, and sampled data; a true error above the bound is explained."""
     exact = solve(Scene(mesh=DISK, tension=1, load=4, exact="1 - r^2"), bound=True)
     assert exact.bound.words == "certified on the polygon of the mesh" and not exact.bound.guaranteed
-    assert bounded(mesh=DISK, load="exp(x)").bound.words == "certified on the polygon of the mesh for the sampled load"
+    assert bounded(mesh=DISK, load="exp(x)").bound.words == "certified on the polygon of the mesh"
     record = dict(exact.record)
     record["bound"] = {**record["bound"], "effectivity": 0.579}
     text = exact.__class__(**{**vars(exact), "record": record}).summary()
@@ -177,6 +182,7 @@ JUMPS = {
     "theta*(x - 3)": "",
 }  # fmt: skip
 CONTINUOUS = (
+    "where(sin(x) + cos(x) < 1.47, x, 0)",  # always, which halves of an edge show and the whole edge does not
     "where(x < 0.5, x, 1 - x)", "where(x < 0.503, x, 1.006 - x)", "abs((3*x) % 1 - 0.5)", "sqrt(abs(x - 0.503))",
     "x^0.1", "tanh(1e5*(x - 0.503))", "where(x < 0.503, x, x + 1e-12)", "max(r - 1.1, 0)", "c", "distance",
     "abs(y)^0.3",
@@ -200,7 +206,7 @@ def test_boundary_values_that_jump_are_rejected(value):
         assert f"jump at {JUMPS[value]}" in str(error.value)
 
 
-@pytest.mark.parametrize("value", slow_except(CONTINUOUS, *CONTINUOUS[:3]))
+@pytest.mark.parametrize("value", slow_except(CONTINUOUS, *CONTINUOUS[:4]))
 def test_continuous_boundary_values_pass(value):
     """Kinks, roots, steep slopes and differences of round-off are no jumps."""
     answer = bounded(define=DEFINED, boundary=[{"value": value}])
@@ -221,11 +227,11 @@ def test_parts_that_meet():
 
 
 def test_tolerances_say_what_they_rest_on():
-    """The line on the tolerance: nothing more for exact data, the sampled data, or 'by an indicator only'."""
+    """The line on the tolerance: nothing more if it is certified, the polygon, or 'by an indicator only'."""
     for data, words in (
         ({"load": 1}, "tolerance 0.3 is reached, on mesh"),
-        ({"load": "exp(x)"}, "tolerance 0.3 is reached, for the sampled load, on mesh"),
-        ({"load": "exp(x)", "mesh": DISK}, "reached, on the polygon of the mesh for the sampled load, on mesh"),
+        ({"load": "exp(x)"}, "tolerance 0.3 is reached, on mesh"),
+        ({"load": "exp(x)", "mesh": DISK}, "reached, on the polygon of the mesh, on mesh"),
         ({"load": 1, "foundation": 1}, "tolerance 0.3 is reached, by an indicator only, on mesh"),
     ):
         assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()

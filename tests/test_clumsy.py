@@ -206,6 +206,21 @@ def test_status_4_reaches_the_shell(ranks, tmp_path):
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(["explain", "nowhere"], "nowhere"), (["solve", "ball", "--no-such-option"], "no-such-option"),
+     (["solve", "ball", "--cells", "4", "--", "x"], "after -- come PETSc's options")],
+)  # fmt: skip
+def test_rejected_input_has_the_last_word_on_two_ranks(arguments, words, tmp_path):
+    """mpirun adds nothing to the message, status 2 reaches the shell, and no temporary file is left."""
+    done = launched(2, *arguments, cwd=tmp_path, env={**clean(), "TMPDIR": str(tmp_path)})
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("Error: ") == 1
+    assert words in done.stderr.splitlines()[-1]
+    assert not [path for path in tmp_path.iterdir() if path.is_file()]
+
+
+@pytest.mark.serial
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("json_too", [False, True])

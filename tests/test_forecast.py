@@ -25,7 +25,7 @@ def test_unknowns_and_memory(name, element):
     """A refinement is cut at a sixth of its unknowns and continued to the bound that it reached; clocks of a busy
     machine are left to benchmarks/forecasts.py."""
     scene = catalogue.scene(name).change({"solve.element": element, "mesh.cells": 16, "exact": None})
-    path = path_of(scene, 15000 if element == "P1" else 30000)
+    path = path_of(scene, 15000 if element == "P1" else 60000)
     last = path[-1]
     known = [step for step in path if step["dofs"] < last["dofs"] / 6]
     next_ = path[len(known)]

@@ -8,8 +8,10 @@ import pytest
 from conftest import COMM
 
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.show.chance import HEADS, table
 from fenicsx_obstacle.studies.hard.draw import SEED, judged, shares, try_all
 from fenicsx_obstacle.studies.hard.families.drifts import Strip
+from fenicsx_obstacle.studies.hard.families.every import TRUTHS
 from fenicsx_obstacle.studies.hard.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION, Family, Judgement
 from fenicsx_obstacle.studies.hard.families.films import Film
 from fenicsx_obstacle.studies.hard.row import FAILED, REFUSED, RIGHT
@@ -50,6 +52,33 @@ def test_shares():
     assert counts["admissible"] == 500
     assert min(counts.values()) >= 500 // len(counts)
     assert sum(shares(1).values()) == 1
+    truths = shares(1000, truths=True)
+    assert set(truths) == set(TRUTHS) and sum(truths.values()) == 1000
+    assert min(truths.values()) >= 1000 // len(truths)
+
+
+def test_table_of_bounds():
+    """Each kind of words has its column; errors of round-off have no effectivity."""
+    kinds = ("certified", "certified on the polygon of the mesh", "certified for the sampled load", "an indicator: x")
+    bounds = [{"words": words, "total": 2.0, "error": 1.0, "norm": 1.0, "claimed": k < 2, "below": False}
+              for k, words in enumerate(kinds)]  # fmt: skip
+    bounds[1] |= {"total": 0.5, "below": True}
+    bounds[2] |= {"total": 0.7, "below": True}
+    bounds[3] |= {"error": 1e-15}
+    rows = [{"family": "layers", "bounds": [bound]} for bound in bounds] + [{"family": "pole", "bounds": []}]
+    heads, layers, pole, every, *_ = table(rows).splitlines()
+    assert heads.split() == [*" ".join(HEADS).split()]
+    assert layers.split()[1:] == ["4", "1", "1", "1", "1", "0", "1", "1", "0.70", "2"]
+    assert pole.split()[1:] == ["1", "0", "0", "0", "0", "1", "0", "0"]
+    assert every.split()[1:] == ["5", "1", "1", "1", "1", "1", "1", "1", "0.70", "2"]
+
+
+def test_bounds_are_kept():
+    """A row has the bounds that were compared with true errors, and whether they are below."""
+    rows = rows_of({"layers": 1})
+    (bound,) = rows[0]["bounds"]
+    assert bound["claimed"] and not bound["below"] and bound["words"].startswith("certified")
+    assert bound["error"] <= bound["total"] * (1 + 1e-9) + 1e-12 * bound["norm"]
 
 
 @dataclass(frozen=True)

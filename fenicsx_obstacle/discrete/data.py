@@ -29,15 +29,6 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.parts import Facets, Parts
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
-STEEP = 3.0  # quadratics through positive values stay positive up to 4 on triangles, 4.5 on squares, 3.09 on cubes
-
-
-def _flatten_jumps(tension: fem.Function) -> None:
-    """Give a cell in which positive nodal values jump their mean: the polynomial through them could be negative."""
-    dofs = releases.cell_dofs(tension.function_space)
-    values = tension.x.array[dofs]
-    steep = values.max(axis=1) > STEEP * values.min(axis=1)
-    tension.x.array[dofs[steep]] = values[steep].mean(axis=1)[:, None]
 
 
 class Weighted:
@@ -478,8 +469,10 @@ class Data:
         made = self._sample_cells(field)
         if positive:
             self._refuse(field, made, array_of(made) <= 0, "must be positive; it is")
-            if isinstance(made, fem.Function) and self.level.pair.degree > 1:
-                _flatten_jumps(made)
+            if isinstance(made, fem.Function):
+                from fenicsx_obstacle.discrete.jumps import average  # only where data are not numbers
+
+                average(self, field, made)
         if least is not None:
             self._refuse(field, made, array_of(made) < least, f"must be at least {least:g}; it is")
         bound = 0.0 if positive else least

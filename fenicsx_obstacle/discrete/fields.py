@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import numbers
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -14,8 +15,8 @@ from mpi4py import MPI
 from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.corealg.traversal import unique_pre_traversal
 
-from fenicsx_obstacle import releases
-from fenicsx_obstacle.effects.field import ByCells, Field, Names
+from fenicsx_obstacle import polynomials, releases
+from fenicsx_obstacle.effects.field import ByCells, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import agree
 from fenicsx_obstacle.words import plain, shown
@@ -58,6 +59,7 @@ class Number(Field):
     """A number, or the value that a Constant has when it is asked for."""
 
     uniform = True
+    continuous = True
 
     def __init__(self, value: float | fem.Constant, source: str):
         self.value, self.source = value, source
@@ -118,13 +120,82 @@ class OfCallable(Field):
         return values
 
 
+@dataclass(frozen=True)
+class _Bounds:
+    """Of polynomials on simplices, as `effects.field.Bounds` has it."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    degree: np.ndarray
+
+    @property
+    def whole(self) -> np.ndarray:
+        return np.ones(len(self.degree), dtype=bool)
+
+    @property
+    def defined(self) -> np.ndarray:
+        return self.finite
+
+    @property
+    def finite(self) -> np.ndarray:
+        return np.isfinite(self.lower) & np.isfinite(self.upper)
+
+    @property
+    def derivatives(self) -> tuple[np.ndarray, ...]:
+        return (np.full(len(self.degree), np.inf),)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piecewise:
+    """A Function on parts of cells: `effects.field.Enclosed`."""
+
+    function: fem.Function
+    degree: int
+    corners: np.ndarray
+    cells: np.ndarray
+
+    def once(self) -> _Bounds:
+        every = np.arange(len(self.cells))
+        low, high = polynomials.bounds(self.values(self.degree, every), self.corners.shape[1], self.degree)
+        return _Bounds(low, high, np.full(len(every), self.degree))
+
+    def truth(self) -> Truth:
+        bounds = self.once()
+        return Truth((bounds.lower != 0) | (bounds.upper != 0), (bounds.lower <= 0) & (bounds.upper >= 0))
+
+    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """No condition cuts them."""
+        unknown = np.full(len(cells), np.inf)
+        return np.zeros((len(cells), self.corners.shape[1])), unknown, unknown
+
+    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """There are none."""
+        return self.linear(cells)[:2]
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        points = polynomials.inner_points(self.corners.shape[1], degree)
+        x = np.zeros((len(cells) * len(points), 3))
+        x[:, :2] = (points @ self.corners[cells]).reshape(-1, 2)
+        if not len(cells):
+            return np.empty((0, len(points)))
+        return self.function.eval(x, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)
+
+
 class OfFunction(Field):
     """A Function of this mesh or of another one; at points, within the cells of this rank."""
 
     everywhere = False
 
-    def __init__(self, function: fem.Function, source: str):
+    def __init__(self, function: fem.Function, source: str, *, interpolated: bool = False):
+        """Take it.
+
+        Args:
+            function: It.
+            source: What messages call it.
+            interpolated: Whether it stands for a datum that it does not equal everywhere.
+        """
         self.function, self.source, self.text = function, source, function.name
+        self._interpolated = interpolated
         if function.ufl_shape != ():
             count = int(np.prod(function.ufl_shape))
             raise InputError(f"{source} is a Function with {count} components: expected one of one")
@@ -139,7 +210,7 @@ class OfFunction(Field):
         V = level.V if _continuous(self.function.function_space) else level.W
         taken = fem.Function(V, name=self.function.name)
         taken.x.array[:] = self._elsewhere(level, level.points_of(V))
-        return OfFunction(taken, self.source)
+        return OfFunction(taken, self.source, interpolated=True)
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         if cells is not None:
@@ -163,6 +234,16 @@ class OfFunction(Field):
         taken = fem.Function(V)
         taken.interpolate(releases.expression(self.function, V))
         return taken.x.array
+
+    @property
+    def continuous(self) -> bool:  # type: ignore[override]
+        return _continuous(self.function.function_space)
+
+    def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
+        degree = releases.polynomial_degree(self.function.function_space)
+        if self._interpolated or degree is None or degree > polynomials.MAX_DEGREE:
+            return None
+        return _Piecewise(self.function, degree, corners, cells)
 
     def expression(self, symbols: Symbols) -> Any:
         return self.function + symbols.zero
@@ -210,7 +291,7 @@ class OfExpression(Field):
         here = OfExpression(self.ufl, self.source)
         sampled = fem.Function(releases.functionspace(level.mesh, "DG", 2))
         sampled.interpolate(releases.expression(here._on(level.mesh), sampled.function_space))
-        here._sampled = OfFunction(sampled, self.source)
+        here._sampled = OfFunction(sampled, self.source, interpolated=True)
         return here
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:

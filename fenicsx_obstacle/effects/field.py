@@ -7,6 +7,7 @@ a scene are another class of it, and a plug-in may have one of its own.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from fenicsx_obstacle.errors import InputError
@@ -29,6 +30,8 @@ class Bounds(Protocol):
         whole: Whether no condition cuts a simplex.
         defined: Whether it has a value all over it.
         finite: Whether the bounds are.
+        derivatives: Bounds of its derivatives in any direction, of each order k = 1 .. divided by k!; where it is not
+            `whole` the first alone holds, on both sides of what may be a kink or a jump.
     """
 
     @property
@@ -43,19 +46,42 @@ class Bounds(Protocol):
     def defined(self) -> np.ndarray: ...
     @property
     def finite(self) -> np.ndarray: ...
+    @property
+    def derivatives(self) -> tuple[np.ndarray, ...]: ...
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a condition may be on each simplex, except on a set of measure zero."""
+
+    may_hold: np.ndarray
+    may_fail: np.ndarray
 
 
 class Enclosed(Protocol):
     """A datum on simplices, known without sampling."""
 
-    def enclosure(self) -> Bounds:
-        """Bounds over each simplex, divided where they would be infinite."""
-
     def once(self) -> Bounds:
-        """Bounds over each simplex as it is."""
+        """Bounds over each simplex."""
 
-    def truth(self) -> Any:
-        """Where a condition `may_hold` and where it `may_fail`."""
+    def truth(self) -> Truth:
+        """What it may be as a condition: true where it is not 0."""
+
+    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of some simplices that a condition cuts.
+
+        Returns:
+            Values of a linear function at the corners, shape (simplices, corners); bounds of its distance to the datum;
+            and bounds of the gradient of the difference, where the datum is continuous.
+        """
+
+    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where a condition changes in some simplices.
+
+        Returns:
+            Values at the corners, shape (simplices, corners), of a linear function whose sign decides a condition, but
+            where it is no larger than the second result; that is infinite where no line is known.
+        """
 
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         """Values at the points that determine a polynomial of a degree, shape (simplices, points)."""
@@ -75,6 +101,7 @@ class Field:
     moves: bool = False  # depends on the time t
     needs_distance: bool = False  # depends on the distance to the boundary of the domain
     everywhere: bool = True  # has a value at any point, on every rank
+    continuous: bool = False  # for sure, wherever it is defined
     parts: Mapping[str, Field] | None = None  # one for the cells of each name
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
@@ -108,8 +135,14 @@ class Field:
         """For each condition in it a value at points that is positive where it holds: a search follows them."""
         return []
 
-    def over(self, corners: np.ndarray, names: Names) -> Enclosed | None:
-        """Bounds over simplices of given corners, shape (simplices, corners, 2); None where none are known."""
+    def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
+        """Bounds over simplices in the plane; None where none are known.
+
+        Args:
+            corners: Shape (simplices, corners, 2).
+            names: As for `at`.
+            cells: The local cell that each lies in.
+        """
         return None
 
     def expression(self, symbols: Any) -> Any:

@@ -12,11 +12,11 @@ r having mean zero in each cell and rho being the force that is out of balance. 
 converged or not; nothing is assumed of angles, contact set or regularity. The element gives sigma, the multipliers,
 v_h and r: `element_p1`, `element_p2`.
 
-`words` says what the bound rests on (`standing`). It is certified where nothing rests on sampling: data that are
-numbers or polynomials on the cells, on a domain that is the polygon of the mesh. Other data are sampled, obstacles and
-boundary values between the nodes, tension and load by quadrature: 'certified for the sampled load'. An indicator is
-what does not bound the error for other reasons: effects other than tension and load, data that may be infinite, u given
-nowhere, forces out of balance where Friedrichs' constant is not known.
+`words` says what the bound rests on (`standing`). It is certified where nothing rests on sampling: formulas, numbers
+and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. Of callables
+nothing is known between their samples: 'certified for the sampled load'. An indicator is what does not bound the error
+for other reasons: effects other than tension and load, data that may be infinite, u given nowhere, forces out of
+balance where Friedrichs' constant is not known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
@@ -25,7 +25,7 @@ and Lee (1993) and Veeser (2001).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import hypot, pi, sqrt
+from math import hypot, sqrt
 
 import numpy as np
 from dolfinx import fem
@@ -36,7 +36,6 @@ from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
-from fenicsx_obstacle.estimation.friedrichs import friedrichs
 from fenicsx_obstacle.estimation.scope import refuse_no_bound
 from fenicsx_obstacle.estimation.standing import Hypotheses
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -96,13 +95,12 @@ class Estimator:
         triangles, tension, load = self.element.triangles, self.element.tension, self.element.equilibration.load
         held = self.element.equilibration.fans.held
         self._held_somewhere = total(comm, np.count_nonzero(held)) > 0
-        constant, self._exact_constant = friedrichs(triangles, held)
+        constant, self._exact_constant = self.element.held.friedrichs()
         self._friedrichs = constant / sqrt(smallest(comm, tension.least))
-        self._poincare = triangles.diameter / pi / np.sqrt(tension.least)
         self._rim_energy = self.element.rim.energy(tension.most)
-        spread = np.where(load.known.exact, 0.0, load.known.upper - load.known.lower)
-        unseen = self._poincare * np.sqrt(triangles.area) * spread / 2
-        self._hypotheses = Hypotheses(triangles, tension.known, load.known, unseen, self.element.rim)
+        # the mean of what the load is beyond its polynomials is in no balance
+        self._load_rest = self._friedrichs * sqrt(total(comm, triangles.area * load.rest**2))
+        self._hypotheses = Hypotheses(triangles, tension.pieces, load.pieces, self.element.rim)
 
     def lend_load(self) -> None:
         """Let the problem have the load by the quadrature used here, which sees where data jump (collective)."""
@@ -113,19 +111,21 @@ class Estimator:
     def bound(self) -> Bound:
         """Of the problem's present state (collective)."""
         problem, comm = self.problem, self.problem.level.comm
-        terms = self.element.terms(problem.w.x.array + problem.reference.x.array, *touching(problem))
+        terms = self.element.terms(
+            problem.w.x.array + problem.reference.x.array, *touching(problem, self.element.reach)
+        )
 
         def norm(squares: np.ndarray) -> float:
             return sqrt(max(total(comm, squares), 0.0))
 
-        oscillation = self._poincare * terms.oscillation
         unbalanced, algebraic = (self._friedrichs * norm(rest) for rest in (terms.rest, terms.solver_rest))
+        unbalanced += self._load_rest
         eta_g, eta_p, eta_C = norm(self._rim_energy), norm(terms.cover), max(total(comm, terms.contact), 0.0)
         moved = norm(terms.moved)
         W = moved + eta_p
-        squares = (np.sqrt(terms.admissible_distance) + oscillation) ** 2
+        squares = terms.admissible_balanced
         S = norm(squares) + unbalanced + eta_g + eta_p
-        Su = norm((np.sqrt(terms.distance) + oscillation) ** 2) + unbalanced + eta_g
+        Su = norm(terms.balanced) + unbalanced + eta_g
         root = sqrt(S**2 / 4 + eta_C)
         B = S / 2 + root + eta_g + eta_p
         B2 = (Su + W) / 2 + sqrt((Su + W) ** 2 / 4 + eta_C + Su * W) + eta_g
@@ -137,14 +137,14 @@ class Estimator:
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
         violated = self._violated(terms, unbalanced, bound)
-        standing = self._hypotheses.standing(violated, self.element.obstacles, bound)
+        standing = self._hypotheses.standing(violated, self.element.obstacles)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
         between = norm(terms.raised) + eta_p
         return Bound(
             total=bound, admissible_total=B, relative=bound / energy_norm if energy_norm > 0 else None,
             discretisation=norm(terms.distance), penalty=norm(terms.penetration), algebraic=algebraic,
-            data=hypot(norm(oscillation**2), eta_g, between, max(unbalanced - algebraic, 0.0)),
+            data=hypot(norm(terms.oscillation**2), eta_g, between, max(unbalanced - algebraic, 0.0)),
             guaranteed=standing.guaranteed, words=standing.words, indicator=indicator, admissible=admissible,
         )  # fmt: skip
 

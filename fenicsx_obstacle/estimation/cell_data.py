@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 from dolfinx import fem
@@ -14,14 +14,16 @@ from fenicsx_obstacle.discrete.fields import array_of
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.estimation.exactness import Known, in_cells, number
-from fenicsx_obstacle.estimation.quadrature import DEGREE, rule
+from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
-from fenicsx_obstacle.estimation.triangles import Triangles, halved_rule
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.parallel import smallest
 
-SHARP = 0.1  # of the largest value: what varies so much in a cell may jump there
-Fields = Callable[[np.ndarray | slice, np.ndarray], tuple[np.ndarray, np.ndarray]]
+TENSION = Division(6)
+# by the degree of the elements; the mean of the rest counts with Friedrichs' constant, not with h
+LOAD = {1: Division(5, 1e-2, 5e-3, 2), 2: Division(8, 1e-3, 1e-4)}
+Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def tension_of(data: Data) -> Field:
@@ -71,32 +73,38 @@ def of_solver(
     return made.x.array[triangles.turned_nodes(dofs)] @ quadratics(points)
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Values of a datum at the points of a quadrature rule, the same in each of some cells.
+def in_cells(triangles: Triangles, value: Field, division: Division, cells: np.ndarray | None = None) -> Pieces:
+    """A datum in owned cells, by default in all (collective where it is the first to need the distance).
 
-    Attributes:
-        cells: Which cells.
-        points: Barycentric coordinates, shape (points, 3).
-        weights: Of sum 1.
-        values: Shape (cells, points).
+    Args:
+        triangles: The cells.
+        value: The datum.
+        division: When cells are divided.
+        cells: Which; rows of the pieces are places in this array.
     """
-
-    cells: np.ndarray | slice
-    points: np.ndarray
-    weights: np.ndarray
-    values: np.ndarray = field(repr=False)
+    cells = np.arange(len(triangles.area)) if cells is None else cells
+    data = triangles.data
+    if value.parts is None:
+        return pieces_of(data, value, triangles.x[cells], cells, division)
+    found = []
+    for name, field in value.parts.items():
+        rows = np.flatnonzero(np.isin(cells, data.level.groups[name]))
+        found.append((rows, pieces_of(data, field, triangles.x[cells[rows]], cells[rows], division)))
+    return joined(found, len(cells))
 
 
 class Load:
     """Moments of the load in the cells, and how far it is from the polynomials that the flux is in balance
     with.
 
+    The load is q + r, q polynomials on parts of the cells and |r| bounded there.
+
     Attributes:
-        moments: int f q for each test function q, shape (cells, ...).
+        moments: int q test for each test function, shape (cells, ...).
         missing: The same less what the solver makes of it.
-        oscillation: ||f - Pi f||_T, shape (cells,).
-        known: What is known of it in the cells.
+        oscillation: Bound of ||f - Pi q||_T, shape (cells,).
+        rest: Bound of the mean of r in each cell.
+        pieces: What is known of it; None of a number.
     """
 
     def __init__(
@@ -106,76 +114,73 @@ class Load:
         tests: Callable[[np.ndarray], np.ndarray],
         basis: Callable[[np.ndarray], np.ndarray],
     ):
-        """Sample it (collective).
+        """Enclose it (collective).
 
         Args:
             triangles: The cells.
             data: Of the solver's elements on the same mesh.
-            tests: Test functions q at barycentric points, shape (points, ...).
+            tests: Test functions at barycentric points, shape (points, ...); their sum over the last axis is `basis`.
             basis: Of the polynomials that Pi projects onto, shape (points, n).
         """
-        self._triangles, self._tests, self._basis = triangles, tests, basis
+        self._area, self._tests, self._basis = triangles.area, tests, basis
         count = len(triangles.area)
-        points, weights = rule(2, 4)  # exact for what the solver has, times q
-        self.known, self.oscillation = number(count), np.zeros(count)
+        points, weights = rule(2, 4)  # exact for what the solver has, times a test function
+        self.oscillation, self.rest = np.zeros(count), np.zeros(count)
         self.moments = np.zeros((count, *tests(points).shape[1:]))
         self.missing = np.zeros_like(self.moments)
+        self.pieces: Pieces | None = None
         value = load_of(data)
         if value is None:
             return
-        everywhere = Samples(slice(None), points, weights, of_solver(triangles, data, value, points))
-        solver = self._integrals(everywhere)
+        weighted = weights[:, None] * tests(points).reshape(len(points), -1)
+        solver = triangles.area[:, None] * (of_solver(triangles, data, value, points) @ weighted)
+        solver = solver.reshape(self.moments.shape)
         if value.uniform:
             self.moments = solver
             return
-        self.known = in_cells(triangles, value)
-        for samples in self._samples(value):
-            self.moments[samples.cells] = self._integrals(samples)
-            self.oscillation[samples.cells] = self._distance(samples)
+        self.pieces = in_cells(triangles, value, LOAD[data.level.pair.degree])
+        self._integrate(self.pieces)
         self.missing = self.moments - solver
 
-    def _samples(self, value: Field) -> Iterator[Samples]:
-        """Of the datum: in all cells, then once more, to replace these, where it may jump or is a polynomial."""
-        triangles = self._triangles
-        points, weights = rule(2)
-        values = triangles.values(value, points)
-        yield Samples(slice(None), points, weights, values)
-        sizes = np.abs(values).max(axis=1, initial=0.0)
-        wide = np.ptp(values, axis=1) > SHARP * largest(triangles.data.level.comm, sizes)
-        sharp = np.flatnonzero(wide & ~self.known.exact)
-        points, weights = halved_rule(2)
-        yield Samples(sharp, points, weights, triangles.values(value, points, sharp))
-        for degree, cells in self.known.degrees(DEGREE // 2 + 1):
-            points, weights = rule(2, 2 * degree)
-            yield Samples(cells, points, weights, triangles.values(value, points, cells))
-
-    def _integrals(self, samples: Samples) -> np.ndarray:
-        """int f q."""
-        q = self._tests(samples.points)
-        found = samples.values @ (samples.weights[:, None] * q.reshape(len(q), -1))
-        return (self._triangles.area[samples.cells, None] * found).reshape(-1, *q.shape[1:])
-
-    def _distance(self, samples: Samples) -> np.ndarray:
-        """||f - Pi f||_T."""
-        basis = self._basis(samples.points)
-        weighted = samples.weights[:, None] * basis
-        nearest = samples.values @ weighted @ np.linalg.inv(basis.T @ weighted) @ basis.T
-        return np.sqrt(self._triangles.area[samples.cells] * ((samples.values - nearest) ** 2 @ samples.weights))
+    def _integrate(self, pieces: Pieces) -> None:
+        """Moments, and distances to their projections."""
+        count, flat = len(self._area), self.moments.reshape(len(self._area), -1)  # a view
+        parts = [group[block] for group in pieces.groups for block in _blocks(group)]
+        for part in parts:
+            points, weights = rule(2, part.degree + 2)
+            tests = _at(self._tests, part.points(points))
+            tests = tests.reshape(*tests.shape[:2], -1)
+            found = np.matmul((part.values(points) * weights)[:, None], tests)[:, 0]
+            _add(flat, part.rows, (part.share * self._area[part.rows])[:, None] * found)
+        points, weights = rule(2, 2)
+        basis = self._basis(points)
+        of_basis = self.moments.sum(axis=-1).reshape(count, -1)
+        nearest = of_basis @ np.linalg.inv(basis.T @ (weights[:, None] * basis)) / self._area[:, None]
+        squares, rests = np.zeros(count), np.zeros(count)
+        for part in parts:
+            points, weights = rule(2, 2 * max(part.degree, 1))
+            there = np.matmul(_at(self._basis, part.points(points)), nearest[part.rows][..., None])[..., 0]
+            _add(squares, part.rows, part.share * ((part.values(points) - there) ** 2 @ weights))
+            rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
+            _add(rests, part.rows, part.share * rest**2)
+            _add(self.rest, part.rows, part.share * rest)
+        self.oscillation = np.sqrt(self._area) * (np.sqrt(squares) + np.sqrt(rests))
 
 
 class Tension:
-    """The tension in the cells, with samples where it varies within them.
+    """The tension in the cells.
 
     Attributes:
-        least: A lower bound in each cell, or its least sample.
-        mean: Its mean.
-        most: An upper bound, or its largest sample.
+        least: A lower bound in each cell.
+        most: An upper bound.
+        least_mean: A lower bound of its mean.
+        most_mean: An upper bound.
         varies: Whether it varies within a cell.
-        known: What is known of it in the cells.
+        pieces: What is known of it; None of a number, or of a number for each material.
     """
 
     def __init__(self, triangles: Triangles, mu: np.ndarray):
-        """Sample it (collective).
+        """Enclose it (collective).
 
         Args:
             triangles: The cells.
@@ -185,59 +190,103 @@ class Tension:
             InputError: If it is not positive somewhere.
         """
         self._area = triangles.area
-        self.least = self.mean = self.most = mu
+        self.least = self.most = self.least_mean = self.most_mean = mu
         self.varies = np.zeros(len(mu), dtype=bool)
-        self.known = Known(mu, mu, np.zeros(len(mu), dtype=int))
-        # samples, and what the square of a difference of fluxes is divided by there
-        self._samples: list[tuple[Samples, np.ndarray]] = []
+        self._parts: list[Group] = []
+        self.pieces: Pieces | None = None
         value = tension_of(triangles.data)
         parts = [value] if value.parts is None else list(value.parts.values())
         if all(part.uniform for part in parts):
             return
-        self.known = in_cells(triangles, value)
-        self.least, self.mean, self.most = mu.copy(), mu.copy(), mu.copy()
-        self._sample(triangles, value)
+        self.pieces = in_cells(triangles, value, TENSION)
+        self._take(self.pieces.groups)
         if smallest(triangles.data.level.comm, self.least) <= 0:
             raise InputError(f"{value}: must be positive everywhere, not at midpoints of cells only")
 
-    def _sample(self, triangles: Triangles, value: Field) -> None:
-        """Take its bounds and mean from samples, or from what is known where it is a polynomial."""
-        known = self.known
-        points, weights = rule(2)
-        tension = triangles.values(value, points)
-        spread = np.ptp(tension, axis=1)
-        sharp = spread > SHARP * np.abs(tension).max(axis=1, initial=0.0)
-        sampled = ~known.exact | (known.lower <= 0)
-        smooth = np.flatnonzero((spread > 0) & ~sharp & sampled)
-        self._take(Samples(smooth, points, weights, tension[smooth]))
-        points, weights = halved_rule(2)
-        cells = np.flatnonzero(sharp & sampled)
-        self._take(Samples(cells, points, weights, triangles.values(value, points, cells)))
-        for degree, cells in known.degrees(1):
-            cells = cells[known.lower[cells] > 0]
-            # with the least tension in place of 1/tension all is polynomial, of fluxes of degree 2 at most
-            points, weights = rule(2, 2 * max(degree + 1, 2))
-            values, least = triangles.values(value, points, cells), known.lower[cells]
-            self._take(Samples(cells, points, weights, values), least[:, None])
-            self.least[cells], self.most[cells] = least, known.upper[cells]
-
-    def _take(self, samples: Samples, divisor: np.ndarray | None = None) -> None:
-        """Let samples count in their cells, distances being divided by the samples themselves or by a lower bound."""
-        cells, values = samples.cells, samples.values
-        self.least[cells], self.most[cells] = values.min(axis=1), values.max(axis=1)
-        self.mean[cells] = values @ samples.weights
-        self.varies[cells] = True
-        self._samples.append((samples, values if divisor is None else divisor))
+    def _take(self, groups: list[Group]) -> None:
+        """Bounds and means; where bounds are of no use, the middle of a part stands for it."""
+        count = len(self._area)
+        self.least, self.most, mean, spread = (np.zeros(count) for _ in range(4))
+        self.least[:], self.most[:] = np.inf, -np.inf
+        for group in groups:
+            middle = group.values(np.full((1, 3), 1 / 3))[:, 0]
+            useless = ~((group.lower > 0) & np.isfinite(group.upper))
+            lower, upper = (np.where(useless, middle, bound) for bound in (group.lower, group.upper))
+            rest = np.where(useless, 0.0, group.rest)
+            np.minimum.at(self.least, group.rows, lower)
+            np.maximum.at(self.most, group.rows, upper)
+            _add(mean, group.rows, group.share * group.coefficients.mean(axis=1))
+            _add(spread, group.rows, group.share * rest)
+            varies = (group.degree > 0) | (rest > 0) | (group.corners is not None)
+            self.varies[group.rows[varies]] = True
+            self._parts += [
+                replace(group, lower=lower, upper=upper, rest=rest)[np.flatnonzero(varies)[block]]
+                for block in _blocks(group, np.count_nonzero(varies))
+            ]
+        self.least_mean, self.most_mean = np.maximum(mean - spread, self.least), np.minimum(mean + spread, self.most)
 
     def integrate_distances(self, squares: np.ndarray, fields: Fields) -> None:
-        """Set squares to ||mu^(1/2) g - mu^(-1/2) s||_T^2 in the cells where the tension varies (local).
+        """Set squares to a bound of ||mu^(1/2) g - mu^(-1/2) s||_T^2 in the cells where the tension mu varies (local).
+
+        Where mu is q + r, q polynomials, |r| <= R and mu >= m > 0, it is at most
+        m^(-1/2) (||q g - s|| + R ||g||). Where only m <= mu <= M is known the square of the integrand, which is convex
+        in mu, is at most the larger of a and b, its values for m and for M, and
+
+            2 int max(a, b) = int a + int b + int |a - b| <= int a + int b + |T|^(1/2) ||a - b||.
 
         Args:
             squares: One for each cell.
-            fields: Gives g and s at barycentric points of some cells, each of shape (cells, points, 2).
+            fields: Gives g, of degree 1 at most, and s, of degree 2 at most, at barycentric points of some cells, shape
+                (cells or 1, points, 3), each of shape (cells, points, 2).
         """
-        for samples, divisor in self._samples:
-            g, s = fields(samples.cells, samples.points)
-            difference = samples.values[..., None] * g - s
-            density = np.einsum("cpx,cpx->cp", difference, difference) / divisor
-            squares[samples.cells] = self._area[samples.cells] * (density @ samples.weights)
+        squares[self.varies] = 0.0
+        for part in self._parts:
+            measure = part.share * self._area[part.rows]
+            least, most = part.lower[:, None], part.upper[:, None]
+            points, weights = rule(2, 2 * max(part.degree + 1, 2) if part.smooth else 8)
+            g, s = fields(part.rows, part.points(points))
+            gg, gs, ss = (np.einsum("cpx,cpx->cp", *pair) for pair in ((g, g), (g, s), (s, s)))
+            if part.smooth:
+                difference = part.values(points)[..., None] * g - s
+                near = np.einsum("cpx,cpx->cp", difference, difference) @ weights
+                found = (np.sqrt(near) + part.rest * np.sqrt(gg @ weights)) ** 2 / part.lower
+            else:
+                a, b = (mu * gg - 2 * gs + ss / mu for mu in (least, most))
+                found = ((a + b) @ weights + np.sqrt((a - b) ** 2 @ weights)) / 2
+            _add(squares, part.rows, measure * found)
+
+    def least_energy(self, squares: np.ndarray, fields: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+        """Set squares to a lower bound of ||mu^(1/2) g||_T^2 in the cells where the tension mu varies (local).
+
+        Args:
+            squares: One for each cell.
+            fields: Gives g, of degree 1 at most, as `integrate_distances` has it.
+        """
+        squares[self.varies] = 0.0
+        for part in self._parts:
+            points, weights = rule(2, part.degree + 2)
+            g = fields(part.rows, part.points(points))
+            gg = np.einsum("cpx,cpx->cp", g, g)
+            found = np.maximum((part.values(points) * gg) @ weights - part.rest * (gg @ weights),
+                               part.lower * (gg @ weights))  # fmt: skip
+            _add(squares, part.rows, part.share * self._area[part.rows] * found)
+
+
+def _blocks(group: Group, count: int | None = None) -> Iterator[slice]:
+    """Parts of a group in portions that fit into memory."""
+    return blocks(len(group.rows) if count is None else count)
+
+
+def _at(functions: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
+    """Functions of barycentric points at points of shape (parts or 1, points, 3)."""
+    found = functions(points.reshape(-1, 3))
+    return found.reshape(*points.shape[:2], *found.shape[1:])
+
+
+def _add(sums: np.ndarray, rows: np.ndarray, values: np.ndarray) -> None:
+    """Add values to the rows of an array, to one as often as it is named."""
+    if values.ndim == 1:
+        sums += np.bincount(rows, values, len(sums))
+        return
+    for k in range(values.shape[1]):
+        sums[:, k] += np.bincount(rows, values[:, k], len(sums))

@@ -36,13 +36,21 @@ class Contact:
     penetration: float
 
 
-def touching(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def touching(problem: Problem, reach: tuple[float, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Whether the problem's state is at the lower obstacle or beyond it, at owned points of I, and at the upper one
-    (collective)."""
-    gaps = problem.gaps()
-    finite = [np.abs(gap[np.isfinite(gap)]) for gap in gaps]
+    (collective).
+
+    Args:
+        problem: Holds the state.
+        reach: Bounds of the solution, if they are known: it does not touch obstacles beyond them.
+    """
+    lower, upper = problem.gaps()
+    if reach is not None:
+        low, high = (np.atleast_1d(heights)[: len(lower)] for heights in problem.obstacles())
+        lower, upper = np.where(low >= reach[0], lower, np.inf), np.where(high <= reach[1], upper, np.inf)
+    finite = [np.abs(gap[np.isfinite(gap)]) for gap in (lower, upper)]
     near = TOUCHES * max(largest(problem.level.comm, np.concatenate(finite)), 0.0)
-    return gaps[0] <= near, gaps[1] <= near
+    return lower <= near, upper <= near
 
 
 def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:

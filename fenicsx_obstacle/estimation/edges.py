@@ -135,8 +135,10 @@ class Jumps:
         while 0 < len(which) <= MAX_PIECES:
             middle = (low + high) / 2
             halves = [self._cut(field, edges, which, *ends) for ends in ((low, middle), (middle, high))]
-            ended = ~(halves[0] | halves[1]) | (high - low <= near[which])
-            found.append((which[ended], low[ended], high[ended]))
+            between = ~(halves[0] | halves[1])  # a condition may change at the middle itself
+            ended = between | (high - low <= near[which])
+            ends = np.where(between, middle, low), np.where(between, middle, high)
+            found.append((which[ended], ends[0][ended], ends[1][ended]))
             kept = [half & ~ended for half in halves]
             which = np.concatenate([which[kept[0]], which[kept[1]]])
             low, high = (
@@ -152,7 +154,7 @@ class Jumps:
 
     def _cut(self, field: Field, edges: Edges, which: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Whether a condition is undecided in part of an edge, or a value may be infinite there."""
-        known = field.over(edges.pieces(which, low, high), self.data.names(field))
+        known = self.data.here(field).over(edges.pieces(which, low, high), self.data.names(field), edges.cells[which])
         if known is None:
             return np.zeros(len(which), dtype=bool)
         bounds = known.once()
@@ -237,7 +239,7 @@ def cut_parts(triangles: Triangles) -> list[str]:
         if part.where is None or part.value is None:
             continue
         held = np.isin(triangles.facets[cells, opposite], data.held[number])
-        known = part.where.over(inside, {})
+        known = part.where.over(inside, {}, cells)
         if known is None:
             found.append(f"{part.name} where = {part.where.text} may end inside an edge: only its samples are known")
             continue

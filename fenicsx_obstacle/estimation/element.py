@@ -8,11 +8,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.cell_data import Tension
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.cell_data import Tension, in_cells, load_of, obstacles_of, other_effects
+from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
+from fenicsx_obstacle.estimation.held_boundary import held_boundary
+from fenicsx_obstacle.estimation.oscillation import Oscillation
+from fenicsx_obstacle.estimation.pieces import Division
 from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.standing import Obstacle
+from fenicsx_obstacle.parallel import largest, smallest
+
+MARGIN = 0.1  # of the heights: obstacles are cut off so much farther away than u can be
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +30,10 @@ class Terms:
     Attributes:
         flux: sigma, and the multipliers lambda (lower obstacle) and nu (upper).
         distance: ||mu^(1/2) grad u_h - mu^(-1/2) sigma||_T^2.
-        admissible_distance: ||mu^(1/2) grad v_h - mu^(-1/2) sigma||_T^2.
-        oscillation: ||f - Pi f||_T + ||lambda - lambda_+||_T + ||nu - nu_+||_T, Pi f being what of the load sigma is in
-            balance with, lambda_+ and nu_+ the parts of the multipliers that have the right sign.
+        balanced: The same with a flux that is in balance with load and multipliers themselves, not with what of them
+            sigma is in balance with.
+        admissible_balanced: ||mu^(1/2) grad v_h - mu^(-1/2) ..||_T^2 with that flux.
+        oscillation: Bound of ||mu^(-1/2) ..||_T of the difference of the two fluxes.
         contact: int lambda_+ (v - lower) + int nu_+ (upper - v).
         moved: ||mu^(1/2) grad(v_h - u_h)||_T^2.
         cover: ||mu^(1/2) grad(v - v_h)||_T^2, v being v_h with what it lacks beside nodes where u is given.
@@ -39,7 +48,8 @@ class Terms:
 
     flux: FluxP1 | FluxP2
     distance: np.ndarray
-    admissible_distance: np.ndarray
+    balanced: np.ndarray
+    admissible_balanced: np.ndarray
     oscillation: np.ndarray
     contact: np.ndarray
     moved: np.ndarray
@@ -61,6 +71,9 @@ class Element(ABC):
         equilibration: Makes flux and multipliers.
         tension: In the cells.
         rim: Boundary values between the nodes.
+        oscillation: Of the load.
+        held: Where u is given.
+        reach: Numbers that the solution is between, infinite where there is no obstacle or no such number is known.
         obstacles: Obstacles between the nodes.
     """
 
@@ -77,6 +90,53 @@ class Element(ABC):
         self.equilibration, self.triangles = equilibration, equilibration.triangles
         self.tension = Tension(self.triangles, equilibration.mu)
         self.rim = Rim(self.triangles, middles)
+        load, degree = load_of(self.triangles.data), 0 if middles is None else 1
+        self.oscillation = Oscillation(self.triangles, equilibration.load, load, degree)
+        self.held = held_boundary(self.triangles, equilibration.fans.held)
+        self.reach = self._reach()
+
+    def _reach(self) -> tuple[float, float]:
+        """Bounds of the solution by comparison (collective).
+
+        Let m be a number that no boundary value and no upper obstacle is below, w = 0 where u is given and
+        a(w, v) = (f^-, v) with f^- = max(-f, 0). Then u >= m - w: as m - w <= m, max(u, m - w) satisfies the
+        constraints, and with z = max(m - w - u, 0) in the inequality a(u, z) >= (f, z), so that
+        a(z, z) = a(m - w - u, z) <= -(f^- + f, z) <= 0. Nor does it matter for u, if the lower obstacle is replaced by
+        its maximum with such a bound: u satisfies that constraint too, and the inequality for fewer functions.
+        """
+        triangles, data = self.triangles, self.triangles.data
+        comm, pieces, load = data.level.comm, self.equilibration.load.pieces, load_of(data)
+        limits, sides = {1.0: -np.inf, -1.0: np.inf}, dict(obstacles_of(data))
+        if other_effects(data):
+            return limits[1], limits[-1]
+        if load is None:
+            push = pull = 0.0
+        elif pieces is None:
+            push = pull = float(data.at(load, np.zeros((3, 1)))[0])
+        else:
+            push, pull = largest(comm, pieces.upper), smallest(comm, pieces.lower)
+        least_tension = smallest(comm, self.tension.least)
+        up, down = (self.held.reach(max(force, 0.0), least_tension) for force in (push, -pull))
+        top = max(self.rim.most, -np.inf if data.lower is None else largest(comm, data.lower.x.array))
+        bottom = min(self.rim.least, np.inf if data.upper is None else smallest(comm, data.upper.x.array))
+        for sign in sides:
+            given, way = (self.rim.least, down) if sign > 0 else (self.rim.most, up)
+            if -sign in sides:
+                other = in_cells(triangles, sides[-sign], Division(0))
+                given = min(given, smallest(comm, other.lower)) if sign > 0 else max(given, largest(comm, other.upper))
+            if np.isfinite(given) and np.isfinite(way):
+                # a little farther, so that u does not touch there
+                limits[sign] = given - sign * (way + MARGIN * (way + top - bottom))
+        return limits[1], limits[-1]
+
+    @property
+    def given_obstacles(self) -> list[tuple[float, Field]]:
+        """The obstacles as `obstacles_of` has them, cut off beyond the reach of u."""
+        found = []
+        for sign, obstacle in obstacles_of(self.triangles.data):
+            limit = self.reach[0] if sign > 0 else self.reach[1]
+            found.append((sign, Clipped(obstacle, sign, limit) if np.isfinite(limit) else obstacle))
+        return found
 
     @abstractmethod
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.cell_data import obstacles_of
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.peaks import Peaks
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.triangles import Triangles, sums
 from fenicsx_obstacle.parallel import largest
 
 ROUND_OFF = 1e-9  # of the heights
@@ -25,23 +24,29 @@ class ElementP1(Element):
         """Sample the data, sort the corners around the vertices (collective)."""
         super().__init__(EquilibrationP1(Triangles(problem.data)))
         fans, triangles = self.equilibration.fans, self.triangles
-        self.obstacles = [Peaks(triangles, fans, self.rim, *obstacle) for obstacle in obstacles_of(problem.data)]
+        self.obstacles = [Peaks(triangles, fans, self.rim, *obstacle) for obstacle in self.given_obstacles]
         x = triangles.x
         self._from_middle = np.ascontiguousarray(np.moveaxis(x - x.mean(axis=1, keepdims=True), 2, 0))
         self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / 12
 
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
-        flux = self.equilibration.flux(u, touches_lower, touches_upper)
         nodal, v, crossing = self._admissible(u)
+        gaps = {peaks.sign: self._gap(v, peaks) for peaks in self.obstacles}
+        mean = {sign: gap / self.triangles.area for sign, gap in gaps.items()}
+        flux = self.equilibration.flux(u, touches_lower, touches_upper, (mean.get(1.0), mean.get(-1.0)))
+        contact = np.zeros(len(self.triangles.area))
+        for sign, gap in gaps.items():
+            contact += sums(flux.lower if sign > 0 else flux.upper) / 3 * gap
         cover = sum((peaks.cover_energy for peaks in self.obstacles), np.zeros(len(self.triangles.area)))
+        distance, balanced = self._distance(u, flux)
         return Terms(
-            flux=flux, distance=self._distance(u, flux), admissible_distance=self._distance(v, flux),
-            oscillation=self.equilibration.load.oscillation, contact=self._contact(v, flux),
+            flux=flux, distance=distance, balanced=balanced, admissible_balanced=self._distance(v, flux)[1],
+            oscillation=self.oscillation.norm / np.sqrt(self.tension.least), contact=contact,
             moved=self._energy(v - u), cover=self.tension.most * cover, raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
-            energy=self._energy(u), admissible=v, crossing=crossing,
+            energy=self._energy(u, self.tension.least_mean), admissible=v, crossing=crossing,
         )  # fmt: skip
 
     def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -63,41 +68,51 @@ class ElementP1(Element):
                 crossing = max(crossing, beyond)
         return nodal, v, crossing
 
-    def _contact(self, v: np.ndarray, flux: FluxP1) -> np.ndarray:
-        """int lambda (v - lower) + int nu (upper - v), lambda and nu being their means in each cell."""
-        triangles, found = self.triangles, np.zeros(len(self.triangles.area))
-        for peaks in self.obstacles:
-            pressure = (flux.lower if peaks.sign > 0 else flux.upper)[triangles.dofs].mean(axis=1)
-            gap = (peaks.sign * v - peaks.nodal)[triangles.dofs].mean(axis=1) - peaks.mean
-            gap = gap * triangles.area + peaks.sign * self.rim.volume + peaks.cover_volume
-            found += pressure * np.maximum(gap, 0.0)
-        return found
+    def _gap(self, v: np.ndarray, peaks: Peaks) -> np.ndarray:
+        """The integral of the distance of v to an obstacle over each cell."""
+        gap = sums((peaks.sign * v - peaks.nodal)[self.triangles.dofs]) / 3 - peaks.mean
+        gap = gap * self.triangles.area + peaks.sign * self.rim.volume + self.rim.volume_rest + peaks.cover_volume
+        return np.maximum(gap, 0.0)
 
-    def _distance(self, v: np.ndarray, flux: FluxP1) -> np.ndarray:
-        """||mu^(1/2) grad v - mu^(-1/2) sigma||_T^2: mu grad v is in RT0 too, of normal fluxes -mu grad v . normal."""
+    def _distance(self, v: np.ndarray, flux: FluxP1) -> tuple[np.ndarray, np.ndarray]:
+        """||mu^(1/2) grad v - mu^(-1/2) sigma||_T^2, and with a flux in balance with the load itself.
+
+        mu grad v is in RT0 too, of normal fluxes -mu grad v . normal: with a constant tension mu grad v - sigma is the
+        gradient of Q = a . y + b |y|^2/2, y = x - middle, and its product with tau (see `oscillation`) is (f - f_0, Q).
+        """
         triangles, mu = self.triangles, self.equilibration.mu
         gradient = triangles.gradient(v)
         outward = flux.normal + triangles.along_normals(gradient * mu)
         across = np.einsum("ci,xci->xc", outward, self._from_middle)
-        squares = outward.sum(axis=1) ** 2 * self._spread + across[0] ** 2 + across[1] ** 2
+        gathered = sums(outward)
+        squares = gathered**2 * self._spread + across[0] ** 2 + across[1] ** 2
         squares /= 4 * triangles.area * mu
 
-        def fields(cells: np.ndarray | slice, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             x, normal = triangles.x[cells], flux.normal[cells]
             sigma = np.einsum("ci,cpx->cpx", normal, points @ x) - np.einsum("ci,cix->cx", normal, x)[:, None]
-            return gradient[:, cells].T[:, None], sigma / (2 * triangles.area[cells])[:, None, None]
+            sigma /= (2 * triangles.area[cells])[:, None, None]
+            return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape), sigma
 
         self.tension.integrate_distances(squares, fields)
-        return squares
+        if self.equilibration.load.pieces is None:
+            return squares, squares
+        load = self.oscillation
+        product = across[0] * load.first[0] + across[1] * load.first[1] - gathered * load.second / 2
+        near, far = np.sqrt(squares), load.norm / np.sqrt(self.tension.least)
+        balanced = squares - product / (triangles.area * mu) + 2 * near * load.rest / np.sqrt(mu) + far**2
+        return squares, np.where(self.tension.varies, (near + far) ** 2, np.maximum(balanced, 0.0))
 
-    def _energy(self, e: np.ndarray) -> np.ndarray:
-        """||mu^(1/2) grad e||_T^2."""
+    def _energy(self, e: np.ndarray, mu: np.ndarray | None = None) -> np.ndarray:
+        """||mu^(1/2) grad e||_T^2, by an upper bound of the mean tension if no other is given."""
         triangles, squares = self.triangles, np.zeros(len(self.triangles.area))
-        cells = np.flatnonzero((e != 0)[triangles.dofs].any(axis=1))
+        mu = self.tension.most_mean if mu is None else mu
+        moves = (e != 0)[triangles.dofs]
+        cells = np.flatnonzero(moves[:, 0] | moves[:, 1] | moves[:, 2])
         gradient = triangles.gradient(e, cells)
-        squares[cells] = (self.tension.mean * triangles.area)[cells] * (gradient[0] ** 2 + gradient[1] ** 2)
+        squares[cells] = (mu * triangles.area)[cells] * (gradient[0] ** 2 + gradient[1] ** 2)
         return squares
 
     def _means_squared(self, rest: np.ndarray) -> np.ndarray:
         """||.||_T^2 of the means in cells of nodal values."""
-        return self.triangles.area * rest[self.triangles.dofs].mean(axis=1) ** 2
+        return self.triangles.area / 9 * sums(rest[self.triangles.dofs]) ** 2

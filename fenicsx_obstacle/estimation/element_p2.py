@@ -8,23 +8,29 @@ is below the obstacle however small eps is.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
+from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import obstacles_of
+from fenicsx_obstacle.estimation.cell_data import in_cells
+from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.element import Element, Terms
-from fenicsx_obstacle.estimation.exactness import in_cells
+from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
-from fenicsx_obstacle.estimation.peaks import DENSE
-from fenicsx_obstacle.estimation.polynomials import coefficients, inner_points, round_off
+from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.polynomials import coefficients, inner_points, largest, round_off
 
-SPARSE = 4  # parts of an edge where obstacles are looked at first
-NEAR = 0.25  # of the range of a gap over a cell: where it comes so near to 0 the cell is sampled densely
+DENSE = 8  # parts of an edge
+AS_THEY_ARE = Division(0)
+SMALL_ONES = Division(4, 1e-4, 1e-4)  # of the lattice: what counts is the distance of an obstacle to linear functions
 POINTS, SMALL = lattice(DENSE), np.array(lattice_cells(DENSE))
 
 
@@ -47,6 +53,11 @@ def _means() -> np.ndarray:
     return np.moveaxis(fields.mean(axis=2), 0, 2)
 
 
+def _nodes_of(corners: np.ndarray) -> np.ndarray:
+    """Vertices, then middles opposite to them."""
+    return np.vstack([corners, (corners[[1, 2, 0]] + corners[[2, 0, 1]]) / 2])
+
+
 def _number(x: float, y: float) -> int:
     """Place in the lattice of the point with these reference coordinates."""
     return int(np.argmin(np.abs(POINTS[:, 1:] - (x, y)).sum(axis=1)))
@@ -54,52 +65,156 @@ def _number(x: float, y: float) -> int:
 
 SLOPES, MEANS = _slopes(), _means()
 NODES = [_number(*x) for x in ((0, 0), (1, 0), (0, 1), (0.5, 0.5), (0, 0.5), (0.5, 0))]  # those of P2 in the lattice
-SHARES = np.bincount(SMALL.ravel(), minlength=len(POINTS)) / (3 * len(SMALL))  # weights on the lattice
+# the functions of P2 at the nodes of the small triangles, shape (6, small, 6)
+OF_SMALL = quadratics((_nodes_of(np.eye(3)) @ POINTS[SMALL]).reshape(-1, 3)).reshape(6, len(SMALL), 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """u minus obstacle between the points of the lattice.
+
+    Attributes:
+        needed: What M and N must be at least in each cell, shape (2, cells).
+        touches: Whether the obstacle may be above u, shape (cells, small triangles).
+        mean: An upper bound of the mean of u minus obstacle, less what is linear in a small triangle.
+        size: Of its absolute value.
+    """
+
+    needed: np.ndarray
+    touches: np.ndarray
+    mean: np.ndarray
+    size: np.ndarray
 
 
 class LatticeObstacle:
     """One obstacle on a lattice of the cells that u may touch; heights count away from it: times -1 for an upper one.
 
+    On the lattice u is raised by max(obstacle + M - u, N, 0), M and N in P1. In each cell M is at the vertices at least
+    what obstacle - u may be above its chords on the small triangles where it may be positive, or N what it may be there
+    itself: the less of the two. What is added is continuous, and u with it nowhere below the obstacle, unless that may
+    be above u on a small triangle at points where u is given: nothing is added there.
+
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
-        surprise: 0: it is compared with u on a lattice wherever they may touch.
-        sampled: Whether they were compared so anywhere, on any rank.
+        sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or u may touch it and
+            it may jump, or beside nodes where u is given.
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, triangles: Triangles, sign: float, field: Field):
-        """See what is known of it in the cells (collective)."""
-        self.triangles, self.sign, self._field = triangles, sign, field
-        self.surprise = 0.0
-        self._known = in_cells(triangles, field)
-        self.unbounded = ~np.isfinite(self._known.upper if sign > 0 else self._known.lower)
-        self.sampled = False
+    def __init__(self, triangles: Triangles, fans: Fans, sign: float, field: Field):
+        """Enclose it in the cells (collective)."""
+        self.triangles, self._fans, self.sign, self._field = triangles, fans, sign, field
+        self._pieces = in_cells(triangles, field, AS_THEY_ARE)
+        self.unbounded = ~np.isfinite(self._pieces.upper if sign > 0 else self._pieces.lower)
+        self._of_samples = total(triangles.data.level.comm, int(self._pieces.sampled)) > 0
+        self.sampled = self._of_samples
 
-    def above(self, u: np.ndarray, pressing: np.ndarray, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
-        """Cells where u may be below it or is pressed against it, and there u minus obstacle on the lattice.
+    def nodal(self, data: Data) -> np.ndarray:
+        """Its values at the local nodes of P2 (collective on first use)."""
+        function = data.lower if self.sign > 0 else data.upper
+        assert function is not None
+        return self._field.clip(function.x.array) if isinstance(self._field, Clipped) else function.x.array
+
+    def above(
+        self, u: np.ndarray, pressing: np.ndarray, rim: Rim
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Between]:
+        """What raises u above the obstacle where it may be below or is pressed against it (collective).
 
         Args:
             u: Values of P2 at the nodes of cells, shape (cells, 6).
             pressing: Whether a cell has a multiplier.
-            rim: What boundary values add to u (collective).
-        """
-        near = pressing | ~self._known.exact
-        sampled = np.flatnonzero(~self._known.exact & ~pressing)
-        gap = self._gap(u, lattice(SPARSE), sampled)
-        least = gap.min(axis=1, initial=np.inf)
-        near[sampled] = (least <= NEAR * np.ptp(gap, axis=1)) | (least - rim.dip[sampled] <= 0)
-        for degree, cells in self._known.degrees():
-            degree = max(degree, 2)
-            gap = self._gap(u, inner_points(3, degree), cells)
-            room = round_off(np.abs(u[cells]).max(axis=1, initial=0.0)[:, None] + np.abs(gap), 3, degree)
-            near[cells] |= coefficients(gap, 3, degree).min(axis=1) - rim.dip[cells] < -room
-        cells = np.flatnonzero(near)
-        self.sampled = total(self.triangles.data.level.comm, len(cells) + len(sampled)) > 0
-        return cells, self._gap(u, POINTS, cells) + self.sign * rim.cones(cells, POINTS)
+            rim: What boundary values add to u.
 
-    def _gap(self, u: np.ndarray, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """How far u is from the obstacle at barycentric points, without what boundary values add."""
-        return self.sign * (u[cells] @ quadratics(where) - self.triangles.values(self._field, where, cells))
+        Returns:
+            Cells; there u minus obstacle on the lattice; by what it is raised; and u minus obstacle between the points
+            of the lattice.
+        """
+        triangles, level = self.triangles, self.triangles.data.level
+        touches = self._may_touch(u, rim)
+        near = np.flatnonzero(touches)
+        needed, between = np.zeros((2, len(touches))), self._between(u, near, self._gap(u, near, rim), rim)
+        needed[:, near] = between.needed
+        given = with_ghosts(level.V, 1.0 - self._fans.free) > 0
+        beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
+        jumps = not self._field.continuous and len(near) > 0
+        self.sampled = self._of_samples or total(level.comm, np.count_nonzero(beside) + jumps) > 0
+        M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
+        # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
+        around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
+        cells = np.flatnonzero((M + N + around)[triangles.dofs].any(axis=1))
+        gap = self._gap(u, cells, rim)
+        of_M, of_N = (values[triangles.dofs[cells]] @ POINTS.T for values in (M, N))
+        raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
+        return cells, gap, raised, self._between(u, cells, gap, rim)
+
+    def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """Where u is given on the lattice of some cells, from where it is at the vertices."""
+        on_side = self._fans.held[cells] @ (POINTS.T == 0)
+        return on_side | (given[self.triangles.dofs[cells]] @ (POINTS.T == 1))
+
+    def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
+        """The largest height in the cells around each owned vertex (collective)."""
+        if total(self.triangles.data.level.comm, np.count_nonzero(heights)) == 0:
+            return np.zeros(self._fans.owned)
+        return self._fans.largest(self._fans.gather(np.repeat(heights[:, None], 3, axis=1))[0])
+
+    def _may_touch(self, u: np.ndarray, rim: Rim) -> np.ndarray:
+        """Whether the obstacle may be above u in each cell."""
+        found = np.zeros(len(u), dtype=bool)
+        for group in self._pieces.groups:
+            degree, coefficient, room = self._difference(group, u[group.rows])
+            touches = largest(coefficient, 3, degree) + group.rest + rim.dip[group.rows] > room
+            np.logical_or.at(found, group.rows, touches)
+        return found
+
+    def _difference(self, group: Group, u: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+        """Degree and Bernstein coefficients of obstacle - u on parts, from u at the nodes of the simplex of each; their
+        round-off."""
+        degree = max(group.degree, 2)
+        reference = inner_points(3, degree)
+        inside = group.points(reference)
+        at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
+        values = self.sign * (group.values(reference) - np.matmul(at_nodes, u[..., None])[..., 0])
+        room = round_off(np.abs(u).max(axis=1, initial=0.0)[:, None] + np.abs(values), 3, degree)
+        return degree, coefficients(values, 3, degree), room
+
+    def _between(self, u: np.ndarray, cells: np.ndarray, gap: np.ndarray, rim: Rim) -> Between:
+        """Look between the points of the lattice.
+
+        Args:
+            u: Values of P2 at the nodes of all cells.
+            cells: Some of them.
+            gap: There on the lattice.
+            rim: What boundary values add to u.
+        """
+        triangles, count = self.triangles, len(SMALL)
+        owner = np.repeat(cells, count)
+        corners = (POINTS[SMALL] @ triangles.x[cells][:, None]).reshape(-1, 3, 2)
+        pieces = pieces_of(triangles.data, self._field, corners, owner, SMALL_ONES)
+        small = np.einsum("jsi,cj->csi", OF_SMALL, u[cells]).reshape(-1, 6)
+        linear = -gap[:, SMALL].reshape(-1, 3)
+        below, beyond, mean, size = (np.zeros(len(owner)) for _ in range(4))
+        for group in pieces.groups:
+            degree, coefficient, room = self._difference(group, small[group.rows])
+            rest = np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * rim.dip[owner[group.rows]]
+            chord = np.matmul(group.points(inner_points(3, degree)), linear[group.rows][..., None])[..., 0]
+            bend = coefficient - coefficients(chord, 3, degree)
+            high = largest(bend, 3, degree) + rest
+            highest = largest(coefficient, 3, degree) + rest
+            touches = highest > room
+            np.maximum.at(below, group.rows, np.where(touches & (high > room), high + room, 0.0))
+            np.maximum.at(beyond, group.rows, np.where(touches, highest + room, 0.0))
+            mean += np.bincount(group.rows, group.share * (rest + room - bend.mean(axis=1)), len(mean))
+            np.maximum.at(size, group.rows, np.abs(bend).max(axis=1, initial=0.0) + rest + room)
+        M, N = (height.reshape(-1, count).max(axis=1, initial=0.0) for height in (below, beyond))
+        with_M = M <= 2 * N  # what M adds falls as u - obstacle grows
+        needed = np.array([np.where(with_M, M, 0.0), np.where(with_M, 0.0, N)])
+        return Between(needed, (beyond > 0).reshape(-1, count), mean.reshape(-1, count), size.reshape(-1, count))
+
+    def _gap(self, u: np.ndarray, cells: np.ndarray, rim: Rim) -> np.ndarray:
+        """How far u with the boundary values is from the obstacle on the lattice."""
+        inside = u[cells] @ quadratics(POINTS) - self.triangles.values(self._field, POINTS, cells)
+        return self.sign * (inside + rim.cones(cells, POINTS))
 
 
 class ElementP2(Element):
@@ -115,14 +230,17 @@ class ElementP2(Element):
         equilibration = EquilibrationP2(triangles, problem.data)
         super().__init__(equilibration, problem.data.fixed[1].x.array[equilibration.nodes[:, 3:]])
         self.problem = problem
-        self.obstacles = [LatticeObstacle(triangles, *obstacle) for obstacle in obstacles_of(problem.data)]
+        self.obstacles = [
+            LatticeObstacle(triangles, equilibration.fans, *obstacle) for obstacle in self.given_obstacles
+        ]
         self._metric = metric(triangles.x[:, 1] - triangles.x[:, 0], triangles.x[:, 2] - triangles.x[:, 0],
                               triangles.area, np.ones(len(triangles.area)))  # fmt: skip
 
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
         equilibration, area = self.equilibration, self.triangles.area
-        flux = equilibration.flux(u, touches_lower, touches_upper)
+        gaps = {side.sign: self._gap(u, side) for side in self.obstacles}
+        flux = equilibration.flux(u, touches_lower, touches_upper, (gaps.get(1.0), gaps.get(-1.0)))
         added, contact, reduced = self._lifted(u[equilibration.nodes], flux)
         lifted = np.flatnonzero(added.any(axis=1))
         slopes = np.einsum("sxp,cp->csx", SLOPES, added[lifted])
@@ -137,12 +255,18 @@ class ElementP2(Element):
         v[equilibration.nodes] += added[:, NODES]
         rest = area * np.einsum("cj,jk,ck->c", flux.rest, MASS, flux.rest)
         none = np.zeros(len(area))
+        oscillation = (self.oscillation.norm + self.oscillation.poincare * reduced) / np.sqrt(self.tension.least)
         return Terms(
-            flux=flux, distance=distance, admissible_distance=np.maximum(of_v, 0.0),
-            oscillation=equilibration.load.oscillation + reduced, contact=contact,
+            flux=flux, distance=distance, balanced=(np.sqrt(distance) + oscillation) ** 2,
+            admissible_balanced=(np.sqrt(np.maximum(of_v, 0.0)) + oscillation) ** 2,
+            oscillation=oscillation, contact=contact,
             moved=moved, cover=none, raised=none, penetration=self._energy(self._penetration()),
-            rest=rest, solver_rest=rest, energy=self._energy(u), admissible=v, crossing=0.0,
+            rest=rest, solver_rest=rest, energy=self._least_energy(u), admissible=v, crossing=0.0,
         )  # fmt: skip
+
+    def _gap(self, u: np.ndarray, side: LatticeObstacle) -> np.ndarray:
+        """Mean of the distances of u to an obstacle at the nodes of each cell."""
+        return np.maximum(side.sign * (u - side.nodal(self.problem.data)), 0.0)[self.equilibration.nodes].mean(axis=1)
 
     def _lifted(self, nodal: np.ndarray, flux: FluxP2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What is added to u on the lattice so that it is above the obstacles (collective).
@@ -163,11 +287,16 @@ class ElementP2(Element):
             least = at_vertices.min(axis=1)
             kept = np.where(least < 0, mean / np.maximum(mean - least, 1e-300), 1.0)
             reduced += (1 - kept) * np.sqrt(area / 3 * ((pressure - mean[:, None]) ** 2).sum(axis=1))
-            cells, gap = side.above(nodal, pressure.any(axis=1), self.rim)
-            added[cells] += side.sign * np.maximum(-gap, 0.0)
+            cells, gap, raised, between = side.above(nodal, pressure.any(axis=1), self.rim)
+            lift = np.maximum(raised, 0.0)
+            added[cells] += side.sign * lift
             positive = mean[:, None] + kept[:, None] * (at_vertices - mean[:, None])
-            weight = np.maximum(positive[cells] @ POINTS.T, 0.0) * np.maximum(gap, 0.0)
-            contact[cells] += area[cells] * (weight @ SHARES)
+            weight = np.maximum(positive[cells] @ POINTS.T, 0.0)[:, SMALL]
+            # int lambda_+ (v - obstacle), v - obstacle being linear on the small triangles but for what is `between`
+            products = np.einsum("csi,ij,csj->c", weight, MASS, (gap + lift)[:, SMALL], optimize=True)
+            # and |lambda_+ - mean| being at most its range
+            products += (weight.mean(axis=2) * between.mean + np.ptp(weight, axis=2) * between.size).sum(axis=1)
+            contact[cells] += area[cells] / len(SMALL) * np.where(weight.any(axis=(1, 2)), products, 0.0)
         return added, contact, reduced
 
     def _energy_on_lattice(self, slopes: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -181,24 +310,37 @@ class ElementP2(Element):
     def _distance(self, u: np.ndarray, flux: FluxP2, difference: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad u_h - mu^(-1/2) sigma||_T^2, from the moments of the difference with the mean tension."""
         triangles, mu = self.triangles, self.equilibration.mu
+        slopes_at = self._slopes_of(u)
         squares = np.einsum("kc,kij,ci,cj->c", self._metric / mu, GRAMS, difference, difference, optimize=True)
-        gradient = self.equilibration.gradients(u)
 
-        def fields(cells: np.ndarray | slice, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             x = triangles.x[cells]
             J = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=2)
-            reference = np.einsum("ipx,ci->cpx", reference_fields(points), flux.moments[cells])
+            basis = reference_fields(points.reshape(-1, 3)).reshape(8, *points.shape[:2], 2)
+            reference = np.einsum("icpx,ci->cpx", np.broadcast_to(basis, (8, len(cells), *basis.shape[2:])),
+                                  flux.moments[cells])  # fmt: skip
             sigma = np.einsum("cyx,cpx->cpy", J, reference) / (2 * triangles.area[cells])[:, None, None]
-            return np.einsum("xck,pk->cpx", gradient[:, cells], points), sigma
+            return slopes_at(cells, points), sigma
 
         self.tension.integrate_distances(squares, fields)
         return squares
 
+    def _slopes_of(self, u: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+        """grad u at barycentric points, shape (cells or 1, points, 3), of cells."""
+        gradient = self.equilibration.gradients(u)
+        return lambda cells, points: np.matmul(points, np.moveaxis(gradient[:, cells], 0, 2))
+
     def _energy(self, e: np.ndarray) -> np.ndarray:
-        """||mu^(1/2) grad e||_T^2."""
+        """||mu^(1/2) grad e||_T^2 with the mean tension."""
         gradient = self.equilibration.gradients(e)
         products = np.einsum("xcj,jk,xck->c", gradient, MASS, gradient, optimize=True)
-        return self.tension.mean * self.triangles.area * products
+        return self.equilibration.mu * self.triangles.area * products
+
+    def _least_energy(self, u: np.ndarray) -> np.ndarray:
+        """A lower bound of ||mu^(1/2) grad u||_T^2."""
+        squares = self._energy(u)
+        self.tension.least_energy(squares, self._slopes_of(u))
+        return squares
 
     def _penetration(self) -> np.ndarray:
         """How far u is beyond an obstacle at the middles, between them its mean: what a smaller eps makes smaller."""

@@ -160,6 +160,15 @@ class Fans:
         np.maximum.at(found, self.vertex, fans)
         return found
 
+    def smallest(self, values: np.ndarray) -> np.ndarray:
+        """The smallest value over the corners of each owned vertex, infinite without one (local)."""
+        fans, found = np.full(len(self.vertex), np.inf), np.full(self.owned, np.inf)
+        for step in self.steps:
+            count = step.stop - step.start
+            np.minimum(fans[:count], values[step], out=fans[:count])
+        np.minimum.at(found, self.vertex, fans)
+        return found
+
     def walk(self, drops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Running sums of -drops along each fan (local).
 

@@ -8,6 +8,9 @@ rho come from its residual alone, eps-free, and a flux sigma in RT0 with continu
 is found vertex by vertex as a sum of fluxes on the patches, each the nearest (in the norm of mu^(-1/2)) to the broken
 RT0 interpolant of phi_i mu grad u_h. (Braess and Schoeberl 2008 for equations; the interpolant in place of phi_i mu
 grad u_h itself keeps the flux near on irregular meshes.)
+
+Of the contact force at a vertex only its sum over the patch is needed. Where the obstacle falls off steeply the force
+is put into those cells of the patch in which u is near it: the error bound has force times distance.
 """
 
 from __future__ import annotations
@@ -26,17 +29,18 @@ from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
 from fenicsx_obstacle.parallel import total
 
+NEAR = 0.5  # of force/tension: a larger distance costs more than what moving the force to other cells does to the flux
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
 
 
 @dataclass(frozen=True)
 class FluxP1:
-    """Multipliers and flux; arrays of local dofs, ghosts included, or of owned cells.
+    """Multipliers and flux; arrays of owned cells, or of local dofs, ghosts included.
 
     Attributes:
-        lower: lambda >= 0, in the unit of the load.
+        lower: lambda >= 0 at the vertices of each cell, in the unit of the load, shape (cells, 3).
         upper: nu >= 0.
-        rest: rho, what no obstacle carries.
+        rest: rho, what no obstacle carries, at local dofs.
         solver_rest: The same of the solver's own load, one value per cell: 0 where it has converged.
         normal: s: sigma = sum of s_j (x - x_j)/(2 |T|) in a cell; s_j is the flux out of it opposite to vertex j.
         incompatible: Largest flux that a fan of a free vertex leaves over, 0 up to round-off.
@@ -67,6 +71,8 @@ class EquilibrationP1:
         self.level = data.level
         self.fans = Fans(triangles)
         self.mu = of_solver(triangles, data, tension_of(data), np.full((1, 3), 1 / 3), positive=True)[:, 0]
+        area = self.fans.gather(np.repeat((triangles.area / self.mu)[:, None] / 3, 3, axis=1))[0]
+        self._softness = self.fans.at_vertices(area)  # int phi_i/mu
         self._prepare_others(other_effects(data))
         self.load = Load(triangles, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
         self.missing = self.fans.at_vertices(self.fans.gather(self.load.missing)[0])
@@ -103,13 +109,17 @@ class EquilibrationP1:
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
         return self.load.moments - self._moments_of_others.x.array[self.triangles.turned(dofs)]
 
-    def flux(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> FluxP1:
+    def flux(
+        self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
+        gaps: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+    ) -> FluxP1:  # fmt: skip
         """Multipliers and flux of a state (collective).
 
         Args:
             u: Values at local dofs.
             touches_lower: Whether u is at the lower obstacle or beyond it, at owned dofs.
             touches_upper: Whether it is at the upper one or beyond it.
+            gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
         triangles, fans, V = self.triangles, self.fans, self.level.V
         beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
@@ -119,13 +129,11 @@ class EquilibrationP1:
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(fans.free, residual + self.missing / fans.mass, 0.0)
         solver_rest = self._multipliers(with_solver_load, touches_lower, touches_upper)[2]
-        lower, upper = (
-            self._along_the_boundary(values, touches)
-            for values, touches in ((lower, touches_lower), (upper, touches_upper))
+        (lower, push), (upper, pull) = (
+            self._in_cells(self._along_the_boundary(values, touches), gap)
+            for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
         )
-        own = self.level.owned
-        pressure = (lower[:own] - upper[:own] + rest)[fans.vertex]
-        before, after = fans.walk(drops + fans.along(pressure) * fans.area)
+        before, after = fans.walk(drops + (push - pull + fans.along(rest[fans.vertex])) * fans.area)
         shift = -(fans.sums(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
         # nothing leaves through the free boundary
         open_ = ~fans.closed
@@ -158,3 +166,26 @@ class EquilibrationP1:
             sums, counts = (self.fans.at_vertices(part) for part in others)
             values = with_ghosts(level.V, np.where(wanted, sums / counts, values[: level.owned]))
         return values
+
+    def _in_cells(self, values: np.ndarray, gap: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Nodal multipliers at the corners of cells with the same sum over each patch, and these along the fans
+        (collective).
+
+        Args:
+            values: At local dofs, >= 0.
+            gap: Mean distance to the obstacle in each cell; None: it plays no part.
+        """
+        fans, own = self.fans, values[: self.level.owned]
+        if total(self.level.comm, np.count_nonzero(own)) == 0:
+            return np.zeros(self.triangles.dofs.shape), np.zeros(len(fans.area))
+        along, corner = fans.along(own[fans.vertex]), values[self.triangles.dofs]
+        if gap is None:
+            return corner, along
+        gaps = fans.gather(np.repeat(gap[:, None], 3, axis=1))[0]
+        most = fans.smallest(gaps) + NEAR * own * self._softness
+        far = (gaps > fans.along(most[fans.vertex])) & (along > 0)
+        if total(self.level.comm, np.count_nonzero(far)) == 0:
+            return corner, along
+        share = fans.mass / fans.at_vertices(np.where(far, 0.0, fans.area))
+        along = np.where(far, 0.0, along * fans.along(share[fans.vertex]))
+        return fans.scatter(along)[0], along

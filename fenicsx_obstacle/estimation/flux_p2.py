@@ -6,9 +6,10 @@ out of balance. The flux is in RT1, again a sum over vertices,
 
     div sigma = -(Pi_1 f + lambda + rho)   in each cell, rho = sum of rho_a psi_a,
 
-of fluxes on the patches that are nearest to the broken RT1 interpolant of psi_a mu grad u_h. Divergence and normal
-parts leave few unknowns: what goes round the vertex, and a first moment on each edge from it; the moments inside
-follow.
+of fluxes on the patches that are nearest to the broken RT1 interpolant of psi_a mu grad u_h. Of the force at a middle
+only the sum over its two cells is needed: it is put into one of them where u is much nearer to the obstacle there.
+Divergence and normal parts leave few unknowns: what goes round the vertex, and a first moment on each edge from it; the
+moments inside follow.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
 from fenicsx_obstacle.estimation.fans import Fans
+from fenicsx_obstacle.estimation.flux_p1 import NEAR
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
 from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
@@ -123,19 +125,26 @@ class EquilibrationP2:
         function.x.scatter_forward()
         return function.x.array.copy()
 
-    def flux(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> FluxP2:
+    def flux(
+        self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
+        gaps: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+    ) -> FluxP2:  # fmt: skip
         """Multipliers and flux of a state (collective).
 
         Args:
             u: Values at local nodes of P2.
             touches_lower: Whether u is at the lower obstacle or beyond it, at owned nodes.
             touches_upper: Whether it is at the upper one or beyond it.
+            gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
         triangles, fans = self.triangles, self.fans
         area, gradient = triangles.area, self.gradients(u)
         slopes = np.einsum("xck,xca->cak", gradient, triangles.normal) / (2 * area)[:, None, None]  # grad psi_a at k
         K = np.einsum("cak,ckj->caj", slopes, self._mu_products)  # int mu grad u . grad psi_a psi_j
-        lower, upper = self._multipliers(K, touches_lower, touches_upper)
+        lower, upper = (
+            self._in_cells(values, gap)
+            for values, gap in zip(self._multipliers(K, touches_lower, touches_upper), gaps, strict=True)
+        )
         pushes = self.load.moments + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
         drops = (pushes - K).sum(axis=2)
         unbalanced = np.where(fans.free, -fans.at_vertices(fans.gather(drops)[0]) / fans.mass, 0.0)
@@ -176,6 +185,24 @@ class EquilibrationP2:
             nodal = np.where(touches, np.maximum(sign * residual, 0.0), 0.0)
             found.append(self._along_the_boundary(nodal, touches)[self.nodes[:, 3:]])
         return found[0], found[1]
+
+    def _in_cells(self, values: np.ndarray, gap: np.ndarray | None) -> np.ndarray:
+        """Multipliers with the same force at each middle, in those of its cells where u is near (collective).
+
+        Args:
+            values: At the middles of each cell, the same in both cells.
+            gap: Mean distance to the obstacle in each cell; None: it plays no part.
+        """
+        if gap is None:
+            return values
+        area, nodes = np.repeat(self.triangles.area[:, None] / 3, 3, axis=1), self.nodes[:, 3:]
+        softness = self.summed(area / self.mu[:, None], middles=True)[nodes]
+        own = np.repeat(gap[:, None], 3, axis=1)
+        both = self.summed(own, middles=True)[nodes]
+        cells = self.summed(np.ones_like(own), middles=True)[nodes]
+        near = own <= np.where(cells > 1, both - own, own) + NEAR * values * softness
+        kept = self.summed(np.where(near, area, 0.0), middles=True)[nodes]
+        return np.where(near, values * self._weights[nodes] / np.maximum(kept, 1e-300), 0.0)
 
     def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
         """Where u is given and touches, the mean of the cell's other middles: any value >= 0 will do (collective)."""

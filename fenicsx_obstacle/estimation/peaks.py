@@ -1,28 +1,30 @@
 """Obstacles between the nodes.
 
-The highest point of an obstacle above its nodal interpolant is added at the nodes around. Where the obstacle is a
-polynomial in a cell, its Bernstein coefficients bound that height; elsewhere it is sampled, densely in cells where u
-may touch it, with a margin for what lies between the samples.
+The highest point of an obstacle above its nodal interpolant is added at the nodes around. Bernstein coefficients of the
+polynomials that stand for it bound that height; where it is rough cells are divided for this, if u may touch it there.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.exactness import in_cells, number
+from fenicsx_obstacle.estimation.cell_data import in_cells
+from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.fans import Fans
-from fenicsx_obstacle.estimation.polynomials import MAX_DEGREE, coefficients, inner_points, round_off
-from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, pieces_of
+from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rim import Rim
-from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
+from fenicsx_obstacle.estimation.triangles import Triangles, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
 
-SPARE = 1.5  # times the height that a few points of a cell have found,
-SPARE_DENSE = 1.1  # and that of a dense lattice
-NEAR = 4.0  # times that height: how near u may come before a cell is sampled densely
-DENSE = 8  # parts of an edge
+AS_THEY_ARE = Division(0, degree=2)
+NEAR = Division(4, 2e-3, 1e-3, 2)  # where u may touch; what counts is the distance to the nodal interpolant
+BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state,
+FEW = 20_000  # while there are so few parts: on fine meshes they matter less
 ROUND_OFF = 1e-14  # of the heights
+LOWEST = -1e300  # a mean of which no bound is known
 
 
 class Peaks:
@@ -31,44 +33,60 @@ class Peaks:
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
         nodal: sign times its nodal values at local dofs.
+        mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell.
         cover_energy: ||grad||^2 in each cell of what is added to the state beside the boundary (see `lift`).
         cover_volume: Its integral.
-        surprise: By how much dense samples found it higher than all the others let expect: it may have peaks narrower
-            than either.
-        sampled: Whether the bound rests on samples of it, on any rank: it is no polynomial in some cell, or it is above
-            the state beside the boundary.
+        sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or it is above the
+            state beside the boundary and may jump.
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
     def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, sign: float, field: Field):
-        """Sample it at a few points of each cell (collective)."""
+        """Enclose it in each cell (collective)."""
         data = triangles.data
         self.triangles, self.fans, self.rim, self.sign, self._field = triangles, fans, rim, sign, field
         nodal = data.lower if sign > 0 else data.upper
         assert nodal is not None
-        self.nodal = sign * nodal.x.array
+        self.nodal = sign * (field.clip(nodal.x.array) if isinstance(field, Clipped) else nodal.x.array)
         comm, cells = data.level.comm, len(triangles.area)
         self._heights = largest(comm, np.abs(self.nodal))
         self._flat = self._field.uniform
-        points, weights = rule(2)
         self.mean, self._height = np.zeros(cells), np.zeros(cells)
-        self._known = number(cells) if self._flat else in_cells(triangles, self._field)
-        self.unbounded = ~np.isfinite(self._known.upper if self.sign > 0 else self._known.lower)
-        self._no_polynomial = self.sampled = total(comm, np.count_nonzero(~self._known.exact)) > 0
-        if not self._flat:
-            sampled = np.flatnonzero(~self._known.exact)
-            for block in blocks(len(sampled)):
-                above = self._above(points, sampled[block])
-                self.mean[sampled[block]] = above @ weights  # of the obstacle above its nodal interpolant
-                self._height[sampled[block]] = SPARE * self._clean(above.max(axis=1, initial=0.0))
-            for degree, exact in self._known.degrees():
-                coefficient, room = self._coefficients(max(degree, 1), exact)
-                self.mean[exact] = coefficient.mean(axis=1)
-                highest = coefficient.max(axis=1)
-                self._height[exact] = np.where(highest <= room, 0.0, highest + room)
-        self._is_dense = self._known.exact.copy()
-        self.surprise = 0.0
+        self._top = self.nodal[triangles.dofs].max(axis=1, initial=-np.inf)
+        self.unbounded, self._rough = np.zeros(cells, dtype=bool), np.zeros(cells, dtype=bool)
         self.cover_energy, self.cover_volume = np.zeros(cells), np.zeros(cells)
+        self.sampled = self._of_samples = False
+        if self._flat:
+            return
+        pieces = in_cells(triangles, field, AS_THEY_ARE)
+        self.unbounded = ~np.isfinite(pieces.upper if sign > 0 else pieces.lower)
+        self._rough[:] = True
+        self._take(np.arange(cells), pieces, sharp=False)
+        self.sampled = self._of_samples = total(comm, int(pieces.sampled)) > 0
+
+    def _take(self, cells: np.ndarray, pieces: Pieces, *, sharp: bool) -> None:
+        """Heights, sharp or rough ones, and means in some cells; above the interpolant, and in all."""
+        nodal = self.nodal[self.triangles.dofs[cells]]
+        highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
+        for group in pieces.groups:
+            coefficient, room = self._above(group, nodal)
+            known = np.isfinite(group.rest)
+            highest_there = coefficient.max(axis=1, initial=-np.inf)
+            if sharp:
+                highest_there = polynomials.largest(coefficient, 3, max(group.degree, 1))
+            top = highest_there + np.where(known, group.rest, 0.0)
+            side = group.upper if self.sign > 0 else -group.lower
+            top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
+            np.maximum.at(highest, group.rows, np.where(top <= room, 0.0, top + room))
+            np.add.at(mean, group.rows, np.where(known, group.share * (coefficient.mean(axis=1) - group.rest), LOWEST))
+        self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
+        self._top[cells] = pieces.upper if self.sign > 0 else -pieces.lower
+
+    def _above(self, group: Group, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
+        degree, coefficient = group.above(linear, self.sign)
+        size = np.maximum(np.abs(group.coefficients).max(axis=1), np.abs(linear[group.rows]).max(axis=1))
+        return coefficient, polynomials.round_off(size[:, None], 3, degree) + ROUND_OFF * self._heights
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """Nodal heights of an obstacle that is nowhere below this one where u may touch it (collective).
@@ -85,69 +103,91 @@ class Peaks:
         if self._flat and not self.rim.twice:
             return self.nodal
         dofs = self.triangles.dofs
-        slack = (u - self.nodal)[dofs].min(axis=1) - self.rim.dip
-        near = slack <= np.maximum(NEAR * self._height, ROUND_OFF * self._heights)
-        new = np.flatnonzero(near & ~self._is_dense)
-        above = self._clean(self._above(lattice(DENSE), new).max(axis=1, initial=0.0))
-        expected = self._height[new] + max(largest(self.triangles.data.level.comm, self._height), 0.0)
-        self.surprise = max(self.surprise, largest(self.triangles.data.level.comm, above - expected))
-        self._height[new] = SPARE_DENSE * above
-        self._is_dense[new] = True
+        near = _least(u - self.nodal, dofs) <= np.maximum(self._height, ROUND_OFF * self._heights) + self.rim.dip
+        near &= _least(u, dofs) <= self._top + self.rim.dip
+        new = np.flatnonzero(near & self._rough)
+        self._take(new, in_cells(self.triangles, self._field, NEAR, new), sharp=True)
+        self._rough[new] = False
         given = np.zeros(len(u), dtype=bool)
         given[self.triangles.data.fixed[0]] = True
-        lifted = self.nodal + np.where(given, 0.0, self._at_nodes(np.where(near, self._height, 0.0)))
+        # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
+        cells, needed = np.flatnonzero(near & (self._height > 0)), np.zeros(dofs.shape)
+        nodal, state = self.nodal[dofs[cells]], np.maximum(u, self.nodal)[dofs[cells]]
+        shifted, level = nodal + self._height[cells, None], self._top[cells, None]
+        cheaper = np.maximum(level - state, 0.0).sum(axis=1) < np.maximum(shifted - state, 0.0).sum(axis=1)
+        needed[cells] = np.where(cheaper[:, None], level, shifted) - nodal
+        lifted = self.nodal + np.where(given, 0.0, self._at_nodes(needed))
         self._cover(np.where(given, u, np.maximum(u, lifted)), near & (given[dofs].any(axis=1) | (self.rim.dip > 0)))
         return lifted
 
     def _cover(self, state: np.ndarray, beside: np.ndarray) -> None:
         """What is still above the state beside nodes that cannot be raised, because u is given there (collective).
 
-        It is taken to be linear on a lattice, so that cells fit together.
+        It is the positive part of obstacle - state - cones of boundary values, which is 0 on the boundary. Its gradient
+        is bounded on those parts of the cells where it may be positive.
         """
-        triangles, where, cells = self.triangles, lattice(DENSE), self._uncovered(state, np.flatnonzero(beside))
-        self.sampled = self._no_polynomial or total(triangles.data.level.comm, len(cells)) > 0
-        gap = (state - self.nodal)[triangles.dofs[cells]] @ where.T + self.sign * self.rim.cones(cells, where)
-        cover = self._clean(np.maximum(self._above(where, cells) - gap, 0.0))
-        parts = np.array(lattice_cells(DENSE))
-        share = triangles.area[cells] / len(parts)
+        triangles, comm = self.triangles, self.triangles.data.level.comm
         self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
-        self.cover_volume[cells] = cover[:, parts].mean(axis=2).sum(axis=1) * share
-        # every part is the cell over again, DENSE times smaller and maybe turned round
-        normal = DENSE * triangles.normal[:, cells] / (2 * triangles.area[cells])[:, None]
-        gradient = np.einsum("cpi,xci->xcp", cover[:, parts], normal)
-        self.cover_energy[cells] = (1 + 1 / DENSE) ** 2 * np.einsum("xcp,xcp->c", gradient, gradient) * share
+        owner = np.flatnonzero(beside)
+        corners, inside = triangles.x[owner], np.broadcast_to(np.eye(3), (len(owner), 3, 3))
+        for split in range(BESIDE + 1):
+            pieces = pieces_of(triangles.data, self._field, corners, owner, Division(0))
+            linear = (inside @ state[triangles.dofs[owner]][..., None])[..., 0]
+            cones, steep = self.rim.on_parts(owner, inside, self.sign)
+            above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
+            for group in pieces.groups:
+                coefficient, room = self._above(group, linear)
+                beyond = group.rest - cones[group.rows]
+                open_ = np.flatnonzero(polynomials.largest(coefficient, 3, max(group.degree, 1)) + beyond > room)
+                rows = group.rows[open_]
+                above[rows] = True
+                if last:
+                    measure = triangles.area[owner[rows]] * group.share[open_] / 4**split
+                    height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
+                    steepness = self._steepness(group[open_], coefficient[open_], corners, steep[rows])
+                    np.add.at(self.cover_volume, owner[rows], measure * height)
+                    np.add.at(self.cover_energy, owner[rows], measure * steepness)
+            uncovered = np.count_nonzero(above)
+            if last:
+                break
+            owner = np.repeat(owner[above], 4)
+            corners, inside = polynomials.halved(corners[above]), polynomials.halved(inside[above])
+        jumps = total(comm, uncovered) > 0 and not self._field.continuous
+        self.sampled = self._of_samples or jumps
 
-    def _uncovered(self, state: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """Those of some cells where the obstacle may be above the state."""
-        clear = np.zeros(len(cells), dtype=bool)
-        for degree in np.unique(self._known.degree[cells]):
-            if degree <= MAX_DEGREE:
-                own = np.flatnonzero(self._known.degree[cells] == degree)
-                coefficient, room = self._coefficients(max(int(degree), 1), cells[own], state)
-                clear[own] = coefficient.max(axis=1) + self.rim.dip[cells[own]] <= room
-        return cells[~clear]
+    def _steepness(self, group: Group, coefficient: np.ndarray, corners: np.ndarray, cones: np.ndarray) -> np.ndarray:
+        """Bound of the mean of |grad(obstacle - state - cones)|^2 on parts of triangles.
 
-    def _coefficients(
-        self, degree: int, cells: np.ndarray, state: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Bernstein coefficients of the obstacle above a nodal function, by default its own; their round-off."""
-        points = inner_points(3, degree)
-        inside = self.sign * self.triangles.values(self._field, points, cells)
-        linear = (self.nodal if state is None else state)[self.triangles.dofs[cells]] @ points.T
-        room = round_off(np.maximum(np.abs(inside), np.abs(linear)), 3, degree)
-        return coefficients(inside - linear, 3, degree), room + ROUND_OFF * self._heights
+        Args:
+            group: The parts.
+            coefficient: Of Bernstein, of the difference of polynomials.
+            corners: Of the triangles.
+            cones: Bound of the gradient of the cones.
+        """
+        x = corners[group.rows] if group.corners is None else group.corners @ corners[group.rows]
+        edges = np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)
+        area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])  # twice of it
+        turned = np.stack([-edges[..., 1], edges[..., 0]], axis=2) / area[:, None, None]
+        degree = max(group.degree, 1)
+        points, weights = rule(2, 2 * (degree - 1))
+        along = polynomials.slopes(coefficient, 3, degree)
+        there = np.stack([polynomials.evaluate(along[:, k], points, degree - 1) for k in range(3)], axis=1)
+        gradient = np.einsum("nkp,nkx->npx", there, turned)
+        mean = np.einsum("npx,npx,p->n", gradient, gradient, weights)
+        longest = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
+        known = np.isfinite(group.steep)  # of samples it is not
+        unknown = np.where(known, group.steep, (group.upper - group.lower) * longest / area)
+        return (np.sqrt(mean) + cones + np.where(np.isfinite(unknown), unknown, 0.0)) ** 2
 
     def _at_nodes(self, heights: np.ndarray) -> np.ndarray:
-        """The largest value in the cells around each local dof (collective)."""
+        """The largest value at the corners of cells around each local dof, 0 if that is more (collective)."""
         owned, level = np.zeros(self.fans.owned), self.triangles.data.level
         if total(level.comm, np.count_nonzero(heights)) > 0:
-            owned = self.fans.largest(self.fans.gather(np.repeat(heights[:, None], 3, axis=1))[0])
+            owned = self.fans.largest(self.fans.gather(heights)[0])
         return with_ghosts(level.V, owned)
 
-    def _above(self, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """How far the obstacle is above its nodal interpolant, shape (cells, points)."""
-        inside = self.sign * self.triangles.values(self._field, where, cells)
-        return inside - self.nodal[self.triangles.dofs[cells]] @ where.T
 
-    def _clean(self, heights: np.ndarray) -> np.ndarray:
-        return np.where(heights <= ROUND_OFF * self._heights, 0.0, heights)
+def _least(nodal: np.ndarray, dofs: np.ndarray) -> np.ndarray:
+    """The least value at the vertices of each cell."""
+    a, b, c = (nodal[dofs[:, k]] for k in range(3))
+    return np.minimum(np.minimum(a, b), c)

@@ -21,7 +21,6 @@ class Triangles:
         facets: Local facet opposite to each vertex, shape (cells, 3).
         area: Shape (cells,).
         normal: 2 |T| grad phi_i = the edge opposite to vertex i turned inward; x and y of it, shape (2, cells, 3).
-        diameter: Longest edge, shape (cells,).
     """
 
     def __init__(self, data: Data):
@@ -38,7 +37,6 @@ class Triangles:
         # the edge from the vertex after i to the one before, turned to the left
         self.normal = np.stack([next_(y) - previous(y), previous(x) - next_(x)])
         self.area = (self.normal[0, :, 1] * self.normal[1, :, 2] - self.normal[1, :, 1] * self.normal[0, :, 2]) / 2
-        self.diameter = np.sqrt(np.max(self.normal[0] ** 2 + self.normal[1] ** 2, axis=1))
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Values at vertices in the mesh's order, shape (cells, 3, ...), in the order here."""
@@ -97,6 +95,11 @@ def next_(values: np.ndarray) -> np.ndarray:
 def previous(values: np.ndarray) -> np.ndarray:
     """Likewise at the one before it."""
     return np.take(values, [2, 0, 1], axis=1)
+
+
+def sums(values: np.ndarray) -> np.ndarray:
+    """Of values at the vertices of each cell, shape (cells, 3)."""
+    return values[:, 0] + values[:, 1] + values[:, 2]  # several times faster than values.sum(axis=1)
 
 
 def lattice(parts: int) -> np.ndarray:

@@ -54,6 +54,11 @@ class FormulaField(Field):
     def needs_distance(self) -> bool:  # type: ignore[override]
         return "distance" in self.needs
 
+    @property
+    def continuous(self) -> bool:  # type: ignore[override]
+        used = [self.formula, *(one for key, one in self.vocabulary.define.items() if key in self.needs)]
+        return "theta" not in self.needs and not any(formula.may_jump for formula in used)
+
     def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
         """Refuse names that mean nothing.
 
@@ -71,7 +76,7 @@ class FormulaField(Field):
         with np.errstate(all="ignore"):
             return margins(self.vocabulary, self.formula, x, self._known(x, names))
 
-    def over(self, corners: np.ndarray, names: Names) -> Enclosed:
+    def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed:
         from fenicsx_obstacle.scenes.enclosures import Cells, OnCells  # only where bounds are asked for
 
         return OnCells(Cells(self.vocabulary, corners, names.get("distance")), self.formula)

@@ -59,6 +59,14 @@ class Formula:
         called = {id(node.func) for node in ast.walk(self.tree) if isinstance(node, ast.Call)}
         return {n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and id(n) not in called}
 
+    @property
+    def may_jump(self) -> bool:
+        """Whether anything in it may, except for poles."""
+        nodes = list(ast.walk(self.tree))
+        called = {node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+        conditions = ast.Compare | ast.BoolOp | ast.Not | ast.Mod
+        return bool(called & {"where", "sign", "floor", "atan2"}) or any(isinstance(n, conditions) for n in nodes)
+
     def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
         """Refuse names that mean nothing here.
 

@@ -7,15 +7,19 @@ bound means that nothing finite is known. Single points (lower == upper) are not
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import pi
 from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.scenes import slopes
+from fenicsx_obstacle.scenes.slopes import NONE, Slopes
+
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 _ROUND_OFF = 8 * np.finfo(float).eps  # relative; mathematical libraries are right to a few units
 _TINY = 1e-300
+MARGIN = 1 + 1e-12  # for round-off in bounds of derivatives, sums and products of positive numbers
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,9 @@ class Enclosure:
         degree: As a polynomial on the cell where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
         whole: Whether one expression without conditions gives it on the whole cell.
         defined: Whether no root or logarithm of a negative number can occur.
+        slopes: Bounds of its derivatives; where it is not `whole` the first alone holds, on both sides of what may be a
+            kink or a jump.
+        square: Of a root, what it is the root of.
     """
 
     lower: np.ndarray
@@ -35,6 +42,14 @@ class Enclosure:
     degree: np.ndarray
     whole: np.ndarray
     defined: np.ndarray
+    slopes: Slopes = field(default=NONE, repr=False)
+    square: Enclosure | None = None
+
+    @property
+    def derivatives(self) -> tuple[np.ndarray, ...]:
+        """Bounds of its derivatives in any direction, of each order k = 1 .. divided by k!."""
+        with np.errstate(all="ignore"):
+            return tuple(np.broadcast_to(np.asarray(f) * MARGIN, self.lower.shape) for f in self.slopes.orders)
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
@@ -63,17 +78,17 @@ class Enclosure:
         return replace(self, whole=self.whole & other.whole, defined=self.defined & other.defined)
 
 
-def of_bounds(lower: Any, upper: Any, degree: Any) -> Enclosure:
+def of_bounds(lower: Any, upper: Any, degree: Any, slopes: Slopes = NONE) -> Enclosure:
     """Bounds as they are."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-    return Enclosure(lower, upper, np.asarray(degree), np.asarray(True), np.asarray(True))
+    return Enclosure(lower, upper, np.asarray(degree), np.asarray(True), np.asarray(True), slopes)
 
 
 def constant(value: float) -> Enclosure:
     return of_bounds(value, value, 0)
 
 
-def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, defined: Any = True) -> Enclosure:
+def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slopes, defined: Any = True) -> Enclosure:
     """Rounded outward; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
@@ -82,7 +97,7 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, defined: Any
     upper = np.where(np.isnan(above), np.inf, np.where(point, upper, above))
     whole = np.logical_and.reduce(np.broadcast_arrays(*(p.whole for p in parents)))
     known = np.logical_and.reduce(np.broadcast_arrays(*(p.defined for p in parents), np.asarray(defined)))
-    return Enclosure(lower, upper, np.asarray(degree), whole, known)
+    return Enclosure(lower, upper, np.asarray(degree), whole, known, slopes)
 
 
 def _degree(*parents: Enclosure) -> np.ndarray:
@@ -101,12 +116,30 @@ def negative(a: Enclosure) -> Enclosure:
 
 
 def add(a: Enclosure, b: Enclosure) -> Enclosure:
-    return _made(a.lower + b.lower, a.upper + b.upper, np.maximum(a.degree, b.degree), a, b)
+    both = slopes.plus(a.slopes, b.slopes)
+    return _made(a.lower + b.lower, a.upper + b.upper, np.maximum(a.degree, b.degree), a, b, slopes=both)
 
 
 def multiply(a: Enclosure, b: Enclosure) -> Enclosure:
     ends = [_product(x, y) for x in (a.lower, a.upper) for y in (b.lower, b.upper)]
-    return _made(np.minimum.reduce(ends), np.maximum.reduce(ends), a.degree + b.degree, a, b)
+    low, high = np.minimum.reduce(ends), np.maximum.reduce(ends)
+    both = slopes.product(lambda: _largest(a), a.slopes, lambda: _largest(b), b.slopes)
+    return _made(low, high, a.degree + b.degree, a, b, slopes=both)
+
+
+def _largest(a: Enclosure) -> np.ndarray:
+    """The largest absolute value."""
+    return np.maximum(np.abs(a.lower), np.abs(a.upper))
+
+
+def _smallest(a: Enclosure) -> np.ndarray:
+    """The smallest absolute value."""
+    return np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
+
+
+def _through(a: Enclosure, outer: Callable[[], slopes.Orders]) -> Slopes:
+    """Bounds of derivatives of a function of a."""
+    return slopes.composed(a.slopes, outer)
 
 
 def _inverse(b: Enclosure) -> Enclosure:
@@ -116,7 +149,8 @@ def _inverse(b: Enclosure) -> Enclosure:
     zero = (b.lower == 0) & (b.upper == 0)
     lower = np.where(within | zero | (b.upper == 0), -np.inf, lower)
     upper = np.where(within | zero | (b.lower == 0), np.inf, upper)
-    return _made(lower, upper, _degree(b), b)
+    outer = _through(b, lambda: slopes.of_inverse(b.lower, b.upper))
+    return _made(lower, upper, _degree(b), b, slopes=outer, defined=~zero)
 
 
 def divide(a: Enclosure, b: Enclosure) -> Enclosure:
@@ -130,11 +164,13 @@ def power(a: Enclosure, n: int) -> Enclosure:
     """A whole power, n >= 0."""
     if n == 0:
         return of_bounds(np.ones_like(a.lower), np.ones_like(a.lower), 0).inheriting(a)
+    if n % 2 == 0 and a.square is not None:
+        return power(a.square, n // 2).inheriting(a)
     low, high = a.lower**n, a.upper**n
     if n % 2 == 0:
         low, high = np.minimum(low, high), np.maximum(low, high)
         low = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, low)
-    return _made(low, high, a.degree * n, a)
+    return _made(low, high, a.degree * n, a, slopes=_through(a, lambda: slopes.of_whole_power(n, _largest(a))))
 
 
 def raised(a: Enclosure, b: Enclosure) -> Enclosure:
@@ -147,8 +183,9 @@ def raised(a: Enclosure, b: Enclosure) -> Enclosure:
         return power(a, n) if n >= 0 else _inverse(power(a, -n))
     defined = a.lower >= _least(a)
     low, high = (np.maximum(end, 0.0) ** abs(exponent) for end in (a.lower, a.upper))
-    found = _made(low, high, _degree(a), a, defined=defined)
-    return found if exponent > 0 else _inverse(found)
+    found = _made(low, high, _degree(a), a, slopes=NONE, defined=defined)
+    outer = _through(a, lambda: slopes.of_power(exponent, a.lower, a.upper))
+    return replace(found if exponent > 0 else _inverse(found), slopes=outer)
 
 
 def _least(a: Enclosure) -> np.ndarray:
@@ -156,31 +193,39 @@ def _least(a: Enclosure) -> np.ndarray:
     return -1e-12 * np.where(np.isfinite(a.upper), np.abs(a.upper), 1.0)
 
 
-def _monotone(f: Callable[[np.ndarray], np.ndarray]) -> Callable[[Enclosure], Enclosure]:
-    return lambda a: _made(f(a.lower), f(a.upper), _degree(a), a)
+def _outer(name: str, a: Enclosure) -> Slopes:
+    """Bounds of derivatives of a function of a, by its name."""
+    return _through(a, lambda: slopes.BOUNDS[name](a.lower, a.upper))
+
+
+def _monotone(name: str, f: Callable[[np.ndarray], np.ndarray]) -> Callable[[Enclosure], Enclosure]:
+    return lambda a: _made(f(a.lower), f(a.upper), _degree(a), a, slopes=_outer(name, a))
 
 
 def sqrt(a: Enclosure) -> Enclosure:
     low, high = (np.sqrt(np.maximum(end, 0.0)) for end in (a.lower, a.upper))
-    return _made(low, high, _degree(a), a, defined=a.lower >= _least(a))
+    found = _made(low, high, _degree(a), a, slopes=_outer("sqrt", a), defined=a.lower >= _least(a))
+    return replace(found, square=a)
 
 
 def log(a: Enclosure) -> Enclosure:
     low, high = (np.log(np.maximum(end, 0.0)) for end in (a.lower, a.upper))
-    return _made(low, high, _degree(a), a, defined=a.lower >= _least(a))
+    return _made(low, high, _degree(a), a, slopes=_outer("log", a), defined=a.lower >= _least(a))
 
 
 def log10(a: Enclosure) -> Enclosure:
     return divide(log(a), constant(float(np.log(10.0))))
 
 
-exp, sinh, tanh, atan = (_monotone(f) for f in (np.exp, np.sinh, np.tanh, np.arctan))
+exp, sinh, tanh, atan = (
+    _monotone(name, f) for name, f in (("exp", np.exp), ("sinh", np.sinh), ("tanh", np.tanh), ("atan", np.arctan))
+)
 
 
 def cosh(a: Enclosure) -> Enclosure:
     low, high = np.cosh(a.lower), np.cosh(a.upper)
     least = np.where((a.lower <= 0) & (a.upper >= 0), 1.0, np.minimum(low, high))
-    return _made(least, np.maximum(low, high), _degree(a), a)
+    return _made(least, np.maximum(low, high), _degree(a), a, slopes=_outer("cosh", a))
 
 
 def cos(a: Enclosure) -> Enclosure:
@@ -194,12 +239,12 @@ def cos(a: Enclosure) -> Enclosure:
     odd = (2 * np.floor((end - 1) / 2) + 1 >= start) | large
     least = np.where(odd & ~point, -1.0, np.minimum(low, high))
     most = np.where(even & ~point, 1.0, np.maximum(low, high))
-    return _made(least, most, _degree(a), a).clipped(-1.0, 1.0)
+    return _made(least, most, _degree(a), a, slopes=_outer("sin", a)).clipped(-1.0, 1.0)
 
 
 def sin(a: Enclosure) -> Enclosure:
     point = a.lower == a.upper
-    found = cos(of_bounds(a.lower - pi / 2, a.upper - pi / 2, a.degree).inheriting(a))
+    found = cos(of_bounds(a.lower - pi / 2, a.upper - pi / 2, a.degree, a.slopes).inheriting(a))
     pad = 4e-16 * (np.abs(a.lower) + np.abs(a.upper) + 2)  # of the shift
     lower = np.where(point, np.sin(a.lower), np.maximum(found.lower - pad, -1.0))
     upper = np.where(point, lower, np.minimum(found.upper + pad, 1.0))
@@ -212,7 +257,11 @@ def tan(a: Enclosure) -> Enclosure:
     away = [np.abs(end / pi + 0.5 - np.round(end / pi + 0.5)) * pi > margin for end in (a.lower, a.upper)]
     regular = (turns[0] == turns[1]) & away[0] & away[1]
     lower, upper = np.where(regular, np.tan(a.lower), -np.inf), np.where(regular, np.tan(a.upper), np.inf)
-    return _made(lower, upper, _degree(a), a)
+
+    def outer() -> slopes.Orders:
+        return tuple(np.where(regular, bound, np.inf) for bound in slopes.BOUNDS["tan"](a.lower, a.upper))
+
+    return _made(lower, upper, _degree(a), a, slopes=_through(a, outer))
 
 
 def _inside(a: Enclosure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -223,35 +272,45 @@ def _inside(a: Enclosure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def asin(a: Enclosure) -> Enclosure:
     low, high, defined = _inside(a)
-    return _made(np.arcsin(low), np.arcsin(high), _degree(a), a, defined=defined)
+    return _made(np.arcsin(low), np.arcsin(high), _degree(a), a, slopes=_outer("asin", a), defined=defined)
 
 
 def acos(a: Enclosure) -> Enclosure:
     low, high, defined = _inside(a)
-    return _made(np.arccos(high), np.arccos(low), _degree(a), a, defined=defined)
+    return _made(np.arccos(high), np.arccos(low), _degree(a), a, slopes=_outer("acos", a), defined=defined)
 
 
 def hypot(a: Enclosure, b: Enclosure) -> Enclosure:
     return sqrt(add(power(a, 2), power(b, 2)))
 
 
+def distance(root: Enclosure) -> Enclosure:
+    """The root of a sum of squares that is the distance from a point: its derivatives are known better."""
+    assert root.square is not None
+    square = replace(root.square, slopes=Slopes(lambda: (2 * root.upper, 1.0, *NONE.orders[2:])))
+    return replace(root, slopes=slopes.radius(np.maximum(root.lower, 0.0)), square=square)
+
+
 def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     """It jumps across the negative x-axis, which counts as a condition; on one side of it, the axis included, it does
     not."""
     corners = [(v, u) for v in (y.lower, y.upper) for u in (x.lower, x.upper)]
-    margin = 1e-12 * np.maximum(np.abs(x.lower), np.abs(y.upper - y.lower))
+    size = np.maximum(np.abs(x.lower), np.abs(y.upper - y.lower))
+    margin = 1e-12 * np.where(np.isfinite(size), size, 0.0)
     across = (x.lower < 0) & (y.lower < -margin) & (y.upper > margin)
     below = (x.lower < 0) & (y.lower < -margin) & ~across
     angles = []
     for v, u in corners:
-        v = np.where(below, np.minimum(v, -0.0), v)
+        v = np.where(below, np.minimum(v, -0.0), np.where((x.lower < 0) & (y.lower >= -margin), np.maximum(v, 0.0), v))
         angle = np.arctan2(v, u)
         angles.append(np.where(below & (angle == pi), -pi, angle))
     origin = (x.lower <= 0) & (x.upper >= 0) & (y.lower <= 0) & (y.upper >= 0)
     low, high = np.minimum.reduce(angles), np.maximum.reduce(angles)
     low = np.where(across | origin, np.where(y.lower >= -margin, 0.0, -pi), low)
-    high = np.where(across | origin, np.where(y.upper <= margin, 0.0, pi), high)
-    return _made(low, high, _degree(y, x), y, x).cut(across)
+    high = np.where(across | origin, np.where((y.upper <= margin) & (y.lower < -margin), 0.0, pi), high)
+    turning = slopes.angle(np.hypot(_smallest(x), _smallest(y)), x.slopes, y.slopes)
+    through = origin & ((y.lower == y.upper) | (x.lower == x.upper))  # along an axis it jumps at the origin
+    return _made(low, high, _degree(y, x), y, x, slopes=turning).cut(across | through)
 
 
 def absolute(a: Enclosure, up: np.ndarray, down: np.ndarray) -> Enclosure:
@@ -262,9 +321,7 @@ def absolute(a: Enclosure, up: np.ndarray, down: np.ndarray) -> Enclosure:
         up: Whether it may be positive.
         down: Whether it may be negative.
     """
-    low = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
-    high = np.maximum(np.abs(a.lower), np.abs(a.upper))
-    return Enclosure(low, high, a.degree, a.whole, a.defined).cut(up & down)
+    return replace(a, lower=_smallest(a), upper=_largest(a)).cut(up & down)
 
 
 def extreme(name: str, a: Enclosure, b: Enclosure, above: np.ndarray, below: np.ndarray) -> Enclosure:
@@ -280,7 +337,8 @@ def extreme(name: str, a: Enclosure, b: Enclosure, above: np.ndarray, below: np.
     of = np.minimum if name == "min" else np.maximum
     first, second = (below, above) if name == "min" else (above, below)  # where a, and where b, may be the result
     picked = chosen(first | ~second, second, a, b)
-    return replace(picked, lower=of(a.lower, b.lower), upper=of(a.upper, b.upper))
+    # it is not a number where one of the two is none, even where that one would not be the result
+    return replace(picked, lower=of(a.lower, b.lower), upper=of(a.upper, b.upper), defined=a.defined & b.defined)
 
 
 def chosen(may_hold: np.ndarray, may_fail: np.ndarray, yes: Enclosure, no: Enclosure) -> Enclosure:
@@ -289,10 +347,12 @@ def chosen(may_hold: np.ndarray, may_fail: np.ndarray, yes: Enclosure, no: Enclo
     shared = [np.where(may_hold, a, b) for a, b in zip(yes.parts, no.parts, strict=True)]
     lower = np.where(both, np.minimum(yes.lower, no.lower), shared[0])
     upper = np.where(both, np.maximum(yes.upper, no.upper), shared[1])
+    either = slopes.either(may_hold, may_fail, yes.slopes, no.slopes)
     # a condition that is undecided guards its branches against roots of negative numbers
-    return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, shared[4].astype(bool) | both)
+    return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, shared[4].astype(bool) | both, either)
 
 
+Rule = Callable[[Enclosure, Enclosure], Enclosure]
 FUNCTIONS: dict[str, Callable[..., Enclosure]] = {
     "sin": sin, "cos": cos, "tan": tan, "asin": asin, "acos": acos, "atan": atan, "atan2": atan2, "sinh": sinh,
     "cosh": cosh, "tanh": tanh, "exp": exp, "ln": log, "log": log, "log10": log10, "sqrt": sqrt, "hypot": hypot,

@@ -11,45 +11,46 @@ decided. Where intervals do not decide and the numbers compared are polynomials,
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fenicsx_obstacle.estimation import polynomials
-from fenicsx_obstacle.scenes import intervals
+from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.effects.field import Truth
+from fenicsx_obstacle.scenes import intervals, slopes
 from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure
-from fenicsx_obstacle.scenes.vocabulary import CONSTANTS
+from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.enclosures import Cells
 
+MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 TOUCHING = 1e-12  # of the numbers compared
 
 
 @dataclass(frozen=True)
 class Sign:
-    """What the sign of a value may be on each cell, except on a set of measure zero."""
+    """What the sign of a value may be inside each cell; 0 where the others meet is not counted."""
 
     up: np.ndarray
     down: np.ndarray
     zero: np.ndarray
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What a condition may be on each cell, except on a set of measure zero."""
-
-    may_hold: np.ndarray
-    may_fail: np.ndarray
-
-
 class TreeWalk:
-    """One evaluation of a formula and of the definitions it uses."""
+    """One evaluation of a formula and of the definitions it uses.
+
+    Attributes:
+        undecided: Numbers whose sign was asked for, and the cells where it is not decided although no condition changes
+            in them.
+    """
 
     def __init__(self, cells: Cells):
         self.cells, self.known = cells, dict[str, Enclosure]()
+        self.undecided: list[tuple[Formula, np.ndarray]] = []
+        self._nodes: dict[int, tuple[ast.expr, Enclosure]] = {}
 
     def name(self, name: str) -> Enclosure:
         if name not in self.known:
@@ -66,40 +67,40 @@ class TreeWalk:
                 return intervals.constant(0.0)
             x = corners[:, :, axis]
             low, high = x.min(axis=1), x.max(axis=1)
-            return intervals.of_bounds(low, high, np.where(low == high, 0, 1))
+            return intervals.of_bounds(low, high, np.where(low == high, 0, 1), slopes.COORDINATE)
         if name == "r":
-            return intervals.sqrt(self._squares())
+            squares = [intervals.power(self.name(axis), 2) for axis in "xyz"]
+            return intervals.distance(intervals.sqrt(intervals.add(intervals.add(*squares[:2]), squares[2])))
         if name == "theta":
-            return intervals.atan2(self.name("y"), self.name("x"))
+            least = np.maximum(self.name("r").lower, 0.0)
+            return replace(intervals.atan2(self.name("y"), self.name("x")), slopes=slopes.turn(least))
         if name == "distance":
             assert self.cells.distance is not None
             middle = np.zeros((len(corners), 3))
             middle[:, : corners.shape[2]] = corners.mean(axis=1)
             reach = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
             far = self.cells.distance(middle)
-            found = intervals.of_bounds(np.maximum(far - reach, 0.0), far + reach, NO_POLYNOMIAL)
+            bounds = np.maximum(far - reach, 0.0), far + reach
+            found = intervals.of_bounds(*bounds, NO_POLYNOMIAL, slopes.COORDINATE)
             return found.cut(np.ones(len(corners), dtype=bool))
         defined = self.cells.vocabulary.define[name]
         return self.number(defined, defined.tree)
 
-    def _squares(self) -> Enclosure:
-        return intervals.add(
-            intervals.add(intervals.power(self.name("x"), 2), intervals.power(self.name("y"), 2)),
-            intervals.power(self.name("z"), 2),
-        )
-
     def number(self, formula: Formula, node: ast.expr) -> Enclosure:
-        """Bounds of a node; a condition counts 1 or 0."""
+        """Bounds of a node, found once; a condition counts 1 or 0."""
+        if id(node) not in self._nodes:
+            self._nodes[id(node)] = node, self._number(formula, node)
+        return self._nodes[id(node)][1]
+
+    def _number(self, formula: Formula, node: ast.expr) -> Enclosure:
         if is_condition(node):
             truth = self.condition(formula, node)
-            return _chosen(truth, intervals.constant(1.0), intervals.constant(0.0))
+            return chosen(truth, intervals.constant(1.0), intervals.constant(0.0))
         match node:
             case ast.Constant(value=int() | float() as value):
                 return intervals.constant(float(value))
             case ast.Name(id=name):
                 return self.name(name)
-            case ast.BinOp(left=ast.Name(id="r"), op=ast.Pow(), right=right) if n := self._even(formula, right):
-                return intervals.power(self._squares(), n // 2)
             case ast.BinOp(left=left, op=op, right=right):
                 return self._operation(formula, node, BINARY[type(op)], left, right)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -108,16 +109,10 @@ class TreeWalk:
                 return self.number(formula, operand)
             case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
                 branches = self.number(formula, yes), self.number(formula, no)
-                return _chosen(self.condition(formula, test), *branches)
+                return chosen(self.condition(formula, test), *branches)
             case ast.Call(func=ast.Name(id=name), args=args):
                 return self._call(formula, name, args)
         raise AssertionError(ast.dump(node))
-
-    def _even(self, formula: Formula, node: ast.expr) -> int:
-        """An exponent that is an even whole number >= 2, or 0 if it is none."""
-        exponent = self.number(formula, node)
-        n = float(exponent.lower.flat[0]) if exponent.is_number else 0.0
-        return int(n) if n in range(2, 2 * polynomials.MAX_DEGREE + 1, 2) else 0
 
     def _operation(self, formula: Formula, node: ast.BinOp, sign: str, left: ast.expr, right: ast.expr) -> Enclosure:
         a, b = self.number(formula, left), self.number(formula, right)
@@ -129,16 +124,21 @@ class TreeWalk:
             case "*":
                 return intervals.power(a, 2) if ast.dump(left) == ast.dump(right) else intervals.multiply(a, b)
             case "/":
-                return intervals.divide(a, b)
+                return intervals.divide(a, self._argument(formula, right))
             case "^":
-                return intervals.raised(a, b)
+                whole = b.is_number and float(b.lower) >= 0 and float(b.lower).is_integer()
+                return intervals.raised(a if whole else self._argument(formula, left), b)
+        if a.is_number and b.is_number:
+            return intervals.constant(float(np.mod(a.lower, b.lower)))
         turns = self._floor(intervals.divide(a, b))
         remainder = intervals.add(a, intervals.negative(intervals.multiply(b, turns)))
         least, most = np.minimum(b.lower, 0.0), np.maximum(b.upper, 0.0)
-        return remainder.clipped(least, most)
+        nonzero = (b.lower > 0) | (b.upper < 0)
+        return replace(remainder.clipped(least, most), defined=remainder.defined & nonzero)
 
     def _call(self, formula: Formula, name: str, args: list[ast.expr]) -> Enclosure:
-        parts = [self.number(formula, arg) for arg in args]
+        number = self._argument if name in ("sqrt", "ln", "log", "log10") else self.number
+        parts = [number(formula, arg) for arg in args]
         a = parts[0]
         match name:
             case "abs":
@@ -146,8 +146,8 @@ class TreeWalk:
                 return intervals.absolute(a, sign.up, sign.down)
             case "sign":
                 sign = self._sign(formula, args[0], a)
-                found = _chosen(Truth(sign.up, sign.down), intervals.constant(1.0), intervals.constant(-1.0))
-                found = _chosen(Truth(sign.zero, sign.up | sign.down), intervals.constant(0.0), found)
+                found = chosen(Truth(sign.up, sign.down), intervals.constant(1.0), intervals.constant(-1.0))
+                found = chosen(Truth(sign.zero, sign.up | sign.down), intervals.constant(0.0), found)
                 return found.inheriting(a)
             case "floor":
                 return self._floor(a)
@@ -160,18 +160,29 @@ class TreeWalk:
                     found = intervals.extreme(name, found, other, sign.up, sign.down)
                     node = ast.Call(func=ast.Name(id=name), args=[node, arg], keywords=[])
                 return found
-        return intervals.FUNCTIONS[name](*parts)
+        found = intervals.FUNCTIONS[name](*parts)
+        if name == "hypot" and len({axis for arg in args if (axis := self._axis(formula, arg))}) == 2:
+            return intervals.distance(found)
+        return found
+
+    def _axis(self, formula: Formula, node: ast.expr) -> str:
+        """The coordinate that a node is, up to its sign and a number; otherwise empty."""
+        needs = self.cells.vocabulary.needs(formula.part(node)) & set(COORDINATES)
+        shifted = self.number(formula, node).slopes is slopes.COORDINATE
+        return needs.pop() if shifted and len(needs) == 1 and needs <= set("xyz") else ""
 
     def _floor(self, a: Enclosure) -> Enclosure:
         """Decided where it is one number inside the cell."""
         margin = TOUCHING * np.maximum(np.abs(a.lower), np.abs(a.upper))
         varies = a.upper - a.lower > 4 * margin
         low = np.floor(np.where(varies & a.whole, a.lower + margin, a.lower))
-        high = np.where(varies & a.whole, np.ceil(a.upper - margin) - 1, np.floor(a.upper))
+        # affine functions are largest on the boundary of a cell alone; 1 - y^2 is 1 on a line that may be inside
+        affine = varies & a.whole & (a.degree <= 1)
+        high = np.where(affine, np.ceil(a.upper - margin) - 1, np.floor(a.upper))
         one = (high <= low) & a.whole
         found = intervals.of_bounds(np.floor(a.lower), np.floor(a.upper), NO_POLYNOMIAL).cut(~one)
         number = intervals.of_bounds(low, low, 0)
-        return _chosen(Truth(one, ~one), number, found).inheriting(a)
+        return chosen(Truth(one, ~one), number, found).inheriting(a)
 
     def condition(self, formula: Formula, node: ast.expr) -> Truth:
         """What a node may be as a condition; numbers are true where they are not 0."""
@@ -193,22 +204,34 @@ class TreeWalk:
         return self._compared(formula, "!=", node, ast.Constant(0.0))
 
     def _compared(self, formula: Formula, sign: str, left: ast.expr, right: ast.expr) -> Truth:
+        match left, right:
+            case ast.Call(func=ast.Name(id="max" | "min" as name), args=parts), _ if sign in MIRRORED:
+                # which of them is the largest need not be known
+                truths = [self._compared(formula, sign, part, right) for part in parts]
+                holds, fails = [t.may_hold for t in truths], [t.may_fail for t in truths]
+                if (name == "max") == sign.startswith("<"):
+                    return Truth(np.logical_and.reduce(holds), np.logical_or.reduce(fails))
+                return Truth(np.logical_or.reduce(holds), np.logical_and.reduce(fails))
+            case _, ast.Call(func=ast.Name(id="max" | "min")) if sign in MIRRORED:
+                return self._compared(formula, MIRRORED[sign], right, left)
         a, b = self.number(formula, left), self.number(formula, right)
         difference = ast.BinOp(left=left, op=ast.Sub(), right=right)
         found = self._sign(formula, difference, intervals.add(a, intervals.negative(b)), [a, b])
         up, down, zero = found.up, found.down, found.zero
+        undefined = ~(a.defined & b.defined)  # a root of a negative number is equal to nothing, above and below nothing
         match sign:
             case ">":
-                return Truth(up, down | zero)
+                return Truth(up, down | zero | undefined)
             case "<=":
-                return Truth(down | zero, up)
+                return Truth(down | zero, up | undefined)
             case "<":
-                return Truth(down, up | zero)
+                return Truth(down, up | zero | undefined)
             case ">=":
-                return Truth(up | zero, down)
+                return Truth(up | zero, down | undefined)
         # a line inside the cell where they are equal is of measure zero, but samples may lie on it
         equal = zero | (up & down)
-        return Truth(equal, up | down) if sign == "==" else Truth(up | down, equal)
+        unequal = up | down | undefined
+        return Truth(equal, unequal) if sign == "==" else Truth(unequal, equal)
 
     def _sign(self, formula: Formula, node: ast.expr, a: Enclosure, compared: list[Enclosure] | None = None) -> Sign:
         """Sign of a node.
@@ -227,23 +250,49 @@ class TreeWalk:
         up, down, zero = high > 0, low < 0, (low <= 0) & (high >= 0)
         open_ = np.flatnonzero(zero & (low < high) & whole)
         if len(open_) and self._can_sample(formula, node):
-            part, corners = formula.part(node), self.cells.corners.shape[1]
+            part = formula.part(node)
             for d in np.unique(degree[open_]):
                 cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
-                values = self.cells.values(part, int(d) if polynomial else 1, cells)
-                room = TOUCHING * scale[cells]
-                if polynomial:
-                    least, most = polynomials.bounds(values, corners, int(d))
-                    low[cells], high[cells] = np.maximum(low[cells], least), np.minimum(high[cells], most)
-                    room = np.maximum(room, 2 * polynomials.round_off(values, corners, int(d)))
+                values, least, most, room = self._sharp(part, int(d), cells)
+                low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
+                room = np.maximum(room, TOUCHING * scale[cells])
+                # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
+                inside = (least < -room) & (most > room)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere
                 nothing = np.abs(values).max(axis=1) <= room
                 above, below = high[cells] > room, low[cells] < -room
-                unclear = (nothing & (not polynomial)) | ~(nothing | above | below)
+                unclear = (nothing & (not polynomial)) | ~(nothing | above | below) | ~np.isfinite(values).all(axis=1)
                 up[cells] = (above & ~nothing) | unclear
                 down[cells] = (below & ~nothing) | unclear
-                zero[cells] = nothing | unclear
+                zero[cells] = nothing | unclear | inside
+            self.undecided.append((part, up & down & whole))
         return Sign(up, down, zero)
+
+    def _sharp(self, part: Formula, degree: int, cells: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Values at some points, and bounds over cells with their round-off: of a polynomial by Bernstein coefficients,
+        of others by a linear function."""
+        if degree <= polynomials.MAX_DEGREE:
+            values, corners = self.cells.values(part, degree, cells), self.cells.corners.shape[1]
+            least, most = polynomials.bounds(values, corners, degree)
+            return values, least, most, 2 * polynomials.round_off(values, corners, degree)
+        from fenicsx_obstacle.scenes.centred import nearest  # only where intervals do not decide
+
+        at_corners, rest = nearest(self.cells.of(cells), part)
+        values = self.cells.values(part, 1, cells)
+        return values, at_corners.min(axis=1) - rest, at_corners.max(axis=1) + rest, np.zeros(len(cells))
+
+    def _argument(self, formula: Formula, node: ast.expr) -> Enclosure:
+        """Bounds of what a root is taken of, or a logarithm, or what is divided by: sharper where they contain 0."""
+        a = self.number(formula, node)
+        low, high, degree, whole = (np.array(np.broadcast_to(p, self.cells.count)) for p in a.parts[:4])
+        open_ = np.flatnonzero((low <= 0) & (high >= 0) & (low < high) & whole)
+        if not len(open_) or not self._can_sample(formula, node):
+            return a
+        for d in np.unique(degree[open_]):
+            cells = open_[degree[open_] == d]
+            _, least, most, _ = self._sharp(formula.part(node), int(d), cells)
+            low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
+        return replace(a, lower=low, upper=high)
 
     def _can_sample(self, formula: Formula, node: ast.expr) -> bool:
         return "distance" not in self.cells.vocabulary.needs(formula.part(node)) or self.cells.distance is not None
@@ -256,6 +305,6 @@ def _size(enclosures: list[Enclosure]) -> np.ndarray:
     return np.where(np.isfinite(largest), largest, 0.0)
 
 
-def _chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
+def chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
     """One of two values where the condition is decided, the hull of both elsewhere."""
     return intervals.chosen(truth.may_hold, truth.may_fail, yes, no)

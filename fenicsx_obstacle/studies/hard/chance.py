@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from dolfinx import mesh as dmesh
 from hypothesis import strategies as st
 from mpi4py import MPI
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.hard.families.every import KNOWN
 from fenicsx_obstacle.studies.hard.families.family import Family, Judgement, toml
+from fenicsx_obstacle.studies.hard.families.meshes import skewed
 from fenicsx_obstacle.studies.hard.judge import judge
 from fenicsx_obstacle.studies.hard.row import FAILED, RIGHT
 
@@ -131,18 +130,8 @@ def drawn(draw: st.DrawFn) -> Drawn:
 
 
 def _skewed(one: Drawn, comm: MPI.Comm) -> dmesh.Mesh:
-    """A grid on a parallelogram that is stretched along x: obtuse and flat triangles (collective)."""
     assert one.skew is not None
-    cells, L = one.mesh["cells"], one.data["define"]["L"]
-    mesh = dmesh.create_rectangle(comm, [np.zeros(2), np.array([L, L])], [cells, cells],
-                                  ghost_mode=releases.FACET_GHOSTS)  # fmt: skip
-    x, h, (slope, stretch) = mesh.geometry.x, L / cells, one.skew
-    inside = np.all((x[:, :2] > h / 2) & (x[:, :2] < L - h / 2), axis=1)
-    place = np.rint(x[:, :2] / h)  # the same for a vertex on every rank
-    mixed = np.sin(place @ np.array([[12.9898, 39.346], [78.233, 11.135]])) * 43758.5453
-    x[:, :2] += one.scatter * h * (2 * (mixed - np.floor(mixed)) - 1) * inside[:, None]
-    x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
-    return mesh
+    return skewed(comm, one.mesh["cells"], one.data["define"]["L"], *one.skew, one.scatter)
 
 
 FAMILIES: dict[str, st.SearchStrategy[Any]] = {Drawn.name: drawn(), **KNOWN}

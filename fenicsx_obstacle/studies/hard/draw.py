@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.util import find_spec
@@ -22,26 +22,35 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.studies.hard.families.family import Family
 
 AT_ONCE = 2
-PATIENCE = 60.0  # seconds for one scene
+PATIENCE = 180.0  # seconds for one scene
 SEED = 1  # the same scenes every time
 STRIDE = 10000  # between the seeds of processes for two seeds of the user
 
 
-def shares(count: int) -> dict[str, int]:
+def shares(count: int, *, truths: bool = False) -> dict[str, int]:
     """How many scenes of each family to draw: half of them admissible ones, the others alike.
 
-    Raises:
-        InputError: Without Hypothesis.
-    """
-    if find_spec("hypothesis") is None:
-        raise InputError("random scenes are drawn by Hypothesis, which is not there: pip install hypothesis")
-    from fenicsx_obstacle.studies.hard.chance import FAMILIES
+    Args:
+        count: Of all.
+        truths: Whether only families whose true error is known, all alike.
 
+    Raises:
+        InputError: Without Hypothesis or SymPy.
+    """
+    for module, name in (("hypothesis", "Hypothesis"), ("sympy", "SymPy")):
+        if find_spec(module) is None:
+            raise InputError(f"random scenes are drawn with {name}, which is not there: pip install {module}")
+    from fenicsx_obstacle.studies.hard.chance import FAMILIES
+    from fenicsx_obstacle.studies.hard.families.every import TRUTHS
+
+    if truths:
+        return _alike(count, list(TRUTHS))
     first, *others = FAMILIES
-    rest = count // 2
-    return {first: count - rest} | {
-        name: rest // len(others) + (k < rest % len(others)) for k, name in enumerate(others)
-    }
+    return {first: count - count // 2} | _alike(count // 2, others)
+
+
+def _alike(count: int, names: Sequence[str]) -> dict[str, int]:
+    return {name: count // len(names) + (k < count % len(names)) for k, name in enumerate(names)}
 
 
 def try_all(
@@ -107,7 +116,7 @@ def judged(scene: Family, comm: MPI.Comm) -> Row:
         judgement.check(False, str(error))
     verdict = FAILED if judgement.wrong else (RIGHT if judgement.answers else REFUSED)
     return {**described(scene), "verdict": verdict, "answers": judgement.answers, "refused": judgement.refused,
-            "message": "; ".join(judgement.wrong), "crashed": judgement.crashed,
+            "message": "; ".join(judgement.wrong), "crashed": judgement.crashed, "bounds": judgement.bounds,
             "seconds": time.perf_counter() - start}  # fmt: skip
 
 
@@ -116,9 +125,8 @@ def described(scene: Family) -> Row:
     return {"family": scene.name, "scene": asdict(scene), "text": scene.text()}
 
 
-def run(count: int, environment: Mapping[str, str], seed: int = SEED) -> Iterator[Row]:
-    """A row for each of so many scenes, in processes (one rank)."""
-    counts = shares(count)
+def run(counts: Mapping[str, int], environment: Mapping[str, str], seed: int = SEED) -> Iterator[Row]:
+    """A row for each of so many scenes of each family, in processes (one rank)."""
     parts = [{name: n // AT_ONCE + (k < n % AT_ONCE) for name, n in counts.items()} for k in range(AT_ONCE)]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         for rows in pool.map(lambda k: list(_share(parts[k], STRIDE * seed + k, environment)), range(AT_ONCE)):
@@ -145,7 +153,7 @@ def _share(counts: Mapping[str, int], seed: int, environment: Mapping[str, str])
         if begun is not None:
             left[begun["family"]] -= 1
             yield {**begun, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE, "seed": seed,
-                   "message": "took the process down, or did not end", "crashed": True}  # fmt: skip
+                   "bounds": [], "message": "took the process down, or did not end", "crashed": True}  # fmt: skip
         if left.total() == before:
             raise InputError("no random scene could be drawn")
         seed += AT_ONCE

@@ -12,7 +12,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.hard.families.draws import bounds, grids, place, power
 from fenicsx_obstacle.studies.hard.families.elements import Field
 from fenicsx_obstacle.studies.hard.families.family import Family, Judgement, toml
-from fenicsx_obstacle.studies.hard.families.integrals import Pieces, energy_error
+from fenicsx_obstacle.studies.hard.families.integrals import Circle, Pieces, energy_error
 
 CIRCLES = ("where(r < {a}, {k}, 1)", "where(x^2 + y^2 < {aa}, {k}, 1)", "({k})*(r < {a}) + (r >= {a})",
            "where(hypot(x, y) >= {a}, 1, {k})")  # fmt: skip
@@ -50,10 +50,10 @@ class Inclusion(Family):
     def judge(self, judgement: Judgement) -> None:
         answer = judgement.solve(self.scene, **self.options)
         if answer is not None:
-            judgement.certificate(answer, *self.error(Field(answer.u)), accuracy=1e-6)
+            judgement.certificate(answer, *self.error(Field(answer.u)))
 
     def error(self, field: Field) -> tuple[float, float]:
-        """Of a field from below, since the last pieces at the circle are left out; norm of u (collective)."""
+        """Of a field, and the norm of u (collective)."""
         a, k = self.radius, self.tension
         B = (1 - k) / (1 + k) * a**2
 
@@ -66,8 +66,7 @@ class Inclusion(Family):
             along = 1 + B * (y**2 - x**2) / square**2
             return np.where(inside, 2 / (1 + k), along), np.where(inside, 0.0, -2 * B * x * y / square**2)
 
-        pieces = Pieces.of(field).refined(lambda m, r: np.abs(np.linalg.norm(m, axis=1) - a) <= r, 7)
-        return energy_error(field, pieces, tension, gradient, count=6)
+        return energy_error(field, Pieces.of(field).along([Circle((0.0, 0.0), a)]), tension, gradient)
 
     def text(self) -> str:
         return toml(self.scene(), f"solve(scene, {self.options})")
@@ -115,7 +114,7 @@ class Pole(Family):
         answer = judgement.solve(self.scene, **self.options)
         if answer is None:
             return
-        judgement.certificate(answer, *self.error(Field(answer.u)), accuracy=1e-6)
+        judgement.certificate(answer, *self.error(Field(answer.u)))
         if self.power <= 1 and not self.cut:
             judgement.not_certified(answer, "the load is not square integrable")
 
@@ -130,8 +129,7 @@ class Pole(Family):
             slope = a * (x**2 + y**2) ** (a / 2 - 1)
             return slope * x, slope * y
 
-        pieces = Pieces.of(field).refined(lambda m, r: np.linalg.norm(m, axis=1) <= 2 * r, 40)
-        return energy_error(field, pieces, tension, gradient, count=8)
+        return energy_error(field, Pieces.of(field).along([], [(0.0, 0.0)], count=10), tension, gradient)
 
     def text(self) -> str:
         return toml(self.scene(), f"solve(scene, {self.options})")

@@ -27,9 +27,9 @@ def grids(draw: st.DrawFn, low: int = 4, high: int = 16) -> dict[str, Any]:
 
 
 @st.composite
-def bounds(draw: st.DrawFn) -> dict[str, Any]:
-    """What is asked for: a bound, or a tolerance; on P1 or P2."""
+def bounds(draw: st.DrawFn, unknowns: str = "2e3", *, seldom: bool = False) -> dict[str, Any]:
+    """What is asked for: a bound, or a tolerance (`seldom`: it takes more time); on P1 or P2."""
     element = draw(st.sampled_from(["P1", "P2"]))
-    tolerance = draw(st.sampled_from([None, None, 0.3, 0.1, 0.05]))
-    asked = {"bound": True} if tolerance is None else {"tol": tolerance, "budget": "2e3 unknowns"}
+    tolerance = draw(st.sampled_from([None] * (12 if seldom else 2) + [0.3, 0.1, 0.05]))
+    asked = {"bound": True} if tolerance is None else {"tol": tolerance, "budget": f"{unknowns} unknowns"}
     return {"element": element, **asked}

@@ -30,6 +30,7 @@ class Judgement:
         wrong: What is against the truth, in words.
         answers: How many solutions were returned.
         refused: How many times data were rejected, or no solution was found.
+        bounds: Each bound that was compared with a true error: words, total, error, norm, whether it is claimed.
         said: Warnings of the last attempt.
         crashed: Whether an error was raised that is none of this package's.
     """
@@ -38,6 +39,7 @@ class Judgement:
         self.comm = comm
         self.wrong: list[str] = []
         self.answers = self.refused = 0
+        self.bounds: list[dict[str, Any]] = []
         self.said: list[str] = []
         self.crashed = False
 
@@ -96,7 +98,10 @@ class Judgement:
         assert answer.bound is not None
         limit = answer.bound.total * (1 + accuracy) + ROUND_OFF * norm
         words = f"'{answer.bound.words}': bound {answer.bound.total:.6g}, true error {error:.6g}"
-        self.check(not claims(answer) or error <= limit, f"false certificate: {words}, norm {norm:.4g}")
+        claimed = claims(answer)
+        self.bounds.append({"words": answer.bound.words, "total": answer.bound.total, "error": error, "norm": norm,
+                            "claimed": claimed, "below": error > limit})  # fmt: skip
+        self.check(not claimed or error <= limit, f"false certificate: {words}, norm {norm:.4g}")
 
     def not_certified(self, answer: Answer, why: str) -> None:
         """The word 'certified' must not stand alone."""

@@ -33,7 +33,8 @@ def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def written(c: np.ndarray) -> str:
     """As a formula."""
-    terms = [f"({c[i, j]!r})*x^{i}*y^{j}" for i, j in product(*map(range, c.shape)) if c[i, j] != 0]
+    numbers = c.tolist()  # floats of Python: NumPy 2 writes those of an array as np.float64(1.0)
+    terms = [f"({a!r})*x^{i}*y^{j}" for i, row in enumerate(numbers) for j, a in enumerate(row) if a != 0]
     return " + ".join(terms).replace("*x^0", "").replace("*y^0", "") or "0"
 
 
@@ -121,7 +122,7 @@ def polynomials(draw: st.DrawFn) -> Polynomial:
     mesh, options = draw(grids(3, 12)), draw(bounds())
     element = draw(st.sampled_from(COARSE))
     if saved:
-        options = {"element": element}
+        options = {"element": element, **({"bound": True} if element[0] == "P" else {})}
         if element[0] == "Q":
             mesh = {"shape": "rectangle", "cells": mesh["cells"], "cell": "quadrilateral"}
     return Polynomial(mesh, options, tuple(map(tuple, u)), draw(st.sampled_from(kinds)), saved)

@@ -1,0 +1,111 @@
+"""Means of a tension that jumps within cells.
+
+Of all numbers in a cell the mean makes the energy error least: with it the solution in P1 is that of Galerkin's method.
+A soft value in a cell that is partly hard is the worst, its error is not bounded as the contrast grows.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import corners
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import agree
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.data import Data
+
+JUMP = 1.1  # ratio of values in a cell: what varies less is smooth for all that matters
+STEEP = 3.0  # of quadratics: positive values up to 4 on triangles, 4.5 on squares, 3.09 on cubes make them positive
+INSET = 1e-6  # of the way to the middle: on the boundary of a cell the datum may be that of its neighbour
+PARTS = {1: 64, 2: 8, 3: 4}  # of an edge, by dimension
+
+
+def average(data: Data, tension: Field, made: fem.Function) -> None:
+    """Put means into the cells where a positive datum jumps (collective).
+
+    Args:
+        data: Of the mesh.
+        tension: The datum.
+        made: Its values in the cells, at one or more points of each.
+    """
+    dofs = releases.cell_dofs(made.function_space)
+    at_dofs, x = made.x.array[dofs], corners(data.level.mesh)
+    limit = JUMP if dofs.shape[1] == 1 else STEEP
+    if not tension.everywhere:  # as Functions of other meshes: what there is must do
+        steep = at_dofs.max(axis=1, initial=0.0) > limit * at_dofs.min(axis=1, initial=np.inf)
+        made.x.array[dofs[steep]] = at_dofs[steep].mean(axis=1)[:, None]
+        return
+    places, weights = _lattice(releases.cell_name(data.level.mesh), x.shape[1])
+    places = (1 - INSET) * places + INSET / x.shape[1]
+    ends = (1 - INSET) * x + INSET * x.mean(axis=1, keepdims=True)
+    with agree(data.level.comm):
+        for cells, part in _by_material(data, tension, len(x)):
+            values = np.column_stack([at_dofs[cells], _values(data, part, ends[cells], cells)])
+            values = np.where(np.isfinite(values) & (values > 0), values, at_dofs[cells].mean(axis=1)[:, None])
+            steep = cells[values.max(axis=1, initial=0.0) > limit * values.min(axis=1, initial=np.inf)]
+            within = _values(data, part, places @ x[steep], steep)
+            usable = np.isfinite(within) & (within > 0)  # others are refused where they matter
+            if limit == JUMP:
+                jumps = _jumps(np.where(usable, within, at_dofs[steep]))
+                steep, within, usable = steep[jumps], within[jumps], usable[jumps]
+            mean = np.where(usable, within, 0.0) @ weights / np.maximum(usable @ weights, 1e-300)
+            known = usable.any(axis=1)
+            made.x.array[dofs[steep[known]]] = mean[known, None]
+    made.x.scatter_forward()
+
+
+def _jumps(values: np.ndarray) -> np.ndarray:
+    """Whether positive values at many points of a cell are apart from each other in two groups, not all along."""
+    ordered = np.log(np.sort(values, axis=1))
+    return np.diff(ordered, axis=1).max(axis=1, initial=0.0) > 0.5 * np.ptp(ordered, axis=1)
+
+
+def _by_material(data: Data, tension: Field, count: int) -> list[tuple[np.ndarray, Field]]:
+    """Local cells, and the datum there."""
+    if tension.parts is None:
+        return [] if tension.uniform else [(np.arange(count), tension)]
+    parts = [(np.flatnonzero(_in_cells(data, name, count)), part) for name, part in tension.parts.items()]
+    return [(cells, part) for cells, part in parts if not part.uniform]
+
+
+def _in_cells(data: Data, name: str, count: int) -> np.ndarray:
+    found = np.zeros(count, dtype=bool)
+    found[data.level.groups[name]] = True
+    return found
+
+
+def _values(data: Data, datum: Field, points: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """At points (cells, n, 3) of some cells, shape (cells, n)."""
+    return data.at(datum, points.reshape(-1, 3).T, np.repeat(cells, points.shape[1])).reshape(points.shape[:2])
+
+
+def _lattice(cell: str, vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of the vertices at points of a lattice, shape (points, vertices), and of these points in a mean.
+
+    It is the vertex rule on equal parts of the cell, in tetrahedra nearly: a point has weight where it belongs to many
+    parts, but those at the vertices of the cell have some too, so that no line or plane that cuts the cell is missed.
+    """
+    if cell in SIMPLICES:
+        dim = vertices - 1
+        steps = range(PARTS[dim] + 1)
+        points = np.array([p for p in product(steps, repeat=vertices) if sum(p) == PARTS[dim]], dtype=float)
+        on_faces = (points == 0).sum(axis=1)
+        share = {1: (1, 1 / 2), 2: (1, 1 / 2, 1 / 6), 3: (1, 1 / 2, 5 / 24, 1 / 24)}[dim]
+        weights = np.array(share)[on_faces]
+        return points / PARTS[dim], weights / weights.sum()
+    dim = int(np.log2(vertices))
+    t = np.linspace(0, 1, PARTS[dim] + 1)
+    along = np.where((t == 0) | (t == 1), 0.5, 1.0)
+    axes, shares = np.array(list(product(t, repeat=dim))), np.array(list(product(along, repeat=dim)))
+    # vertices are counted along the first axis first
+    ends = np.array(list(product((0, 1), repeat=dim)))[:, ::-1]
+    places = np.prod(np.where(ends[None] == 1, axes[:, None], 1 - axes[:, None]), axis=2)
+    weights = shares.prod(axis=1)
+    return places, weights / weights.sum()

@@ -1,0 +1,126 @@
+"""An obstacle that is cut off where the solution cannot reach it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Enclosed, Field, Names, Truth
+
+
+@dataclass(frozen=True, eq=False)
+class Clipped(Field):
+    """max(obstacle, limit) of a lower obstacle, min(obstacle, limit) of an upper one.
+
+    Attributes:
+        obstacle: The obstacle.
+        sign: 1 for a lower obstacle, -1 for an upper one.
+        limit: A value that is nowhere beyond the solution.
+    """
+
+    obstacle: Field
+    sign: float
+    limit: float
+
+    @property
+    def source(self) -> str:  # type: ignore[override]
+        return self.obstacle.source
+
+    @property
+    def text(self) -> str:  # type: ignore[override]
+        return self.obstacle.text
+
+    @property
+    def uniform(self) -> bool:  # type: ignore[override]
+        return self.obstacle.uniform
+
+    @property
+    def needs_distance(self) -> bool:  # type: ignore[override]
+        return self.obstacle.needs_distance
+
+    @property
+    def continuous(self) -> bool:  # type: ignore[override]
+        return self.obstacle.continuous
+
+    def on(self, level: Any) -> Field:
+        return Clipped(self.obstacle.on(level), self.sign, self.limit)
+
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        return self.clip(self.obstacle.at(x, names, cells))
+
+    def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
+        known = self.obstacle.over(corners, names, cells)
+        return None if known is None else _ClippedCells(known, self, corners)
+
+    def clip(self, values: np.ndarray) -> np.ndarray:
+        """Values of the obstacle, cut off."""
+        return np.maximum(values, self.limit) if self.sign > 0 else np.minimum(values, self.limit)
+
+
+@dataclass(frozen=True, eq=False)
+class _ClippedBounds:
+    """As `effects.field.Bounds` has it."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    degree: np.ndarray
+    whole: np.ndarray
+    defined: np.ndarray
+    beyond: np.ndarray
+    known: Bounds
+
+    @property
+    def finite(self) -> np.ndarray:
+        return np.isfinite(self.lower) & np.isfinite(self.upper)
+
+    @property
+    def derivatives(self) -> tuple[np.ndarray, ...]:
+        return tuple(np.where(self.beyond, 0.0, bound) for bound in self.known.derivatives)
+
+
+@dataclass(frozen=True, eq=False)
+class _ClippedCells:
+    """As `effects.field.Enclosed` has it."""
+
+    known: Enclosed
+    by: Clipped
+    corners: np.ndarray
+
+    def once(self) -> Bounds:
+        bounds, limit = self.known.once(), self.by.limit
+        near, far = (bounds.lower, bounds.upper) if self.by.sign > 0 else (bounds.upper, bounds.lower)
+        beyond = self.by.sign * (far - limit) <= 0  # all of it is cut off
+        cut = ~beyond & ~(self.by.sign * (near - limit) >= 0)
+        return _ClippedBounds(
+            self.by.clip(bounds.lower), self.by.clip(bounds.upper),
+            np.where(beyond, 0, np.where(cut, NO_POLYNOMIAL, bounds.degree)), beyond | (bounds.whole & ~cut),
+            bounds.defined, beyond, bounds,
+        )  # fmt: skip
+
+    def truth(self) -> Truth:
+        """Nothing is known of it: an obstacle is no condition."""
+        unknown = np.ones(len(self.corners), dtype=bool)
+        return Truth(unknown, unknown)
+
+    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A linear function that is not cut off is no farther from what is left of the obstacle."""
+        at_corners, rest, steep = self.known.linear(cells)
+        kept = np.all(self.by.sign * (at_corners - self.by.limit) >= 0, axis=1)
+        x = self.corners[cells]
+        # where the obstacle is cut off the difference has the slope of the linear function
+        size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+        height = size
+        if x.shape[1] == 3:
+            a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+            height = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / size
+        own = np.ptp(at_corners, axis=1) / height
+        none = np.full(len(cells), np.inf)
+        return at_corners, np.where(kept, rest, none), np.where(kept, np.maximum(steep, own), none)
+
+    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.known.cuts(cells)
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        return self.by.clip(self.known.values(degree, cells))

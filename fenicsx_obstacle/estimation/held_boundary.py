@@ -1,0 +1,91 @@
+"""Where u is given: what follows for functions that vanish there.
+
+Friedrichs' constant: ||v||_0 <= c ||grad v||_0 for functions that are 0 where u is given. And the reach of a load: how
+far it can move u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.parallel import largest, smallest, total
+
+
+@dataclass(frozen=True)
+class HeldBoundary:
+    """The part of the boundary where u is given, and the box around the domain.
+
+    Attributes:
+        sides: Of the box.
+        area: Of the domain.
+        everywhere: Whether u is given on the whole boundary.
+        faces: If the domain is the box, on how many of its two faces across each axis u is given; otherwise 0.
+    """
+
+    sides: np.ndarray
+    area: float
+    everywhere: bool
+    faces: np.ndarray
+
+    def friedrichs(self) -> tuple[float, bool]:
+        """Friedrichs' constant, and whether it is exact.
+
+        Of a box by its first eigenvalue, a side after the other; of any other domain held all around by that of the
+        box around it. Otherwise no constant is known, and twice the longer side stands for it.
+        """
+        wave = (2 if self.everywhere else self.faces) * pi / (2 * self.sides)
+        if np.any(wave > 0):
+            return 1 / float(np.linalg.norm(wave)), True
+        return 2 * float(self.sides.max()), False
+
+    def reach(self, load: float, least_tension: float) -> float:
+        """A bound of w >= 0, w = 0 where u is given, free elsewhere, -div(mu grad w) = f with 0 <= f <= load.
+
+        V(t) is the area of {w > t} and P(t) the length of its boundary in the domain and where w = 0 is given. With
+        the coarea formula and Cauchy's inequality P^2 <= -V' int_{w = t} |grad w| <= -V' load V/mu. So P^2 >= c V gives
+        -V' >= c mu/load, and max w <= load area/(c mu). Held all around, c = 4 pi is the isoperimetric inequality
+        (Talenti 1976). In a box L x H with w = 0 on a face of length H, c = min(1, H/L): each line across this face
+        that meets {w > t} has an end of it, so that P >= H if all of them do; otherwise no line along the face lies in
+        the set, P is at least the length of both its shadows, and V at most their product. Infinite where no
+        such constant is known.
+        """
+        constants = [0.0]
+        if self.everywhere:
+            constants.append(4 * pi)
+        constants += [min(1.0, self.sides[1 - axis] / self.sides[axis]) for axis in range(2) if self.faces[axis]]
+        c = max(constants)
+        return load * self.area / (c * least_tension) if c > 0 else np.inf
+
+
+def held_boundary(triangles: Triangles, held_sides: np.ndarray) -> HeldBoundary:
+    """Where u is given (collective).
+
+    Args:
+        triangles: The owned cells.
+        held_sides: Whether u is given on the side opposite to each vertex, shape (cells, 3).
+    """
+    level, x = triangles.data.level, triangles.x
+    comm = level.comm
+    lower = np.array([smallest(comm, x[..., axis]) for axis in range(2)])
+    upper = np.array([largest(comm, x[..., axis]) for axis in range(2)])
+    sides = upper - lower
+    outer = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
+    facets = level.boundary_facets
+    outer[facets[facets < len(outer)]] = True
+    cells, opposite = np.nonzero(outer[triangles.facets])
+    held = held_sides[cells, opposite]
+    ends = np.stack([x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]], axis=1)
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    around, area = total(comm, length), total(comm, triangles.area)
+    everywhere = total(comm, length[held]) >= around * (1 - 1e-9)
+    is_box = area >= np.prod(sides) * (1 - 1e-9)
+    faces = np.zeros(2)
+    for axis in range(2):
+        for at in (lower[axis], upper[axis]):
+            on = held & np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1)
+            faces[axis] += is_box and total(comm, length[on]) >= sides[1 - axis] * (1 - 1e-9)
+    return HeldBoundary(sides, area, bool(everywhere), faces)

@@ -1,0 +1,203 @@
+"""What the load is beyond the polynomials that the equilibrated flux sigma is in balance with.
+
+In each triangle T let g = f - Pi f and tau the smallest field with div tau = -g and no normal part on the boundary of
+T: sigma + tau is in balance with the load itself. Up to the mean of g, which quadrature leaves and Friedrichs' constant
+bounds, tau = grad w with a w of mean zero, so that
+
+    ||tau||_T <= C ||g||_T   by Poincare's inequality,   (grad Q, tau)_T = (g, Q)_T   for every Q.
+
+Where the mesh does not resolve the load the first is far off. There T is divided, and tau is the sum of a flux in RT0
+on the parts, which has the means of g on them, and of such fields in the parts.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.cell_data import Load
+from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.parallel import total
+
+J11 = 3.8317059702075  # first zero of the Bessel function J_1
+UNRESOLVED = 0.25  # of ||f - mean f||^2: cells are divided if more of it is beyond linear functions
+PARTS = 2**14  # of cells, in all
+DEEPEST = 4
+
+
+def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """C with ||v|| <= C ||grad v|| for functions of mean zero in triangles.
+
+    It is at most diameter/j_11 (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
+    the right isosceles one with legs of length 1; an affine map multiplies it by its norm at most.
+
+    Args:
+        x: Corners, shape (cells, 3, 2).
+        area: Of the triangles.
+    """
+    sides = np.stack([((x[:, (k + 2) % 3] - x[:, (k + 1) % 3]) ** 2).sum(axis=1) for k in range(3)], axis=1)
+
+    def norm(squares: np.ndarray, determinant: np.ndarray) -> np.ndarray:
+        """The larger singular value from the sum of the squares of both and their product."""
+        return np.sqrt((squares + np.sqrt(np.maximum(squares**2 - 4 * determinant**2, 0.0))) / 2)
+
+    found = [np.sqrt(sides.max(axis=1)) / J11]
+    found.append(3 / (4 * np.pi) * norm(2 / 3 * sides.sum(axis=1), 4 / np.sqrt(3) * area))
+    found += [norm(sides.sum(axis=1) - sides[:, k], 2 * area) / np.pi for k in range(3)]
+    return np.min(found, axis=0)
+
+
+class Oscillation:
+    """The load beyond Pi f in each cell, without the tension.
+
+    Attributes:
+        norm: Bound of ||tau||_T.
+        rest: The part of it that is due to the load's distance to polynomials q on parts of the cells.
+        first: int g (x - middle) with q in place of f, shape (2, cells).
+        second: int g |x - middle|^2 likewise.
+        poincare: C.
+    """
+
+    def __init__(self, triangles: Triangles, load: Load, value: Field | None, degree: int):
+        """Bound it (collective).
+
+        Args:
+            triangles: The cells.
+            load: What is known of the load.
+            value: The load.
+            degree: Of Pi f, 0 or 1.
+        """
+        self._triangles, area = triangles, triangles.area
+        self.poincare = poincare(triangles.x, area)
+        count = len(area)
+        self.norm, self.rest, self.second = (np.zeros(count) for _ in range(3))
+        self.first = np.zeros((2, count))
+        if load.pieces is None or value is None:
+            return
+        squares = np.zeros(count)
+        for group in load.pieces.groups:
+            rest = np.where(np.isfinite(group.rest), group.rest, 0.0)  # `Hypotheses` has a word about these
+            squares += np.bincount(group.rows, group.share * rest**2, count)
+        self.rest = self.poincare * np.sqrt(area * squares)
+        self.norm = self.poincare * load.oscillation
+        moments = load.moments if degree == 0 else load.moments.sum(axis=2)  # int f psi_l
+        mean = moments.sum(axis=1) / area
+        # Pi_1 f has the values 9 m_l - 3 (sum of the others) over the area at the vertices
+        linear = (12 * moments - 3 * moments.sum(axis=1, keepdims=True)) / area[:, None] - mean[:, None]
+        of_linear = area / 12 * ((linear**2).sum(axis=1) + linear.sum(axis=1) ** 2)
+        if degree == 0:
+            middle = triangles.x.mean(axis=1, keepdims=True)
+            self.first = np.einsum("cl,clx->xc", moments, triangles.x - middle)
+            self._add_second(load.pieces.groups, mean)
+        beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
+        rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
+        parts = total(triangles.data.level.comm, len(rough))
+        depth = next((d for d in range(DEEPEST, 0, -1) if parts * 4**d <= PARTS), 0)
+        if depth > 0 and len(rough) > 0 and value.parts is None:
+            values = mean[:, None] + (linear if degree > 0 else 0.0 * linear)
+            self.norm[rough] = np.minimum(self.norm[rough], self._divided(rough, value, values[rough], depth))
+
+    def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
+        """Integrate (q - mean) |x - middle|^2."""
+        x = self._triangles.x - self._triangles.x.mean(axis=1, keepdims=True)
+        for whole in groups:
+            points, weights = rule(2, whole.degree + 2)
+            for block in blocks(len(whole.rows)):
+                part = whole[block]
+                there = np.matmul(part.points(points), x[part.rows])
+                distance = np.einsum("cpx,cpx->cp", there, there)
+                integrals = ((part.values(points) - mean[part.rows, None]) * distance) @ weights
+                size = part.share * self._triangles.area[part.rows]
+                self.second += np.bincount(part.rows, size * integrals, len(self.second))
+
+    def _divided(self, cells: np.ndarray, value: Field, linear: np.ndarray, depth: int) -> np.ndarray:
+        """Bound of ||tau|| in some cells by division.
+
+        Args:
+            cells: Which.
+            value: The load.
+            linear: Pi f at the vertices of these.
+            depth: How often their edges are halved.
+        """
+        triangles, area = self._triangles, self._triangles.area[cells]
+        inside, count = _parts(depth), 4**depth
+        corners = (inside @ triangles.x[cells][:, None]).reshape(-1, 3, 2)
+        size, nearest = np.repeat(area, count) / count, (inside @ linear[:, None, :, None]).reshape(-1, 3)
+        pieces = pieces_of(triangles.data, value, corners, np.repeat(cells, count), Division(1))
+        means, squares, rests = (np.zeros(len(corners)) for _ in range(3))
+        for group in pieces.groups:
+            points, weights = rule(2, 2 * max(group.degree, 1))
+            there = np.matmul(group.points(points), nearest[group.rows][..., None])[..., 0]
+            g = group.values(points) - there
+            rest = np.where(np.isfinite(group.rest), group.rest, np.inf)
+            for sums, found in ((means, g @ weights), (squares, g**2 @ weights), (rests, rest**2)):
+                sums += np.bincount(group.rows, group.share * found, len(sums))
+        poincare_there = self.poincare[cells] / 2**depth
+        variance = np.maximum(squares - means**2, 0.0) * size
+        within = poincare_there * np.sqrt(variance.reshape(-1, count).sum(axis=1))
+        rest = self.poincare[cells] * np.sqrt((rests * size).reshape(-1, count).sum(axis=1))
+        means = means.reshape(-1, count)
+        means = (means - means.mean(axis=1, keepdims=True)) * (area / count)[:, None]
+        a, b = (triangles.x[cells, k] - triangles.x[cells, 0] for k in (1, 2))
+        metric = np.stack([np.einsum("cx,cx->c", p, q) for p, q in ((a, a), (a, b), (b, b))]) / (2 * area)
+        between = np.einsum("kc,kij,ci,cj->c", metric, _energies(depth), means, means, optimize=True)
+        return np.sqrt(np.maximum(between, 0.0)) + within + rest
+
+
+def _parts(depth: int) -> np.ndarray:
+    """Barycentric corners of the parts of a triangle whose edges are halved, shape (4^depth, 3, 3)."""
+    inside = np.eye(3)[None]
+    for _ in range(depth):
+        inside = polynomials.halved(inside)
+    return inside
+
+
+@cache
+def _energies(depth: int) -> np.ndarray:
+    """Of fluxes in RT0 on the parts from what they gather in each part, nothing leaving the triangle.
+
+    They are the smallest ones in an equilateral triangle, which any other one is mapped to.
+
+    Returns:
+        Shape (3, parts, parts); times J^T J/det J (xx, 2 xy, yy) the squared norm.
+    """
+    inside = _parts(depth)
+    count = len(inside)
+    x = inside[:, :, 1:]  # reference coordinates
+    size = 0.5 / count
+    middles = (x + x[:, [1, 2, 0]]) / 2  # the rule there is exact for degree 2
+    arms = middles[:, None] - x[:, :, None]  # part, function, point, axis
+    grams = np.einsum("pima,pjmb->abpij", arms, arms) / 3 * size / (4 * size**2)
+    grams = np.stack([grams[0, 0], grams[0, 1] + grams[1, 0], grams[1, 1]])
+    numbers: dict[tuple[int, ...], int] = {}
+    rows, signs = np.full((count, 3), -1), np.zeros((count, 3))
+    corners = np.rint(inside * 2**depth).astype(int)
+    for part, side in np.ndindex(count, 3):
+        ends = corners[part, [(side + 1) % 3, (side + 2) % 3]]
+        if np.any(ends.sum(axis=0) == 0):  # on an edge of the triangle
+            continue
+        key = tuple(ends.sum(axis=0))  # twice the middle of the edge
+        signs[part, side] = -1.0 if key in numbers else 1.0
+        rows[part, side] = numbers.setdefault(key, len(numbers))
+    edges = len(numbers)
+    energies, gathered = np.zeros((3, edges, edges)), np.zeros((count, edges))  # what goes out of each part
+    for i, j in np.ndindex(3, 3):
+        both = np.flatnonzero((rows[:, i] >= 0) & (rows[:, j] >= 0))
+        products = grams[:, both, i, j] * signs[both, i] * signs[both, j]
+        for energy, product in zip(energies, products, strict=True):
+            np.add.at(energy, (rows[both, i], rows[both, j]), product)
+        if i == j:
+            gathered[both, rows[both, i]] = signs[both, i]
+    metric = np.array([1.0, 0.5, 1.0]) / (np.sqrt(3) / 2)  # J^T J/det J of the equilateral triangle
+    system = np.zeros((edges + count - 1, edges + count - 1))
+    system[:edges, :edges] = np.einsum("k,kef->ef", metric, energies)
+    # nothing is left for the last part
+    system[:edges, edges:], system[edges:, :edges] = gathered[:-1].T, gathered[:-1]
+    right = np.vstack([np.zeros((edges, count)), (np.eye(count) - 1 / count)[:-1]])
+    fluxes = np.linalg.solve(system, right)[:edges]
+    return np.stack([fluxes.T @ energy @ fluxes for energy in energies])

@@ -1,0 +1,418 @@
+"""A datum on whole cells without sampling: polynomials on parts of the cells, and how far it may be from them.
+
+A datum that is a polynomial on a cell is that polynomial. Where it is smooth, its interpolant of degree 2 or 4 stands
+for it, with a bound of the remainder from the derivatives of the next order; where a condition changes, a linear
+function, or the middle of its bounds. Cells where that is rough, as a jump runs through them, are divided: the parts
+need not be cells of any mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
+from fenicsx_obstacle.estimation.parts import Parts
+from fenicsx_obstacle.estimation.quadrature import blocks
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.data import Data
+
+NEAR = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
+APART = 3.0  # so many times further than a condition may change from a line, it is decided
+NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it
+EXACT = 5e-13  # of its size: round-off, which conditions do not see
+BETTER = 0.9  # of half the distance of the bounds: the rest of a linear function that is worth while
+NEGLIGIBLE = 1e-9  # unless it is below this, of the largest value there
+DEEPEST = 8  # how often a part is divided on which no finite bounds are found
+MAX_PARTS = 200_000  # in a block of cells, or twice as many as it has cells
+SHARP = 0.1  # of the largest value: what varies so much between samples may jump
+
+
+@dataclass(frozen=True)
+class Division:
+    """When simplices are divided.
+
+    Attributes:
+        depth: How often at most, where there are finite bounds.
+        rough: How far the datum may be from a polynomial, in parts of its range over a part.
+        share: Parts in which a condition changes are not divided if they are smaller, in parts of a simplex.
+        degree: Of interpolants: 4, or 2 where what counts is the distance to linear functions.
+    """
+
+    depth: int
+    rough: float = 0.1
+    share: float = 1e-6
+    degree: int = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Parts of simplices on which a datum is near polynomials of one degree.
+
+    Attributes:
+        rows: The simplex that each is a part of.
+        corners: Barycentric coordinates of its corners there, shape (parts, corners, corners); None: the simplex
+            itself.
+        share: Of its measure, shape (parts,).
+        degree: Of the polynomials.
+        coefficients: Their Bernstein coefficients, shape (parts, ...).
+        rest: Bound of the datum's distance to them.
+        lower: Lower bound of the datum.
+        upper: Upper bound.
+        steep: Bound of the gradient of the difference, if the datum is continuous.
+        smooth: Whether the polynomial is near it; otherwise bounds are all that is known.
+    """
+
+    rows: np.ndarray
+    corners: np.ndarray | None
+    share: np.ndarray
+    degree: int
+    coefficients: np.ndarray = field(repr=False)
+    rest: np.ndarray = field(repr=False)
+    lower: np.ndarray = field(repr=False)
+    upper: np.ndarray = field(repr=False)
+    steep: np.ndarray = field(repr=False)
+    smooth: bool
+
+    def points(self, reference: np.ndarray) -> np.ndarray:
+        """Barycentric coordinates in the simplices of points of the parts, shape (parts or 1, points, corners)."""
+        return reference[None] if self.corners is None else reference @ self.corners
+
+    def values(self, reference: np.ndarray) -> np.ndarray:
+        """Of the polynomials at points of the parts, shape (parts, points)."""
+        return polynomials.evaluate(self.coefficients, reference, self.degree)
+
+    def above(self, linear: np.ndarray, sign: float = 1.0) -> tuple[int, np.ndarray]:
+        """Degree and Bernstein coefficients of sign times the polynomials less a linear function of each simplex.
+
+        Args:
+            linear: Its values at the corners of the simplices, shape (simplices, corners).
+            sign: 1 or -1.
+        """
+        degree, corners = max(self.degree, 1), linear.shape[1]
+        reference = polynomials.inner_points(corners, degree)
+        there = np.matmul(self.points(reference), linear[self.rows][..., None])[..., 0]
+        return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
+
+    def __getitem__(self, chosen: np.ndarray | slice) -> Group:
+        """Some of the parts."""
+        return Group(
+            self.rows[chosen], None if self.corners is None else self.corners[chosen], self.share[chosen], self.degree,
+            self.coefficients[chosen], self.rest[chosen], self.lower[chosen], self.upper[chosen],
+            self.steep[chosen], self.smooth,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A datum on simplices.
+
+    Attributes:
+        groups: The parts of all simplices.
+        lower: Lower bound over each simplex; infinite where none is known.
+        upper: Upper bound.
+        sampled: Whether all this comes from samples.
+        rough: Whether a simplex has parts that further division makes smoother.
+    """
+
+    groups: list[Group]
+    lower: np.ndarray
+    upper: np.ndarray
+    sampled: bool
+    rough: np.ndarray
+
+    @property
+    def finite(self) -> np.ndarray:
+        return np.isfinite(self.lower) & np.isfinite(self.upper)
+
+
+def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:
+    """A datum on segments or triangles in the plane (collective where it is the first to need the distance).
+
+    Args:
+        data: Of the problem.
+        datum: It, without parts.
+        corners: Shape (simplices, corners, 2).
+        cells: The owned cell that each lies in.
+        division: When simplices are divided.
+    """
+    here, names = data.here(datum), data.names(datum)
+    found = _Collected(len(corners), corners.shape[1])
+    if datum.uniform:
+        found.number(here.at(np.zeros((3, 1)), names)[0])
+        return found.pieces()
+    parts = Parts.whole(corners, cells)
+    last = max(DEEPEST, division.depth)
+    for split in range(last + 1):
+        known = []
+        for block in blocks(len(parts.rows)):
+            where = parts.x[block], names, parts.cells[block]
+            enclosed = here.over(*where)
+            found.sampled |= enclosed is None
+            enclosed = enclosed or _Samples(here, *where)
+            known.append(_Near(enclosed, parts[block], division.degree, continuous=datum.continuous))
+        open_ = _together([near.open(division.rough) for near in known])
+        found.rough[parts.rows[open_]] = True
+        infinite = _together([~near.finite for near in known])
+        large = (parts.share > division.share) | _together([near.whole for near in known])
+        divided = open_ & ((infinite & (split < DEEPEST)) | (large & (split < division.depth)))
+        if parts.times * np.count_nonzero(divided) > max(MAX_PARTS, 2 * found.count):
+            divided = np.zeros_like(open_)
+        further = []
+        for block, near in zip(blocks(len(parts.rows)), known, strict=True):
+            found.take(parts[block], near, ~divided[block])
+            further.append(near.divided(parts[block], np.flatnonzero(divided[block])))
+        if not divided.any():
+            break
+        parts = reduce(Parts.with_, further)
+    return found.pieces()
+
+
+def joined(parts: list[tuple[np.ndarray, Pieces]], count: int) -> Pieces:
+    """Of data that hold on some simplices each: these, and the pieces there."""
+    lower, upper, rough = np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool)
+    groups = []
+    for rows, pieces in parts:
+        lower[rows], upper[rows], rough[rows] = pieces.lower, pieces.upper, pieces.rough
+        for group in pieces.groups:
+            group.rows[:] = rows[group.rows]
+            groups.append(group)
+    return Pieces(groups, lower, upper, any(pieces.sampled for _, pieces in parts), rough)
+
+
+def _together(parts: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
+
+
+class _Collected:
+    """Parts found so far."""
+
+    def __init__(self, count: int, corners: int):
+        self.count, self.corners, self.sampled = count, corners, False
+        self.rough = np.zeros(count, dtype=bool)
+        self._found: dict[tuple[int, bool, bool], list[tuple[Any, ...]]] = {}
+
+    def number(self, value: float) -> None:
+        """The same on all simplices."""
+        same, none = np.full(self.count, value), np.zeros(self.count)
+        all_of_it = np.ones(self.count)
+        self._found[0, True, True] = [(np.arange(self.count), None, all_of_it, same[:, None], none, same, same, none)]
+
+    def take(self, parts: Parts, near: _Near, wanted: np.ndarray) -> None:
+        """What is near the datum on some of the parts."""
+        for degree, smooth, chosen, coefficients in near.polynomials(wanted):
+            if len(chosen):
+                inside = None if parts.inside is None else parts.inside[chosen]
+                self._found.setdefault((degree, smooth, inside is None), []).append((
+                    parts.rows[chosen], inside, parts.share[chosen], coefficients, near.rest[chosen],
+                    near.lower[chosen], near.upper[chosen], near.steep[chosen],
+                ))  # fmt: skip
+
+    def pieces(self) -> Pieces:
+        """All of it."""
+        lower, upper, groups = np.full(self.count, np.inf), np.full(self.count, -np.inf), []
+        for (degree, smooth, whole), parts in self._found.items():
+            rows, corners, share, coefficients, rest, low, high, steep = zip(*parts, strict=True)
+            group = Group(
+                np.concatenate(rows), None if whole else np.concatenate(corners), np.concatenate(share), degree,
+                np.concatenate(coefficients), np.concatenate(rest), np.concatenate(low), np.concatenate(high),
+                np.concatenate(steep), smooth,
+            )  # fmt: skip
+            np.minimum.at(lower, group.rows, group.lower)
+            np.maximum.at(upper, group.rows, group.upper)
+            groups.append(group)
+        return Pieces(groups, lower, upper, self.sampled, self.rough)
+
+
+class _Near:
+    """What is near a datum on parts of simplices.
+
+    Attributes:
+        lower: Lower bound, infinite where none is known.
+        upper: Upper bound.
+        finite: Whether both are finite.
+        whole: Whether no condition changes there.
+        rest: Bound of its distance to a polynomial.
+        steep: As in `Group`.
+    """
+
+    def __init__(self, known: Enclosed, parts: Parts, least: int, *, continuous: bool):
+        """Look for polynomials.
+
+        Args:
+            known: The datum.
+            parts: Where.
+            least: Degree of interpolants.
+            continuous: Whether it is, for sure.
+        """
+        bounds: Bounds = known.once()
+        self._known, self._corners = known, parts.x.shape[1]
+        self.lower = np.maximum(np.where(bounds.defined, bounds.lower, -np.inf), parts.least)
+        self.upper = np.minimum(np.where(bounds.defined, bounds.upper, np.inf), parts.most)
+        self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
+        self.whole = bounds.whole
+        self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self.rest, self.steep = self._half(), np.full(len(self.lower), np.inf)
+        smooth = bounds.whole & self.finite
+        exact = smooth & (bounds.degree <= polynomials.MAX_DEGREE)
+        for degree in np.unique(bounds.degree[exact]):
+            rows = np.flatnonzero(exact & (bounds.degree == degree))
+            self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
+        if (smooth & ~exact).any():
+            self._smooth(smooth & ~exact, bounds, parts.x, least)
+        others = self.finite & ~exact & (self.upper > self.lower)
+        for _, chosen, _ in self._found:
+            others[chosen] = False
+        cut = np.flatnonzero(others)
+        at_corners, rest, steep = known.linear(cut)
+        near = rest < BETTER * self.rest[cut]
+        self._take(1, cut[near], at_corners[near], rest[near], steep[near])
+        if continuous and not near.all():
+            far = cut[~near]
+            self.steep[far] = bounds.derivatives[0][far]
+
+    def _half(self) -> np.ndarray:
+        return np.where(self.finite, (self.upper - self.lower) / 2, np.inf)
+
+    def _smooth(self, smooth: np.ndarray, bounds: Bounds, x: np.ndarray, least: int) -> None:
+        """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
+        edges = [x[:, i] - x[:, j] for i in range(self._corners) for j in range(i)]
+        size = np.sqrt(np.max([edge[:, 0] ** 2 + edge[:, 1] ** 2 for edge in edges], axis=0))
+        height = size if self._corners == 2 else np.abs(_cross(x)) / size
+        _, second, third, _, fifth = bounds.derivatives
+        good = smooth & (least == 2) & (polynomials.REMAINDER[self._corners][2] * size * third <= NEAR * second)
+        for degree, chosen, derivative in ((2, good, third), (4, smooth & ~good, fifth)):
+            rows = np.flatnonzero(chosen)
+            scale = size[rows] ** (degree + 1) * derivative[rows]
+            better = polynomials.REMAINDER[self._corners][degree] * scale < self.rest[rows]
+            rows, scale = rows[better], scale[better]
+            steep = polynomials.STEEPNESS[self._corners][degree] * scale / height[rows]
+            self._interpolate(degree, rows, polynomials.REMAINDER[self._corners][degree] * scale, steep)
+
+    def _interpolate(self, degree: int, chosen: np.ndarray, rest: np.ndarray, steep: np.ndarray) -> None:
+        """Let interpolants of a degree stand for the datum on some parts."""
+        if len(chosen):
+            values = self._known.values(degree, chosen)
+            coefficients = polynomials.coefficients(values, self._corners, degree)
+            margin = polynomials.round_off(values, self._corners, degree)
+            self._take(degree, chosen, coefficients, rest, steep, margin)
+
+    def _take(
+        self, degree: int, chosen: np.ndarray, coefficients: np.ndarray, rest: np.ndarray, steep: np.ndarray,
+        margin: np.ndarray | float = 0.0,
+    ) -> None:  # fmt: skip
+        """Let polynomials stand for the datum on some parts."""
+        self.rest[chosen], self.steep[chosen] = rest, steep
+        room = rest + margin
+        self.lower[chosen] = np.maximum(self.lower[chosen], coefficients.min(axis=1, initial=np.inf) - room)
+        self.upper[chosen] = np.minimum(self.upper[chosen], coefficients.max(axis=1, initial=-np.inf) + room)
+        self._found.append((degree, chosen, coefficients))
+
+    def open(self, rough: float) -> np.ndarray:
+        """Which parts are to be divided if they may be."""
+        size = np.maximum(np.abs(self.lower), np.abs(self.upper))
+        far = ~self.whole | (self.rest > rough * (self.upper - self.lower))
+        return ~self.finite | (far & (self.rest > NEGLIGIBLE * size))
+
+    def divided(self, parts: Parts, chosen: np.ndarray) -> Parts:
+        """Some parts divided: along the line where a condition changes, if one is known, or halved."""
+        within = parts[chosen].within(self.lower[chosen], self.upper[chosen])
+        values, rest = self._known.cuts(chosen)
+        levels = APART * rest
+        line = levels < NARROW * np.ptp(values, axis=1)
+        levels = np.where(levels <= EXACT * np.abs(values).max(axis=1, initial=0.0), 0.0, levels)
+        return within[line].cut(values[line], levels[line]).with_(within[~line].halved())
+
+    def polynomials(self, wanted: np.ndarray) -> Iterator[tuple[int, bool, np.ndarray, np.ndarray]]:
+        """Degree, whether they are interpolants, parts and coefficients, of those that are wanted."""
+        rest = wanted.copy()
+        for degree, chosen, coefficients in self._found:
+            rest[chosen] = False
+            kept = wanted[chosen]
+            yield degree, True, chosen[kept], coefficients[kept]
+        chosen = np.flatnonzero(rest)
+        middle = np.where(self.finite, (self.lower + self.upper) / 2, 0.0)[chosen]
+        if len(infinite := np.flatnonzero(~self.finite[chosen])):
+            values = self._known.values(0, chosen[infinite])[:, 0]
+            middle[infinite] = np.where(np.isfinite(values), values, 0.0)
+        yield 0, False, chosen, middle[:, None]
+
+
+def _cross(corners: np.ndarray) -> np.ndarray:
+    """Twice the area of triangles, with a sign."""
+    (a, b), (c, d) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
+    return a * d - b * c
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """What samples show of a datum of which no bounds are known, as `effects.field.Enclosed` has it."""
+
+    here: Field
+    corners: np.ndarray
+    names: Names
+    cells: np.ndarray
+
+    def once(self) -> _SampledBounds:
+        return _SampledBounds(self.values(4, np.arange(len(self.corners))))
+
+    def truth(self) -> Truth:
+        """Of samples there is none."""
+        unknown = np.ones(len(self.corners), dtype=bool)
+        return Truth(unknown, unknown)
+
+    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Samples tell nothing of them."""
+        return np.zeros((len(cells), self.corners.shape[1])), np.full(len(cells), np.inf)
+
+    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nor of it."""
+        unknown = np.full(len(cells), np.inf)
+        return np.zeros((len(cells), self.corners.shape[1])), unknown, unknown
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        points = polynomials.inner_points(self.corners.shape[1], degree)
+        x = np.zeros((3, len(cells) * len(points)))
+        x[:2] = (points @ self.corners[cells]).reshape(-1, 2).T
+        return self.here.at(x, self.names, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class _SampledBounds:
+    """Bounds of samples, shape (simplices, points)."""
+
+    samples: np.ndarray
+
+    @property
+    def lower(self) -> np.ndarray:
+        return self.samples.min(axis=1, initial=np.inf)
+
+    @property
+    def upper(self) -> np.ndarray:
+        return self.samples.max(axis=1, initial=-np.inf)
+
+    @property
+    def degree(self) -> np.ndarray:
+        return np.full(len(self.samples), 4)
+
+    @property
+    def whole(self) -> np.ndarray:
+        return np.ptp(self.samples, axis=1) <= SHARP * np.abs(self.samples).max(axis=1, initial=0.0)
+
+    @property
+    def defined(self) -> np.ndarray:
+        return np.isfinite(self.samples).all(axis=1)
+
+    @property
+    def finite(self) -> np.ndarray:
+        return self.defined
+
+    @property
+    def derivatives(self) -> tuple[np.ndarray, ...]:
+        return (np.full(len(self.samples), np.inf),)

@@ -1,0 +1,137 @@
+"""Polynomials on intervals, triangles and tetrahedra in Bernstein form, whose coefficients bound them.
+
+A polynomial lies between its smallest and its largest Bernstein coefficient; at the vertices it equals the coefficient
+there, so that the bounds of affine functions are exact. Coefficients are found from values inside the simplex: a
+formula with conditions may have another value on the boundary of the cell.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import product
+from math import factorial, prod
+
+import numpy as np
+
+MAX_DEGREE = 8
+SPLITS = 2
+INSET = 0.1  # of the way from the points of the lattice to the middle
+# |f - I f| <= REMAINDER h^n max|D^n f|/n!, n = degree + 1, for the interpolant at `inner_points`, h the longest edge,
+# since f - I f = -sum_i L_i(x) D^n f(..)(a_i - x)^n/n! (Ciarlet and Raviart 1972); of segments and triangles, by degree
+REMAINDER = {2: {1: 0.203, 2: 0.0825, 4: 0.179}, 3: {1: 0.361, 2: 0.149, 4: 0.298}}
+# likewise |grad(f - I f)| <= STEEPNESS h^n max|D^n f|/n!/H, H the least height
+STEEPNESS = {2: {2: 1.79, 4: 4.77}, 3: {2: 3.82, 4: 10.9}}
+_EPSILON = float(np.finfo(float).eps)
+
+
+@cache
+def inner_points(corners: int, degree: int) -> np.ndarray:
+    """Barycentric coordinates of points inside that determine a polynomial, shape (points, corners)."""
+    if degree == 0:
+        return np.full((1, corners), 1.0 / corners)
+    return (1 - INSET) * _exponents(corners, degree) / degree + INSET / corners
+
+
+def coefficients(values: np.ndarray, corners: int, degree: int) -> np.ndarray:
+    """Bernstein coefficients from values at `inner_points`, shape (simplices, points)."""
+    return values @ _to_bernstein(corners, degree).T
+
+
+def bounds(values: np.ndarray, corners: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of polynomials over their simplices, with a margin for round-off.
+
+    Args:
+        values: At `inner_points`, shape (simplices, points).
+        corners: 2 for intervals, 3 for triangles, 4 for tetrahedra.
+        degree: At most `MAX_DEGREE`.
+    """
+    found = coefficients(values, corners, degree)
+    margin = round_off(values, corners, degree)
+    return found.min(axis=1) - margin, found.max(axis=1) + margin
+
+
+def largest(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
+    """An upper bound of polynomials over their simplices, sharper than the largest coefficient: on parts of the simplex
+    the coefficients are nearer to the values."""
+    if degree < 2:
+        return coefficients.max(axis=1, initial=-np.inf)
+    return (coefficients @ _on_parts(corners, degree).T).max(axis=1, initial=-np.inf)
+
+
+@cache
+def _on_parts(corners: int, degree: int) -> np.ndarray:
+    """Coefficients on the parts of a simplex with its edges halved `SPLITS` times from those on all of it."""
+    parts = np.eye(corners)[None]
+    for _ in range(SPLITS):
+        parts = halved(parts)
+    inside = (inner_points(corners, degree) @ parts).reshape(-1, corners)
+    values = _basis(inside, degree).reshape(len(parts), -1, len(_exponents(corners, degree)))
+    return (_to_bernstein(corners, degree) @ values).reshape(-1, values.shape[2])
+
+
+def halved(corners: np.ndarray) -> np.ndarray:
+    """Segments in two, triangles in four: the parts of one follow each other.
+
+    Args:
+        corners: Shape (simplices, corners, ...).
+    """
+    a, b = corners[:, 0], corners[:, 1]
+    parts: list[tuple[np.ndarray, ...]]
+    if corners.shape[1] == 2:
+        m = (a + b) / 2
+        parts = [(a, m), (m, b)]
+    else:
+        c = corners[:, 2]
+        d, e, f = (b + c) / 2, (c + a) / 2, (a + b) / 2
+        parts = [(a, f, e), (f, b, d), (e, d, c), (d, e, f)]
+    stacked = np.stack([np.stack(part, axis=1) for part in parts], axis=1)
+    return stacked.reshape(-1, *corners.shape[1:])
+
+
+def round_off(values: np.ndarray, corners: int, degree: int) -> np.ndarray:
+    """Largest error of the coefficients if values are right up to a few units of round-off."""
+    amplified = np.abs(_to_bernstein(corners, degree)).sum(axis=1).max()
+    return 8 * _EPSILON * amplified * np.abs(values).max(axis=1, initial=0.0)
+
+
+def evaluate(coefficients: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
+    """Values at barycentric points, shape (simplices, points)."""
+    return coefficients @ _basis(points, degree).T
+
+
+def restricted(coefficients: np.ndarray, start: np.ndarray, end: np.ndarray, degree: int) -> np.ndarray:
+    """Bernstein coefficients of polynomials on the parts of their intervals from start to end, 0 to 1."""
+    t = start[:, None] + (end - start)[:, None] * inner_points(2, degree)[:, 1]
+    basis = _basis(np.column_stack([1 - t.ravel(), t.ravel()]), degree).reshape(*t.shape, degree + 1)
+    return np.einsum("npk,nk->np", basis, coefficients) @ _to_bernstein(2, degree).T
+
+
+def slopes(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
+    """Bernstein coefficients of the derivatives along the barycentric coordinates, shape (simplices, corners, ...)."""
+    return degree * coefficients[:, _raised(corners, degree)]
+
+
+@cache
+def _raised(corners: int, degree: int) -> np.ndarray:
+    """Where the exponents of one degree less, each of them raised by one, stand, shape (corners, polynomials)."""
+    place = {tuple(row): k for k, row in enumerate(_exponents(corners, degree))}
+    lower = _exponents(corners, degree - 1)
+    return np.array([[place[tuple(row + unit)] for row in lower] for unit in np.eye(corners)])
+
+
+@cache
+def _exponents(corners: int, degree: int) -> np.ndarray:
+    found = [steps for steps in product(range(degree, -1, -1), repeat=corners) if sum(steps) == degree]
+    return np.array(found, dtype=float)
+
+
+def _basis(points: np.ndarray, degree: int) -> np.ndarray:
+    """Values of the Bernstein polynomials, shape (points, polynomials)."""
+    exponents = _exponents(points.shape[1], degree)
+    times = [factorial(degree) / prod(factorial(int(k)) for k in row) for row in exponents]
+    return np.prod(points[:, None, :] ** exponents[None], axis=2) * np.array(times)
+
+
+@cache
+def _to_bernstein(corners: int, degree: int) -> np.ndarray:
+    return np.linalg.inv(_basis(inner_points(corners, degree), degree))

@@ -1,0 +1,257 @@
+"""Linear functions near a formula on cells that a condition cuts.
+
+On a cell with the middle c a formula is within C + G (x - c), C and G intervals: G bounds the gradient of every branch
+that may hold somewhere in the cell, C what these branches are at c. Where branches meet smoothly G is narrow; where
+they jump C is wide. Nothing is assumed of continuity.
+"""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.scenes import intervals
+from fenicsx_obstacle.scenes.formulas import BINARY, Formula, is_condition
+from fenicsx_obstacle.scenes.intervals import Enclosure, add, constant, divide, multiply, negative
+from fenicsx_obstacle.scenes.tree_walk import TreeWalk, chosen
+from fenicsx_obstacle.scenes.vocabulary import CONSTANTS
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.scenes.enclosures import Cells
+
+ZERO, ONE = constant(0.0), constant(1.0)
+EITHER = intervals.of_bounds(-1.0, 1.0, 0)
+
+
+@dataclass(frozen=True)
+class Form:
+    """C + G (x - c) on each cell: the value of some branch at the middle, and its slopes."""
+
+    value: Enclosure
+    slopes: tuple[Enclosure, Enclosure]
+
+
+def linear(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A linear function near a formula on each cell.
+
+    Returns:
+        Its values at the corners; bounds of its distance, and of the gradient of the difference.
+    """
+    with np.errstate(all="ignore"):
+        return _at_corners(_Forms(TreeWalk(cells)).form(formula, formula.tree), cells)
+
+
+def lines(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
+    """Where a condition of a formula changes in cells, as `effects.field.Enclosed.cuts` has it: of several conditions
+    the one that is nearest to a line."""
+    found, rest = np.zeros((cells.count, cells.corners.shape[1])), np.full(cells.count, np.inf)
+    with np.errstate(all="ignore"):
+        walk = TreeWalk(cells)
+        walk.number(formula, formula.tree)
+        for number, undecided in list(walk.undecided):
+            values, away = nearest(cells, number)
+            nearer = undecided & (away * np.ptp(found, axis=1) < rest * np.ptp(values, axis=1))
+            nearer |= undecided & np.isinf(rest) & np.isfinite(away)
+            found[nearer], rest[nearer] = values[nearer], away[nearer]
+    return found, rest
+
+
+def nearest(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
+    """A linear function near a number in which no condition changes: as `linear` has it, or the interpolant."""
+    values, rest, _ = linear(cells, formula)
+    x, corners = cells.corners, cells.corners.shape[1]
+    if corners not in polynomials.REMAINDER:
+        return values, rest
+    edges = [x[:, i] - x[:, j] for i in range(corners) for j in range(i)]
+    squares = np.max([(edge**2).sum(axis=1) for edge in edges], axis=0)
+    away = polynomials.REMAINDER[corners][1] * squares * cells.once(formula).derivatives[1]
+    at_points = cells.values(formula, 1, np.arange(cells.count))
+    away = away + polynomials.round_off(at_points, corners, 1)
+    better = away < rest
+    found = np.where(better[:, None], polynomials.coefficients(at_points, corners, 1), values)
+    return found, np.where(better, away, rest)
+
+
+def _at_corners(form: Form, cells: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The linear function in the middle of a form, and bounds as `linear` has them."""
+    value = _middle_and_width(form.value, cells.count)
+    away = cells.corners - cells.corners.mean(axis=1, keepdims=True)
+    at_corners, rest, square = np.repeat(value[0][:, None], away.shape[1], axis=1), value[1], np.zeros(cells.count)
+    for axis, slope in enumerate(form.slopes):
+        middle, width = _middle_and_width(slope, cells.count)
+        at_corners = at_corners + middle[:, None] * away[..., axis]
+        rest = rest + width * np.abs(away[..., axis]).max(axis=1)
+        square = square + width**2
+    size = np.abs(at_corners).max(axis=1, initial=0.0)
+    return at_corners, rest + 1e-14 * size, np.sqrt(square)
+
+
+def _middle_and_width(a: Enclosure, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Middle and half width; infinite widths where bounds are."""
+    finite = np.broadcast_to(a.finite, count)
+    lower, upper = (np.where(finite, bound, 0.0) for bound in (a.lower, a.upper))
+    return (lower + upper) / 2, np.where(finite, (upper - lower) / 2, np.inf)
+
+
+class _Forms:
+    """One walk through a formula and the definitions it uses."""
+
+    def __init__(self, walk: TreeWalk):
+        self._walk, self._known, cells = walk, dict[str, Form](), walk.cells
+        self._middle = np.zeros((cells.count, 3))
+        self._middle[:, : cells.corners.shape[2]] = cells.corners.mean(axis=1)
+
+    def form(self, formula: Formula, node: ast.expr) -> Form:
+        """Of a node. What has no rule here is within its bounds, without slopes."""
+        match node:
+            case ast.Name(id=name):
+                if name not in self._known:
+                    self._known[name] = self._name(name)
+                return self._known[name]
+            case ast.BinOp(left=left, op=op, right=right) if type(op) is not ast.Mod:
+                return self._operation(formula, BINARY[type(op)], left, right)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                inner = self.form(formula, operand)
+                return Form(negative(inner.value), (negative(inner.slopes[0]), negative(inner.slopes[1])))
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self.form(formula, operand)
+            case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
+                truth, one, other = self._walk.condition(formula, test), self.form(formula, yes), self.form(formula, no)
+                return self._pairwise(one, other, lambda a, b: chosen(truth, a, b))
+            case ast.Call(func=ast.Name(id=name), args=args) if not is_condition(node):
+                return self._call(formula, node, name, args)
+        return Form(self._walk.number(formula, node), (ZERO, ZERO))
+
+    @staticmethod
+    def _pairwise(one: Form, other: Form, rule: intervals.Rule) -> Form:
+        slopes = [rule(a, b) for a, b in zip(one.slopes, other.slopes, strict=True)]
+        return Form(rule(one.value, other.value), (slopes[0], slopes[1]))
+
+    def _name(self, name: str) -> Form:
+        x, y, z = self._middle.T
+        if name in CONSTANTS:
+            return Form(constant(CONSTANTS[name]), (ZERO, ZERO))
+        if name in "xyz":
+            axis = "xyz".index(name)
+            return Form(_point(self._middle[:, axis]), (ONE if axis == 0 else ZERO, ONE if axis == 1 else ZERO))
+        if name == "distance":
+            return Form(self._walk.name(name), (ZERO, ZERO))
+        r = self._walk.name("r")
+        over_x, over_y = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xy")
+        if name == "r":
+            return Form(_point(np.sqrt(x**2 + y**2 + z**2)), (over_x, over_y))
+        if name == "theta":
+            if not self._walk.name(name).whole.all():
+                return Form(self._walk.name(name), (ZERO, ZERO))
+            return Form(_point(np.arctan2(y, x)), (negative(divide(over_y, r)), divide(over_x, r)))
+        defined = self._walk.cells.vocabulary.define[name]
+        return self.form(defined, defined.tree)
+
+    def _operation(self, formula: Formula, sign: str, left: ast.expr, right: ast.expr) -> Form:
+        one, other = self.form(formula, left), self.form(formula, right)
+        a, b = self._walk.number(formula, left), self._walk.number(formula, right)
+        match sign:
+            case "+":
+                return self._pairwise(one, other, add)
+            case "-":
+                return self._pairwise(one, other, lambda p, q: add(p, negative(q)))
+            case "*":
+                # f g - C_f C_g = (f - C_f) g + C_f (g - C_g)
+                slopes = [
+                    add(multiply(p, b), multiply(one.value, q)) for p, q in zip(one.slopes, other.slopes, strict=True)
+                ]
+                return Form(multiply(one.value, other.value), (slopes[0], slopes[1]))
+            case "/":
+                # f/g - C_f/C_g = (f - C_f)/g - C_f (g - C_g)/(g C_g)
+                factor = divide(one.value, multiply(b, other.value))
+                slopes = [
+                    add(divide(p, b), negative(multiply(factor, q)))
+                    for p, q in zip(one.slopes, other.slopes, strict=True)
+                ]
+                return Form(divide(one.value, other.value), (slopes[0], slopes[1]))
+        if not b.is_number:
+            power = self._walk.number(formula, ast.BinOp(left=left, op=ast.Pow(), right=right))
+            return Form(power, (ZERO, ZERO))
+        exponent = float(b.lower)
+        outer = multiply(b, intervals.raised(a, constant(exponent - 1))) if exponent else ZERO
+        return _through(one, intervals.raised(one.value, b), outer)
+
+    def _call(self, formula: Formula, node: ast.Call, name: str, args: list[ast.expr]) -> Form:
+        found = self._walk.number(formula, node)
+        if name in ("sign", "floor"):
+            return Form(found, (ZERO, ZERO))
+        forms, parts = [self.form(formula, arg) for arg in args], [self._walk.number(formula, arg) for arg in args]
+        one, a = forms[0], parts[0]
+        if name == "abs":
+            up, down = a.upper > 0, a.lower < 0
+            slope = intervals.chosen(up, down, ONE, constant(-1.0))
+            return _through(one, intervals.absolute(one.value, up, down), slope)
+        if name in ("min", "max"):
+            for other, b in zip(forms[1:], parts[1:], strict=True):
+                gap = add(a, negative(b))
+                one = self._extreme(name, one, other, gap.upper > 0, gap.lower < 0)
+                a = intervals.extreme(name, a, b, gap.upper > 0, gap.lower < 0)
+            return one
+        if name in ("atan2", "hypot"):
+            return self._of_two(name, forms, parts, found)
+        value = intervals.FUNCTIONS[name](one.value)
+        return _through(one, value, DERIVATIVES[name](a, found))
+
+    @staticmethod
+    def _extreme(name: str, one: Form, other: Form, above: np.ndarray, below: np.ndarray) -> Form:
+        """max(f + a, g + b) - max(f, g) is between a and b."""
+        first, second = (below, above) if name == "min" else (above, below)
+        slopes = [
+            intervals.chosen(first | ~second, second, p, q) for p, q in zip(one.slopes, other.slopes, strict=True)
+        ]
+        return Form(intervals.extreme(name, one.value, other.value, above, below), (slopes[0], slopes[1]))
+
+    @staticmethod
+    def _of_two(name: str, forms: list[Form], parts: list[Enclosure], found: Enclosure) -> Form:
+        (one, other), (a, b) = forms, parts
+        if name == "hypot":
+            weights = [divide(a, found).clipped(-1.0, 1.0), divide(b, found).clipped(-1.0, 1.0)]
+            value = intervals.hypot(one.value, other.value)
+        elif found.whole.all():
+            square = add(intervals.power(a, 2), intervals.power(b, 2))
+            weights = [divide(b, square), negative(divide(a, square))]
+            value = intervals.atan2(one.value, other.value)
+        else:
+            return Form(found, (ZERO, ZERO))
+        slopes = [
+            add(multiply(weights[0], p), multiply(weights[1], q)) for p, q in zip(one.slopes, other.slopes, strict=True)
+        ]
+        return Form(value, (slopes[0], slopes[1]))
+
+
+def _point(values: np.ndarray) -> Enclosure:
+    """Of numbers known up to round-off."""
+    return add(intervals.of_bounds(values, values, 0), intervals.of_bounds(-1e-15, 1e-15, 0))
+
+
+def _through(inner: Form, value: Enclosure, outer: Enclosure) -> Form:
+    """Of a function with a derivative within given bounds."""
+    return Form(value, (multiply(outer, inner.slopes[0]), multiply(outer, inner.slopes[1])))
+
+
+def _one_less(a: Enclosure) -> Enclosure:
+    """1 - a^2."""
+    return add(ONE, negative(intervals.power(a, 2)))
+
+
+# derivatives from the bounds of the argument and of the value
+DERIVATIVES: dict[str, intervals.Rule] = {
+    "sin": lambda a, f: intervals.cos(a), "cos": lambda a, f: negative(intervals.sin(a)),
+    "tan": lambda a, f: add(ONE, intervals.power(f, 2)), "exp": lambda a, f: f,
+    "asin": lambda a, f: divide(ONE, intervals.sqrt(_one_less(a))),
+    "acos": lambda a, f: negative(divide(ONE, intervals.sqrt(_one_less(a)))),
+    "atan": lambda a, f: divide(ONE, add(ONE, intervals.power(a, 2))),
+    "sinh": lambda a, f: intervals.cosh(a), "cosh": lambda a, f: intervals.sinh(a),
+    "tanh": lambda a, f: _one_less(f), "sqrt": lambda a, f: divide(constant(0.5), f),
+    "ln": lambda a, f: divide(ONE, a), "log": lambda a, f: divide(ONE, a),
+    "log10": lambda a, f: divide(constant(1 / float(np.log(10.0))), a),
+}  # fmt: skip

@@ -1,0 +1,140 @@
+"""Data on whole cells without sampling: polynomials on parts of cells, and how far the datum may be from them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_enclosures import CORNERS, FORMULAS, SCENE, area
+
+from fenicsx_obstacle import Scene, polynomials
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.estimation.parts import Parts
+from fenicsx_obstacle.estimation.pieces import Division, pieces_of
+from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.scenes.fields import FormulaField
+
+pytestmark = pytest.mark.serial
+
+
+@pytest.fixture(scope="module")
+def data():
+    return Workbench(Scene(mesh={"shape": "rectangle", "cells": 1}, tension=1, load=1)).problem.data
+
+
+DIVISION = Division(3)
+
+
+def pieces(data, text, x, division=DIVISION):
+    field = FormulaField(SCENE.formula(text, "here"), SCENE)
+    return pieces_of(data, field, np.asarray(x, dtype=float), np.zeros(len(x), dtype=int), division)
+
+
+@pytest.mark.parametrize("corners", [2, 3])
+@pytest.mark.parametrize("degree", [1, 2, 4])
+def test_constants_of_the_remainder(corners, degree):
+    """They are the largest values of sum |L_i| |a_i - x|^n, lengths being at most half the sum of the differences of
+    barycentric coordinates, and of the same with gradients; not much larger either."""
+    points, n = polynomials.inner_points(corners, degree), degree + 1
+    x = np.random.default_rng(0).dirichlet(np.full(corners, 0.3), 4000)
+    x = np.vstack([x, np.eye(corners), (np.eye(corners) + np.roll(np.eye(corners), 1, axis=0)) / 2])
+    lagrange = polynomials.coefficients(np.eye(len(points)), corners, degree)
+    far = (np.abs(points[:, None] - x[None]).sum(axis=2) / 2) ** n
+    found = (np.abs(polynomials.evaluate(lagrange, x, degree)) * far).sum(axis=0).max()
+    limit = polynomials.REMAINDER[corners][degree]
+    assert 0.9 * limit <= found <= limit
+    if degree == 1:
+        return
+    along = polynomials.slopes(lagrange, corners, degree)
+    there = np.stack([polynomials.evaluate(along[:, k], x, degree - 1) for k in range(corners)])
+    # gradients of barycentric coordinates are no longer than 1/H, and add up to 0
+    steep = np.abs(there - np.median(there, axis=0)).sum(axis=0)
+    found = (steep * far).sum(axis=0).max()
+    limit = polynomials.STEEPNESS[corners][degree]
+    assert 0.9 * limit <= found <= limit
+
+
+@settings(max_examples=150, deadline=None)
+@given(FORMULAS, CORNERS, st.integers(0, 99))
+def test_polynomials_are_near_on_each_part(data, text, x, seed):
+    """At random points of each part the datum is as near to its polynomial as the rest says, and within the bounds; the
+    parts fill the cell."""
+    if area(x) < 1e-3:
+        return
+    found = pieces(data, text, x[None])
+    if not found.finite.all():
+        return
+    inside = np.random.default_rng(seed).dirichlet(np.ones(3), 20)
+    share = sum(group.share.sum() for group in found.groups)
+    assert share == pytest.approx(1, abs=1e-9)
+    for group in found.groups:
+        places = np.broadcast_to(group.points(inside), (len(group.rows), 20, 3))
+        points = np.zeros((3, 20 * len(group.rows)))
+        points[:2] = (places @ x).reshape(-1, 2).T
+        values = SCENE.at_points(SCENE.formula(text, "here"), points).reshape(-1, 20)
+        if np.isnan(values).any():  # conditions that are undecided guard what they choose from, if they are written to
+            assert "where" in text
+            return
+        slack = 1e-9 * (1 + np.abs(values).max())
+        assert (np.abs(values - group.values(inside)) <= group.rest[:, None] + slack).all(), text
+        assert (values >= group.lower[:, None] - slack).all() and (values <= group.upper[:, None] + slack).all(), text
+
+
+@pytest.mark.parametrize(
+    ("text", "undecided"),
+    [
+        ("where(x < 0.503, 2, 1)", 1e-9), ("where(x + 0.3*y < 0.6251, 2, x)", 1e-9),
+        ("where(r < 0.517, 1e6, 1)", 0.03), ("where(x < 0.2 or y > 0.317, 1, 0)", 1e-9),
+        ("where(hypot(x - 0.1, y) < 0.4, exp(x), -1)", 0.03),
+    ],
+)  # fmt: skip
+def test_jumps_are_cut_out(data, text, undecided):
+    """Along a line nothing is left between the two sides, along a curve a thin strip."""
+    x = np.array([[(0, 0), (1, 0), (0, 1)], [(1, 1), (0, 1), (1, 0)]])
+    found = pieces(data, text, x, Division(5))
+    assert sum(group.share[group.rest > 1e-3].sum() for group in found.groups) <= 2 * undecided
+
+
+def test_strips_get_narrow_with_h(data):
+    """In a cell cut by a circle the share that is undecided falls like h."""
+    shares, middle = [], 0.65 / np.sqrt(2)
+    for h in (0.02, 0.01, 0.005):
+        x = middle + h * np.array([[(-2 / 3, -2 / 3), (4 / 3, -2 / 3), (-2 / 3, 4 / 3)]])
+        found = pieces(data, "where(r < 0.65, 1, 0)", x, Division(1))
+        shares.append(sum(group.share[group.rest > 0].sum() for group in found.groups))
+    assert shares[0] / shares[2] == pytest.approx(4, rel=0.1)
+
+
+def test_parts_are_cut_at_levels():
+    """Parts of triangles and of segments: shares add up, and no part is on both sides."""
+    rng = np.random.default_rng(1)
+    for corners in (2, 3):
+        x, values = rng.random((50, corners, 2)), rng.standard_normal((50, corners))
+        levels = np.abs(rng.standard_normal(50)) / 10
+        parts = Parts.whole(x, np.zeros(50, dtype=int)).cut(values, levels)
+        assert np.allclose(np.bincount(parts.rows, parts.share), 1)
+        there = (parts.inside @ values[parts.rows][..., None])[..., 0]
+        level = levels[parts.rows, None]
+        above, below, between = there >= level - 1e-9, there <= -level + 1e-9, np.abs(there) <= level + 1e-9
+        assert (above.all(axis=1) | below.all(axis=1) | between.all(axis=1)).all()
+        assert np.allclose(parts.inside @ x[parts.rows], parts.x)
+
+
+def test_smooth_data_gain_an_order_with_the_degree(data):
+    """The rest of interpolants of degree 2 falls like h^3, of degree 4 like h^5."""
+    for degree, rate in ((2, 3), (4, 5)):
+        rests = []
+        for h in (0.05, 0.025):
+            x = np.array([[(0.3, 0.3), (0.3 + h, 0.3), (0.3, 0.3 + h)]])
+            found = pieces(data, "exp(x*y) + hypot(x + 1, y)", x, Division(0, 1.0, degree=degree))
+            rests.append(found.groups[0].rest[0])
+        assert np.log2(rests[0] / rests[1]) == pytest.approx(rate, abs=0.25)
+
+
+def test_the_rule_of_parts_is_that_of_the_cell(data):
+    """The mean of a discontinuous load over a cell, whose parts are integrated, is the exact one."""
+    x = np.array([[(0, 0), (1, 0), (0, 1)]])
+    found = pieces(data, "where(x < 0.37, y^2, 0)", x, Division(3))
+    points, weights = rule(2, 4)
+    mean = sum((group.share * (group.values(points) @ weights)).sum() for group in found.groups)
+    exact = (1 - 0.63**4) / 12  # int_0^0.37 (1 - x)^3/3 dx
+    assert mean / 2 == pytest.approx(exact, rel=1e-9)

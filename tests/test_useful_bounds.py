@@ -1,0 +1,155 @@
+"""Bounds of the error stay near it where data are extreme: obstacles far away, vertical sides, loads that oscillate."""
+
+import itertools
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import COMM, membrane
+from dolfinx import fem
+
+from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.estimation.bound import Bound
+from fenicsx_obstacle.estimation.contact import touching
+from fenicsx_obstacle.estimation.oscillation import _energies, _parts, poincare
+from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.releases import add_ghosts
+
+FINE = 64
+POINTS = np.array([(x, y) for y in np.linspace(0, 1, FINE + 1) for x in np.linspace(0, 1, FINE + 1)])
+INSIDE = "hypot(x - 1/2, y - 1/2) < 1/5"
+
+
+def energy_norm(e: np.ndarray) -> float:
+    """||grad e|| of the linear functions on halves of squares, from values at the corners of all squares."""
+    e = e.reshape(FINE + 1, FINE + 1)
+    weights = np.ones(FINE + 1)
+    weights[[0, -1]] = 0.5
+    return np.sqrt(weights @ (np.diff(e, axis=1) ** 2).sum(axis=1) + (np.diff(e, axis=0) ** 2).sum(axis=0) @ weights)
+
+
+@cache
+def reference(given: tuple[tuple[str, Any], ...]) -> np.ndarray:
+    """A solution on a mesh of 64 x 64 squares."""
+    return solve(scene(FINE, **dict(given)), eps=1e-10).at(POINTS)
+
+
+def scene(cells: int, **given: Any) -> Scene:
+    """On a square with 1 as the tension, u = 0 on the boundary."""
+    return membrane(mesh={"shape": "rectangle", "cells": cells}, **given)
+
+
+def compared(cells: int, element: str = "P1", **given: Any) -> tuple[Bound, float]:
+    """The bound, and the distance to the reference, on whose mesh functions on the coarse one are linear too."""
+    answer = solve(scene(cells, **given), bound=True, element=element, eps="h^2")
+    return answer.bound, energy_norm(answer.at(POINTS) - reference(tuple(given.items())))
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize(
+    ("given", "most"),
+    [
+        ({"load": 1, "lower": -1e20}, 2),
+        ({"load": -1, "lower": f"where({INSIDE}, -0.02, -1e20)"}, 40),
+        ({"load": 1, "upper": f"where({INSIDE}, 0.02, 1e20)", "lower": -1e20}, 40),
+    ],
+)
+def test_obstacles_out_of_reach(given, most, element):
+    """They are cut off where u cannot be: the bound does not know how far below they are."""
+    bound, error = compared(16, element, **given)
+    assert error <= bound.total <= most * error
+    nearer = {key: str(value).replace("1e20", "1e10") for key, value in given.items()}
+    assert np.isclose(compared(16, element, **nearer)[0].total, bound.total, rtol=1e-6)
+
+
+BLOCK = "max(abs(x - 1/2), abs(y - 1/2)) <= {}"
+
+
+@pytest.mark.parametrize(("element", "half", "most"), [("P1", 0.25, 3.5), ("P1", 0.26, 6.5), ("P2", 0.25, 4.5)])
+def test_blocks_with_vertical_sides(element, half, most):
+    """However deep, pushed from either side: the contact force counts where u is near the block."""
+    bounds = []
+    for depth in (0.3, 10):
+        given = {"load": -1, "lower": f"where({BLOCK.format(half)}, 0.3, -{depth})"}
+        bound, error = compared(16, element, **given)
+        assert error <= bound.total <= most * error
+        bounds.append(bound.total)
+    assert np.isclose(*bounds, rtol=1e-9)
+    other = compared(16, element, load=1, upper=f"where({BLOCK.format(half)}, -0.3, 10)")[0]
+    assert np.isclose(other.total, bounds[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_forces_keep_their_sum(element):
+    """Wherever contact forces are put, those of a patch add up to the same, with their sign."""
+    bench = Workbench(
+        scene(16, load=-1, lower=f"where({BLOCK.format(0.26)}, 0.3, -10)").change({"solve.element": element})
+    )
+    bench.answer()
+    problem, found = bench.problem, bench.estimator.element
+    triangles = found.triangles
+    state = problem.heights().x.array, *touching(problem)
+    nodal = found.equilibration.flux(*state).lower
+    far = np.linspace(0, 1, len(triangles.area))  # of each cell, in no order
+    moved = found.equilibration.flux(*state, (far, None)).lower
+    assert moved.min(initial=0.0) >= 0 and np.any(moved != nodal)
+    dofs = triangles.dofs if element == "P1" else found.equilibration.nodes[:, 3:]
+    force = fem.Function(problem.level.V)
+    for values, sign in ((nodal, 1), (moved, -1)):
+        np.add.at(force.x.array, dofs, sign * triangles.area[:, None] * values)
+    add_ghosts(force)
+    scale = largest(COMM, nodal) * largest(COMM, triangles.area)
+    free = np.setdiff1d(np.arange(problem.level.owned), problem.data.fixed[0])
+    assert scale > 0 and largest(COMM, np.abs(force.x.array[free])) <= 1e-12 * scale
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("waves", [2, 6, 19])
+def test_loads_that_oscillate(element, waves):
+    """Whether the mesh resolves them or not; the solution is known."""
+    u = f"sin({waves}*pi*x)*sin({waves}*pi*y)"
+    for cells, perturb in ((4, 0.0), (8, 0.3), (32, 0.0)):
+        mesh = {"shape": "rectangle", "cells": cells, "perturb": perturb}
+        given = membrane(mesh=mesh, load=f"{2 * waves**2}*pi^2*{u}", exact=u)
+        answer = solve(given, bound=True, element=element)
+        error = answer.record["errors"]["energy"]
+        assert error <= answer.bound.total * (1 + 1e-9)
+        assert answer.bound.total <= (3 if element == "P1" else 4) * error
+
+
+def test_poincare():
+    """||tau|| of a load that is linear in one triangle: exact, by Poincare's constant, and by fluxes on its parts."""
+    rng = np.random.default_rng(1)
+    for x in (
+        rng.normal(size=(3, 2)),
+        np.array([(0, 0), (1, 0), (0, 1)]),
+        np.array([(0, 0), (1, 0), (0.5, 0.75**0.5)]),
+    ):
+        area = abs(np.linalg.det(x[1:] - x[0])) / 2
+        constant = poincare(x[None], np.array([area]))[0]
+        metric = np.array([(x[1] - x[0]) @ (x[1] - x[0]), (x[1] - x[0]) @ (x[2] - x[0]), (x[2] - x[0]) @ (x[2] - x[0])])
+        upper = []
+        for depth in range(1, 5):
+            inside = _parts(depth)
+            values = (inside @ x)[..., 0].mean(axis=1)  # the first coordinate
+            means = (values - values.mean()) * area / len(values)
+            squared = np.einsum("k,kij,i,j", metric / (2 * area), _energies(depth), means, means)
+            spread = np.sqrt(area * np.mean((inside @ x)[..., 0].var(axis=1) / 4))
+            upper.append(np.sqrt(squared) + constant / 2**depth * spread)
+        variance = area * x[:, 0].var() / 4
+        # (g, Q)/||grad Q|| <= ||tau|| for every Q; here Q = g
+        assert variance / np.sqrt(area) <= min(upper) * (1 + 1e-9)
+        assert upper[-1] <= upper[0] and upper[-1] <= constant * np.sqrt(variance) * 1.05
+
+
+def test_stiff_inclusions():
+    """A square of a million times the tension, along mesh lines: no cell beside it counts as cut."""
+    square = BLOCK.format(0.25)
+    bounds = [
+        solve(scene(cells, tension=f"where({square}, 1e6, 1)", load=1, upper=0.05), bound=True, eps=1e-10).bound
+        for cells in (8, 16, 32)
+    ]
+    assert bounds[1].total < 0.03  # the true error is 0.021
+    assert all(fine.total < 0.7 * coarse.total for coarse, fine in itertools.pairwise(bounds))
