@@ -30,7 +30,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "serial: starts processes or has no mesh, so it runs on one rank only")
+    config.addinivalue_line("markers", "serial: starts processes, has no mesh or needs all scenes, so it runs on one rank only")
     config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
 
 
@@ -78,7 +78,7 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     except BaseException as error:
         trouble = error
     message = None if trouble is None else "".join(traceback.format_exception(trouble))
-    _wait_for_all(item.nodeid, message)
+    _wait_for_all(item, message)
     messages = HOOKS.allgather(message)
     gc.collect()
     PETSc.garbage_cleanup()
@@ -90,13 +90,15 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     return result
 
 
-def _wait_for_all(name: str, message: str | None) -> None:
+def _wait_for_all(item: pytest.Item, message: str | None) -> None:
     """A rank that failed waits a while for the others; should they be waiting for it, it ends them all."""
     arrived, start = HOOKS.Ibarrier(), time.monotonic()
     while not arrived.Test():
         time.sleep(0.001)
         if message is not None and time.monotonic() - start > PATIENCE:
-            print(f"{name} failed on rank {COMM.rank} and left the others waiting:\n{message}", file=sys.__stderr__)
+            with item.config.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled():
+                text = f"{item.nodeid} failed on rank {COMM.rank} and left the others waiting:\n{message}"
+                print(text, file=sys.__stderr__, flush=True)
             COMM.Abort(1)
 
 

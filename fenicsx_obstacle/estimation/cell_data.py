@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -144,17 +145,17 @@ class Load:
 
     def _integrate(self, pieces: Pieces) -> None:
         """Moments, and distances to their projections."""
-        count, flat = len(self._area), self.moments.reshape(len(self._area), -1)  # a view
+        count, flat = len(self._area), _rows(self.moments)  # a view
         parts = [group[block] for group in pieces.groups for block in _blocks(group)]
         for part in parts:
             points, weights = rule(2, part.degree + 2)
             tests = _at(self._tests, part.points(points))
-            tests = tests.reshape(*tests.shape[:2], -1)
+            tests = _rows(tests, 2)
             found = np.matmul((part.values(points) * weights)[:, None], tests)[:, 0]
             _add(flat, part.rows, (part.share * self._area[part.rows])[:, None] * found)
         points, weights = rule(2, 2)
         basis = self._basis(points)
-        of_basis = self.moments.sum(axis=-1).reshape(count, -1)
+        of_basis = _rows(self.moments.sum(axis=-1))
         nearest = of_basis @ np.linalg.inv(basis.T @ (weights[:, None] * basis)) / self._area[:, None]
         squares, rests = np.zeros(count), np.zeros(count)
         for part in parts:
@@ -290,3 +291,8 @@ def _add(sums: np.ndarray, rows: np.ndarray, values: np.ndarray) -> None:
         return
     for k in range(values.shape[1]):
         sums[:, k] += np.bincount(rows, values[:, k], len(sums))
+
+
+def _rows(values: np.ndarray, kept: int = 1) -> np.ndarray:
+    """A view with the axes after the first `kept` made one; -1 for it would fail on ranks without cells."""
+    return values.reshape(*values.shape[:kept], math.prod(values.shape[kept:]))
