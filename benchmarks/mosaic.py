@@ -11,7 +11,7 @@ import numpy as np
 
 from fenicsx_obstacle import InputError, NotConverged
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.scenes.hard import Case, cases
 from fenicsx_obstacle.show.figures import figure
 from fenicsx_obstacle.show.plan import triangles

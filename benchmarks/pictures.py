@@ -25,7 +25,7 @@ from PIL import Image
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show import relief
 from fenicsx_obstacle.show.boundary import free_boundary, with_levels
 from fenicsx_obstacle.show.cost_tables import duration

@@ -7,7 +7,7 @@ import pytest
 from conftest import COMM, membrane, slow_except
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show import warped
 from fenicsx_obstacle.show.boundary import free_boundary, with_levels
 from fenicsx_obstacle.show.figures import figure

@@ -161,6 +161,8 @@ register(Pair("Q1", 1, {cell: nodal_rule(cell) for cell in TENSORS}, ("Lagrange"
               words="trapezoid rule, weights detJ(x_i)/2^dim at the vertices of each cell"))  # fmt: skip
 register(Pair("P2", 2, {"triangle": midpoint_rule("triangle")}, ("CR", 1),
               words="rule at edge midpoints, obstacle and pressure there"))  # fmt: skip
+register(Pair("P2-simpson", 2, {"interval": nodal_rule("interval", 2)}, ("Lagrange", 2),
+              words="Simpson's rule"))  # fmt: skip
 register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in TENSORS}, ("Lagrange", 2),
               words="Simpson's rule in each direction"))  # fmt: skip
 register(Voronoi("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1),

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.answers.iterates import Iterate, iterates
 from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
 from fenicsx_obstacle.show.figures import BLUE, figure, heading, write_gif

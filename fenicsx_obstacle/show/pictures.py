@@ -1,4 +1,4 @@
-"""The picture of an answer: u with its obstacles, the free boundary, the contact pressure. Rank 0 draws."""
+"""The picture of a solution: u with its obstacles, the free boundary, the contact pressure. Rank 0 draws."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show import relief
 from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
@@ -18,10 +18,9 @@ from fenicsx_obstacle.show.figures import BLUE, VERMILION, check_name, figure, h
 from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, draw_plan, strokes, triangles
 from fenicsx_obstacle.show.simplices import Patch, patch_of, rims, zero
 from fenicsx_obstacle.show.space import draw_view
-from fenicsx_obstacle.words import title_of
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.answer import Answer
+    from fenicsx_obstacle.problems.solution import Solution
 
 
 MAX_DRAWN = 1e150  # matplotlib squares what it draws
@@ -30,7 +29,7 @@ PRESSURE = "contact pressure p"
 
 @dataclass(frozen=True, repr=False)
 class Picture:
-    """A picture of an answer; a notebook shows it where it is the last line of a cell.
+    """A picture of a solution; a notebook shows it where it is the last line of a cell.
 
     Attributes:
         said: One line: the file, if there is one, who drew it, and why.
@@ -52,21 +51,21 @@ class Picture:
         return data.getvalue()
 
 
-def draw_answer(answer: Answer, path: Path | None) -> Picture:
-    """Draw an answer, into a file, PNG, PDF or SVG by its name, if there is one (collective).
+def draw_answer(solution: Solution, path: Path | None) -> Picture:
+    """Draw a solution, into a file, PNG, PDF or SVG by its name, if there is one (collective).
 
     Raises:
         InputError: If the name has another ending, the file cannot be written, or the mesh is a network of intervals.
     """
     if path is not None:
         check_name(path)
-    arrays, pages = gather(answer), list[Any]()  # the page stays on rank 0
-    said = on_root(answer.level.comm, _draw, answer, arrays, path, pages)
+    arrays, pages = gather(solution), list[Any]()  # the page stays on rank 0
+    said = on_root(solution.level.comm, _draw, solution, arrays, path, pages)
     return Picture(said, pages[0] if pages else None)
 
 
-def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path | None, pages: list[Any]) -> str:
-    patch, u = with_levels(patch_of(arrays)), plain(answer.scene.tables.u)
+def _draw(solution: Solution, arrays: dict[str, np.ndarray], path: Path | None, pages: list[Any]) -> str:
+    patch, u = with_levels(patch_of(arrays)), plain(solution.symbol)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if (largest := max(np.abs(patch.fields[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
         raise InputError(f"values up to {largest:.3g} are not drawn: at most {MAX_DRAWN:g}; choose another unit")
@@ -78,7 +77,7 @@ def _draw(answer: Answer, arrays: dict[str, np.ndarray], path: Path | None, page
         page, who = _solid(patch, u)
     else:
         page, who = _flat(patch, u) if gdim == 2 else _curved(patch, u)
-    page.suptitle(heading(title_of(answer.scene.tables.title, answer.scene.name)), fontsize=12)
+    page.suptitle(heading(solution.title), fontsize=12)
     pages.append(page)
     if path is None:
         return f"drawn by {who}"

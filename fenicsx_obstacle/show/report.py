@@ -11,8 +11,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.folder import STEPS, gather
-from fenicsx_obstacle.answers.origin import command
+from fenicsx_obstacle.io.folder import STEPS, gather
+from fenicsx_obstacle.io.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
