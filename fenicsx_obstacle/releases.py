@@ -103,6 +103,12 @@ def geometry_dofs(mesh: dmesh.Mesh) -> np.ndarray:
     return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(-1, mesh.ufl_cell().num_vertices())
 
 
+def geometry_degree(mesh: dmesh.Mesh) -> int:
+    """Degree of the polynomials that map the reference cell to the cells of a mesh; 1 where edges are straight."""
+    geometry = mesh.geometry
+    return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
+
+
 def dof_nodes(V: fem.FunctionSpace) -> np.ndarray:
     """Row of `mesh.geometry.x` of each local dof of a P1 space."""
     dofs, nodes = cell_dofs(V), geometry_dofs(V.mesh)

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, parents
-from fenicsx_obstacle.discrete.cells import corners, volumes
+from fenicsx_obstacle.discrete.cells import corner_simplices, corners, volumes
 from fenicsx_obstacle.discrete.components import components
 from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.shapes import Shape
@@ -266,21 +266,23 @@ def of_mesh(
     """A mesh that is not one of our shapes: h from the volumes of its cells (collective).
 
     Args:
-        mesh: Of intervals, triangles or tetrahedra.
+        mesh: Of cells of one kind.
         source: Where it comes from, for messages.
         facets: Local facets of each named part.
         groups: Owned cells of each named material.
 
     Raises:
-        InputError: If it has other cells, or its cells do not fit together.
+        InputError: If its cells do not fit together.
     """
-    cell = releases.cell_name(mesh)
-    if cell not in SIMPLICES:
-        raise InputError(f"the mesh has {cell} cells; only shapes have others than intervals, triangles and tetrahedra")
     return Level(mesh, _largest_side(mesh), facets, groups, remarks=check_mesh(mesh, source))
 
 
 def _largest_side(mesh: dmesh.Mesh) -> float:
-    """The largest sqrt(2|T|) or (6|T|)^(1/3): the side of the grid, were this one (collective)."""
-    dim = mesh.topology.dim
-    return largest(mesh.comm, (factorial(dim) * volumes(corners(mesh))) ** (1 / dim))
+    """The largest sqrt(2|T|) or (6|T|)^(1/3), of other cells than simplices |T|^(1/dim): the side of the grid, were
+    this one (collective)."""
+    dim, vertices = mesh.topology.dim, corners(mesh)
+    if releases.cell_name(mesh) in SIMPLICES:
+        return largest(mesh.comm, (factorial(dim) * volumes(vertices)) ** (1 / dim))
+    parts = corner_simplices(vertices, dim)
+    sizes = volumes(parts.reshape(-1, dim + 1, 3)).reshape(parts.shape[:2]).mean(axis=1)
+    return largest(mesh.comm, (factorial(dim) * sizes) ** (1 / dim))

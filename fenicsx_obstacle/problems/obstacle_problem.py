@@ -140,6 +140,7 @@ class ObstacleProblem:
             self._problem = Problem(self._data, petsc_options_prefix)
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = _values_in(self._form.slope)
+        self._pressure = np.zeros(len(self._problem.weights))
         if energy is not None:
             self._refuse_no_minimum()
 
@@ -208,9 +209,11 @@ class ObstacleProblem:
             problem = self._problem
             way = method_of(problem, options)
             watch = None if monitor is None else _Numbered(monitor)
+            if way.eps is not None:
+                self._press(way.eps)
             outcome = way.solve(problem, tolerance=rtol, watch=watch)
             state = state_of(problem, way)
-        self.u.x.array[:] = state.u.x.array
+        self.u.x.array[:], self._pressure = state.u.x.array, state.p
         return Solved(outcome, way, state)
 
     @contextmanager
@@ -237,6 +240,15 @@ class ObstacleProblem:
         dofs, given = self._data.fixed
         start[dofs] = given.x.array[dofs]
         problem.refer(np.clip(start, *problem.obstacles()))
+
+    def _press(self, eps: float) -> None:
+        """Let nodes of u that are at an obstacle, and pressed against it in the last solution, do so again: w = -eps p
+        there (collective)."""
+        problem = self._problem
+        if not problem.floating:
+            w = problem.w.x.array[: len(self._pressure)]
+            w -= eps * np.where((np.minimum(*problem.gaps()) == 0) & ~problem.fixed, self._pressure, 0.0)
+            problem.w.x.scatter_forward()
 
     def _diagonal(self) -> np.ndarray:
         """A_ii at owned nodes where u is free, for A the derivative of F at the present state (collective)."""

@@ -1,4 +1,4 @@
-"""A residual that the caller has written, as the effect that a discrete problem is made of; what callers pass, checked."""
+"""The caller's own residual as an effect, and checks of what callers pass with it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
-from ufl.classes import Abs, Condition, MaxValue, MinValue, Sign
+from ufl.classes import Abs, Condition, MaxValue, MinValue
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
@@ -25,7 +25,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.words import shown
 
-_BENT = (Abs, Condition, MaxValue, MinValue, Sign)  # their derivative may hide that u decides
+_BENT = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
 ROUND_OFF = 1e-12
 
 

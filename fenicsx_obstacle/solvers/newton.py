@@ -75,9 +75,8 @@ def solve_penalty(
     if successive:
         problem.refer(problem.cold_start())
     how = {"unchanged": successive, "least": least, "tolerance": tolerance, "watch": watch}
-    if (
-        problem.affine or not problem.constrained or user_has_set(problem.options_of("penalty") + "snes_max_it")
-    ):  # a limit is kept
+    limited = user_has_set(problem.options_of("penalty") + "snes_max_it")  # a limit is kept
+    if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, how, multigrid), problem, eps, tolerance)
     start = problem.heights().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
