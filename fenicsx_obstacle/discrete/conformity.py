@@ -76,7 +76,7 @@ def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
     vertices = corners(mesh, own)
     if releases.cell_name(mesh) in TENSORS:
         parts = corner_simplices(vertices, dim)
-        sound = (sizes(parts.reshape(-1, dim + 1, 3)) > FLAT).reshape(len(vertices), -1).all(axis=1)
+        sound = (sizes(parts.reshape(-1, dim + 1, 3)) > FLAT).reshape(parts.shape[:2]).all(axis=1)
         if dim == mesh.geometry.dim:
             sides = np.sign(np.linalg.det((parts[:, :, 1:] - parts[:, :, :1])[..., :dim]))
             sound &= np.abs(sides.sum(axis=1)) == sides.shape[1]

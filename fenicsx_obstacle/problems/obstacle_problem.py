@@ -20,7 +20,7 @@ from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import smallest, total
 from fenicsx_obstacle.problems.figures import course_of, figures_of
 from fenicsx_obstacle.problems.own_form import OfForm, check_form, conditions, number_of, obstacle
 from fenicsx_obstacle.problems.solution import Seconds, Solution
@@ -228,7 +228,7 @@ class ObstacleProblem:
         """Take what has changed since the last solve, and start from u (collective)."""
         problem, values = self._problem, _values_in(self._form.slope)
         moved = any(not np.array_equal(a, b) for a, b in zip(values, self._in_matrix, strict=True))
-        stiffness = largest(problem.level.comm, moved) > 0
+        stiffness = total(problem.level.comm, float(moved)) > 0
         problem.renew(stiffness=stiffness)
         self._in_matrix = values
         if stiffness and self._form.affine:
