@@ -107,8 +107,10 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
 
     record, arrays, element, steps = on_root(comm, load)
     # version 0.1 kept the nodal values on cut cells alone: what it saved of other elements is P1
-    pair = pairs().get(record.get("element", "P1"), P1)
-    pair = pair if element or pair.nests else P1
+    name = record.get("element", "P1")
+    if name not in pairs():
+        raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
+    pair = pairs()[name] if element or pairs()[name].nests else P1
     level = mesh_of(arrays, element, int(arrays["gdim"]), record["h"], comm, pair)
     try:
         fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)

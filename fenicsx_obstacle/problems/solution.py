@@ -15,7 +15,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.solvers.stopping import Step
@@ -271,6 +270,8 @@ class Solution:
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""
+        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only where it is asked for
+
         if self.level.pair.nests and function.function_space == self.level.V:
             return values_at(self.level, function, points)
         rows, cells, _ = locate(self.plain.level, points)
