@@ -304,6 +304,19 @@ def test_along_a_line():
     assert np.abs(line.slope[left, 0] - np.maximum(f * (a - line.s[left]), 0)).max() < f / 64
 
 
+def test_made_of_effects():
+    """`scene.problem()`: the solution of the scene from a cold start, with its bound; forms have none."""
+    scene = membrane(mesh={"shape": "rectangle", "cells": 16}, load=8, upper=0.3)
+    problem = scene.problem(COMM)
+    found, answer = problem.solve(bound=True), solve(scene, bound=True, start="cold")
+    assert same(found.eps, answer.eps) and found.iterations == answer.iterations
+    assert same(found.energy, answer.energy) and same(found.bound.total, answer.bound.total)
+    assert found.record["bound"]["words"] == "certified"
+    assert problem.solve(bound=True).iterations == 0
+    with pytest.raises(InputError, match="bound=True needs tension and load as data, which a form hides"):
+        Membrane(4).problem().solve(bound=True)
+
+
 BLOCKED = """
 import sys
 sys.modules["fenicsx_obstacle.scenes"] = None

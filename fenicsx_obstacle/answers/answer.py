@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from fenicsx_obstacle.signatures import checked
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.course import Course
-    from fenicsx_obstacle.estimation.bound import Bound
 
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
 
@@ -31,13 +30,11 @@ class Answer(Solution):
     Attributes:
         scene: What was solved, with all changes.
         error: Nodal distance to the exact solution, or None.
-        bound: Of the energy error, where it was asked for; of a read answer only its figures are there, in `record`.
         course: All steps, of a scene with [time]; the fields are those of the last moment.
     """
 
-    scene: Scene
+    scene: Scene = field(kw_only=True)
     error: fem.Function | None = None
-    bound: Bound | None = None
     course: Course | None = None
 
     @property

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
@@ -31,6 +31,9 @@ from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
 from fenicsx_obstacle.words import shown
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.estimation.bound import Estimator
 
 SHARE = 0.01  # of the median of D_i/A_ii: eps = "auto"
 Monitor = Callable[[int, Step], None]
@@ -129,20 +132,62 @@ class ObstacleProblem:
             name: None if g is None else obstacle(g, u, f"{self.name}: {name}")
             for name, g in (("lower", lower), ("upper", upper))
         }
-        self.u, self._form = u, OfForm(F=F, u=u, functional=energy, J=J)
+        form = OfForm(F=F, u=u, functional=energy, J=J)
         where: dict[str, Any] = sides if measure is None else {"boundary": (Part("measure", ("contact",), **sides),)}
-        model = Model((self._form,), source=self.name, **where)
-        self._compiled = (form_compiler_options, jit_options)
-        self._options = {} if petsc_options is None else dict(petsc_options)
-        self._data = Data(model, level, bcs=conditions(bcs, V, self.name), live=True)
-        started = time.perf_counter()
-        with releases.compiled_with(*self._compiled):
-            self._problem = Problem(self._data, petsc_options_prefix)
-        self._setup_seconds = time.perf_counter() - started
-        self._in_matrix = _values_in(self._form.slope)
-        self._pressure = np.zeros(len(self._problem.weights))
+        model = Model((form,), source=self.name, **where)
+        data = Data(model, level, bcs=conditions(bcs, V, self.name), live=True)
+        compiled = (form_compiler_options, jit_options)
+        self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
         if energy is not None:
             self._refuse_no_minimum()
+
+    @classmethod
+    def of_model(
+        cls,
+        model: Model,
+        level: Level,
+        *,
+        petsc_options_prefix: str = "",
+        petsc_options: Mapping[str, Any] | None = None,
+    ) -> ObstacleProblem:
+        """A problem made of effects, for which there are error bounds (collective).
+
+        Args:
+            model: Effects, obstacles and boundary values, none of which depends on time.
+            level: Mesh and spaces; of a refined one only the finest is used.
+            petsc_options_prefix: As for the class.
+            petsc_options: Likewise.
+
+        Raises:
+            InputError: If the model has time, or no u can satisfy the data.
+        """
+        if model.time is not None:
+            raise InputError(f"{model.source}: an ObstacleProblem is one equilibrium; solve() takes [time]")
+        self = cls.__new__(cls)
+        u = fem.Function(level.V, name="u")
+        self._set_up(Data(model, level), u, None, petsc_options_prefix, petsc_options, (None, None))
+        u.x.array[:] = self._problem.heights().x.array
+        return self
+
+    def _set_up(
+        self,
+        data: Data,
+        u: fem.Function,
+        form: OfForm | None,
+        prefix: str,
+        options: Mapping[str, Any] | None,
+        compiled: tuple[Mapping[str, Any] | None, Mapping[str, Any] | None],
+    ) -> None:
+        """Assemble what stays (collective)."""
+        self.u, self._data, self._form, self._compiled = u, data, form, compiled
+        self._options = {} if options is None else dict(options)
+        self._estimator: Estimator | None = None
+        started = time.perf_counter()
+        with releases.compiled_with(*compiled):
+            self._problem = Problem(data, prefix)
+        self._setup_seconds = time.perf_counter() - started
+        self._in_matrix = [] if form is None else _values_in(form.slope)
+        self._pressure = np.zeros(len(self._problem.weights))
 
     @property
     def A(self) -> PETSc.Mat:
@@ -165,16 +210,19 @@ class ObstacleProblem:
         eps: float | str | fem.Constant = "auto",
         method: str = "penalty",
         rtol: float = TOLERANCE,
+        bound: bool = False,
         monitor: Monitor | None = None,
     ) -> Solution:
         """Solve from u on (collective).
 
         Args:
             eps: Penalty parameter in units of u/p, a number or a Constant; "auto" takes a hundredth of the median of
-                D_i/A_ii over the nodes where u is free, for A the derivative of F at the start and D the weights of I.
+                D_i/A_ii over the nodes where u is free, for A the derivative of F at the start and D the weights of I;
+                of a model it is h^2/100 over the largest tension.
             method: penalty; successive, the paper's (3.4)*, which starts without contact; or vi, for the variational
                 inequality by SNES VI, without eps.
             rtol: Unbalanced force over acting forces to stop at, dimensionless.
+            bound: Bound the energy error, which takes a problem made of effects.
             monitor: Called with the number of each Newton step and its `Step`, on all ranks.
 
         Raises:
@@ -182,18 +230,23 @@ class ObstacleProblem:
             NotConverged: With PETSc's reason; u is then what it was.
         """
         started = time.perf_counter()
+        if bound and self._estimator is None:
+            self._estimator = self._bounds()
         found = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
         figures = figures_of(problem, method, found.method.eps, found.state, name=self.name)
         spent = time.perf_counter() - started + self._setup_seconds
         record = {**figures, **course_of(found.outcome, Seconds(spent, 0.0, spent), level.comm)}
+        certified = self._estimator.bound() if bound and self._estimator is not None else None
+        if certified is not None:
+            record["bound"] = {**certified.record, "effectivity": None}
         self._setup_seconds = 0.0
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, found.outcome.history))
         shown_sides = (None, None) if self._data.thin else (self._data.lower, self._data.upper)
         kept = [None if side is None else side.copy() for side in shown_sides]
         state = found.state
-        return Solution(level, self.u, state.pressure, state.touching, kept[0], kept[1], history, record)
+        return Solution(level, self.u, state.pressure, state.touching, kept[0], kept[1], history, record, certified)
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
@@ -204,8 +257,8 @@ class ObstacleProblem:
         with self._settings():
             self._begin()
             if method != "vi":
-                options = SolverOptions(method, self._automatic() if isinstance(value, str) else value,
-                                        source=f"{self.name}:")  # fmt: skip
+                by_itself = isinstance(value, str) and self._form is not None
+                options = SolverOptions(method, self._automatic() if by_itself else value, source=f"{self.name}:")
             problem = self._problem
             way = method_of(problem, options)
             watch = None if monitor is None else _Numbered(monitor)
@@ -226,20 +279,40 @@ class ObstacleProblem:
 
     def _begin(self) -> None:
         """Take what has changed since the last solve, and start from u (collective)."""
-        problem, values = self._problem, _values_in(self._form.slope)
-        moved = any(not np.array_equal(a, b) for a, b in zip(values, self._in_matrix, strict=True))
-        stiffness = total(problem.level.comm, float(moved)) > 0
-        problem.renew(stiffness=stiffness)
-        self._in_matrix = values
-        if stiffness and self._form.affine:
-            self._form.look_again(problem.nodal.stiffness)
+        problem = self._problem
+        if self._form is not None:
+            values = _values_in(self._form.slope)
+            moved = any(not np.array_equal(a, b) for a, b in zip(values, self._in_matrix, strict=True))
+            stiffness = total(problem.level.comm, float(moved)) > 0
+            problem.renew(stiffness=stiffness)
+            self._in_matrix = values
+            if stiffness and self._form.affine:
+                self._form.look_again(problem.nodal.stiffness)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
+            problem.refer(problem.cold_start())
             return
         start = self.u.x.array.copy()
         dofs, given = self._data.fixed
         start[dofs] = given.x.array[dofs]
         problem.refer(np.clip(start, *problem.obstacles()))
+
+    def _bounds(self) -> Estimator:
+        """Bounds of the energy error (collective).
+
+        Raises:
+            InputError: If there are none for a form, the elements or the effects.
+        """
+        if self._form is not None:
+            raise InputError(
+                f"{self.name}: bound=True needs tension and load as data, which a form hides: take Scene(mesh=...)"
+            )
+        from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
+
+        estimator = Estimator(self._problem)
+        if self._problem.affine:
+            estimator.lend_load()
+        return estimator
 
     def _press(self, eps: float) -> None:
         """Let nodes of u that are at an obstacle, and pressed against it in the last solution, do so again: w = -eps p

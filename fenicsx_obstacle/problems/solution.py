@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from fenicsx_obstacle.estimation.bound import Bound
     from fenicsx_obstacle.io.cut import Cut
     from fenicsx_obstacle.show.pictures import Picture
 
@@ -95,6 +96,7 @@ class Solution:
         upper: Nodal upper obstacle, or None.
         history: The steps of the iteration.
         record: All figures, as in answer.json.
+        bound: Of the energy error, where it was asked for; of a read solution only its figures are there, in `record`.
     """
 
     level: Level
@@ -105,6 +107,7 @@ class Solution:
     upper: fem.Function | None
     history: tuple[Step, ...] = field(repr=False)
     record: Mapping[str, Any] = field(repr=False)
+    bound: Bound | None = None
 
     def __repr__(self) -> str:
         r = self.record

@@ -34,6 +34,7 @@ from fenicsx_obstacle.words import nearest, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.norms import ExactSolution
+    from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 
 MAX_OPERATIONS = 5000  # of an exact solution: it is differentiated and compiled
 RESERVED = {
@@ -374,6 +375,23 @@ class Scene(Vocabulary):
         given += [getattr(part, key) for part in model.boundary for key in ("value", "where", "lower", "upper")]
         found = [list(field.parts.values()) if field.parts is not None else [field] for field in fields_in(given)]
         return [field for part in found for field in part if isinstance(field, FormulaField)]
+
+    def problem(self, comm: Any = None) -> ObstacleProblem:
+        """The scene on its mesh, as a problem that is solved from Python (collective).
+
+        Args:
+            comm: Ranks that share the mesh, by default all; a mesh of the caller's own brings its own.
+
+        Raises:
+            InputError: If the scene has [time], or no u can satisfy the data.
+        """
+        from mpi4py import MPI
+
+        from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+        from fenicsx_obstacle.scenes import meshes
+
+        ranks = self.mesh.comm if self.mesh is not None else comm or MPI.COMM_WORLD
+        return ObstacleProblem.of_model(self.model, meshes.build(self, ranks))
 
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""
