@@ -128,7 +128,7 @@ class TreeWalk:
             case "^":
                 whole = b.is_number and float(b.lower) >= 0 and float(b.lower).is_integer()
                 return intervals.raised(a if whole else self._argument(formula, left), b)
-        if a.is_number and b.is_number:
+        if a.is_number and b.is_number and b.lower != 0:
             return intervals.constant(float(np.mod(a.lower, b.lower)))
         turns = self._floor(intervals.divide(a, b))
         remainder = intervals.add(a, intervals.negative(intervals.multiply(b, turns)))
