@@ -30,7 +30,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "serial: starts processes, has no mesh or needs all scenes, so it runs on one rank only")
+    config.addinivalue_line(
+        "markers", "serial: starts processes, has no mesh or needs all scenes, so it runs on one rank only"
+    )
     config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
 
 
