@@ -140,9 +140,8 @@ class _Bounds:
     def finite(self) -> np.ndarray:
         return np.isfinite(self.lower) & np.isfinite(self.upper)
 
-    @property
-    def derivatives(self) -> tuple[np.ndarray, ...]:
-        return (np.full(len(self.degree), np.inf),)
+    def derivative(self, k: int) -> np.ndarray:
+        return np.full(len(self.degree), np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +157,9 @@ class _Piecewise:
         every = np.arange(len(self.cells))
         low, high = polynomials.bounds(self.values(self.degree, every), self.corners.shape[1], self.degree)
         return _Bounds(low, high, np.full(len(every), self.degree))
+
+    def some(self, cells: np.ndarray) -> _Piecewise:
+        return _Piecewise(self.function, self.degree, self.corners[cells], self.cells[cells])
 
     def truth(self) -> Truth:
         bounds = self.once()
