@@ -11,11 +11,11 @@ import numpy as np
 
 from fenicsx_obstacle import InputError, NotConverged
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.folder import gather
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.scenes.hard import Case, cases
+from fenicsx_obstacle.show.boundary import Patch, patch_of
 from fenicsx_obstacle.show.figures import figure
-from fenicsx_obstacle.show.plan import triangles
-from fenicsx_obstacle.show.simplices import Patch, patch_of, rims
+from fenicsx_obstacle.show.maps import draw_domain, triangles
 
 COLUMNS = 12
 BANDS = 10  # of heights
@@ -83,8 +83,6 @@ def draw(axes: Any, patch: Patch) -> None:
             axes.tricontourf(shape, here.astype(float), levels=[0.5, 1.5], colors=[colour])
             if not here.all():
                 axes.tricontour(shape, here.astype(float), levels=[0.5], colors="black", linewidths=0.6)
-    for rim in rims(patch):
-        axes.plot(*rim.T, color="0.5", linewidth=0.7)
-    low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    draw_domain(axes, patch)
+    axes.set_aspect("auto")
     axes.set_box_aspect(1)

@@ -25,14 +25,13 @@ from PIL import Image
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.folder import gather
-from fenicsx_obstacle.show import relief
-from fenicsx_obstacle.show.boundary import free_boundary, with_levels
+from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.cost_tables import duration
 from fenicsx_obstacle.show.figures import BLUE, COLOURS, MARKERS, VERMILION, figure
+from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_domain, draw_lines, triangles
 from fenicsx_obstacle.show.newton import animate_newton
-from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, outline, strokes, triangles
-from fenicsx_obstacle.show.simplices import Patch, patch_of, rims
+from fenicsx_obstacle.show.render import INK
 from fenicsx_obstacle.studies.price import cheapest, relative, solved
 
 ROOT = Path(__file__).parent.parent
@@ -171,12 +170,12 @@ def known(_: Any) -> str:
 def bearing(axes: Any) -> None:
     """The film unrolled: its pressure, and the edge where it tears."""
     answer = solve(Scene.read(DEMOS / "bearing.toml"), refine=1)
-    patch = with_levels(patch_of(gather(answer)))
-    film, torn = unrolled(patch), unrolled(relief.touching(patch))
+    patch = patch_of(gather(answer))
+    film = unrolled(patch)
     levels = np.linspace(film.fields["u"].min(), film.fields["u"].max(), 15)
     drawn = axes.tricontourf(triangles(film), film.fields["u"], levels=levels, cmap="viridis")
-    axes.tricontourf(triangles(torn), np.zeros(len(torn.points)), levels=[-1, 1], colors=["0.85"])
-    strokes(axes, [unrolled(line) for line in free_boundary(patch)], (0, 1))
+    axes.tricontourf(triangles(film), film.fields["level lower"], levels=[-np.inf, 0], colors=["0.85"])
+    draw_lines(axes, [unrolled(line) for line in free_boundary(patch)])
     axes.annotate("torn: no pressure", (282, 0), ha="center", va="center", fontsize=10)
     axes.set(xlim=(0, 360), ylim=(-1, 1), xlabel="angle from the groove, degrees", ylabel="z / R")
     axes.set_xticks(range(0, 361, 90))
@@ -199,15 +198,14 @@ def unrolled(patch: Patch) -> Patch:
 def torsion(axes: Any) -> None:
     """Where the bar has yielded, and lines of shear stress."""
     answer = solve(Scene.read(DEMOS / "torsion.toml"))
-    patch = with_levels(patch_of(gather(answer)))
+    patch = patch_of(gather(answer))
     patch.points[:] *= 1000  # mm
     from matplotlib.patches import Patch as Swatch
 
-    outline(axes, rims(patch))
-    contact = relief.touching(patch)
-    axes.tricontourf(triangles(contact), np.zeros(len(contact.points)), levels=[-1, 1], colors=[PLASTIC], zorder=1)
+    draw_domain(axes, patch)
+    axes.tricontourf(triangles(patch), patch.fields["level upper"], levels=[-np.inf, 0], colors=[PLASTIC], zorder=1)
     axes.tricontour(triangles(patch), patch.fields["u"], levels=12, colors="0.35", linewidths=0.7, zorder=2)
-    strokes(axes, free_boundary(patch), (0, 1))
+    draw_lines(axes, free_boundary(patch))
     size = patch.points.max()
     axes.set(aspect="equal", xlim=(0, size), ylim=(0, size), xlabel="x, mm", ylabel="y, mm")
     swatches = {"plastic": PLASTIC, "elastic": OUT_OF_CONTACT}
@@ -229,7 +227,7 @@ def put(axes: Any) -> None:
     assert edge is not None
     axes.fill_between(price, payoff, 0, color="0.88", hatch="////", edgecolor="0.7", linewidth=0, label="payoff")
     axes.plot(price, value, color=BLUE, linewidth=2, label="value, a year before expiry")
-    axes.axvline(edge, color=relief.INK, linestyle="--", linewidth=1, label=f"exercised below {edge:.1f}")
+    axes.axvline(edge, color=INK, linestyle="--", linewidth=1, label=f"exercised below {edge:.1f}")
     axes.plot([100], [found], "o", color=VERMILION, label=f"at the strike: {found:.4f}")
     axes.set(xlim=(60, 140), ylim=(0, 40), xlabel="price of the share", ylabel="value of the option")
     axes.legend(fontsize=8.5)

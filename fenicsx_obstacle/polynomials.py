@@ -7,7 +7,7 @@ formula with conditions may have another value on the boundary of the cell.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, reduce
 from itertools import product
 from math import factorial, prod
 
@@ -47,15 +47,30 @@ def bounds(values: np.ndarray, corners: int, degree: int) -> tuple[np.ndarray, n
     """
     found = coefficients(values, corners, degree)
     margin = round_off(values, corners, degree)
-    return found.min(axis=1) - margin, found.max(axis=1) + margin
+    return row_min(found) - margin, row_max(found) + margin
+
+
+def row_min(values: np.ndarray) -> np.ndarray:
+    """The least value of each row: several times faster than `values.min(axis=1)` where rows are short."""
+    return reduce(np.minimum, values.T, np.inf)  # type: ignore[arg-type]
+
+
+def row_max(values: np.ndarray) -> np.ndarray:
+    """The largest value of each row."""
+    return reduce(np.maximum, values.T, -np.inf)  # type: ignore[arg-type]
+
+
+def row_size(values: np.ndarray) -> np.ndarray:
+    """The largest absolute value of each row."""
+    return np.maximum(row_max(values), -row_min(values))
 
 
 def largest(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
     """An upper bound of polynomials over their simplices, sharper than the largest coefficient: on parts of the simplex
     the coefficients are nearer to the values."""
     if degree < 2:
-        return coefficients.max(axis=1, initial=-np.inf)
-    return (coefficients @ _on_parts(corners, degree).T).max(axis=1, initial=-np.inf)
+        return row_max(coefficients)
+    return row_max(coefficients @ _on_parts(corners, degree).T)
 
 
 @cache
@@ -91,7 +106,7 @@ def halved(corners: np.ndarray) -> np.ndarray:
 def round_off(values: np.ndarray, corners: int, degree: int) -> np.ndarray:
     """Largest error of the coefficients if values are right up to a few units of round-off."""
     amplified = np.abs(_to_bernstein(corners, degree)).sum(axis=1).max()
-    return 8 * _EPSILON * amplified * np.abs(values).max(axis=1, initial=0.0)
+    return 8 * _EPSILON * amplified * row_size(values)
 
 
 def evaluate(coefficients: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:

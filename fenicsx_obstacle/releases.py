@@ -12,7 +12,8 @@ import os
 import re
 import time
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -104,12 +105,33 @@ def geometry_dofs(mesh: dmesh.Mesh) -> np.ndarray:
     return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(-1, mesh.ufl_cell().num_vertices())
 
 
+def geometry_degree(mesh: dmesh.Mesh) -> int:
+    """Degree of the polynomials that map the reference cell to the cells of a mesh; 1 where edges are straight."""
+    geometry = mesh.geometry
+    return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
+
+
 def dof_nodes(V: fem.FunctionSpace) -> np.ndarray:
     """Row of `mesh.geometry.x` of each local dof of a P1 space."""
     dofs, nodes = cell_dofs(V), geometry_dofs(V.mesh)
     found = np.empty(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.int32)
     found[dofs.ravel()] = nodes.ravel()
     return found
+
+
+_compiler_options: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+
+
+@contextmanager
+def compiled_with(form_options: Mapping[str, Any] | None, jit_options: Mapping[str, Any] | None) -> Iterator[None]:
+    """Compile forms with options of FFCx and of its just-in-time compiler, named as in DOLFINx."""
+    global _compiler_options
+    before = _compiler_options
+    _compiler_options = (dict(form_options or {}), dict(jit_options or {}))
+    try:
+        yield
+    finally:
+        _compiler_options = before
 
 
 def form(expression: ufl.Form) -> Any:
@@ -119,7 +141,9 @@ def form(expression: ufl.Form) -> Any:
     until it gives up: such files are removed, and the compilation is tried once more.
     """
     _remove_old_stale_sources()
-    options = {"jit_params" if OLD else "jit_options": {"timeout": JIT_WAIT}}
+    form_options, jit_options = _compiler_options
+    options = {"jit_params" if OLD else "jit_options": {"timeout": JIT_WAIT, **jit_options}}
+    options["form_compiler_params" if OLD else "form_compiler_options"] = form_options
     try:
         return fem.form(expression, **options)
     except (TimeoutError, RuntimeError) as error:

@@ -80,8 +80,8 @@ def test_mistakes_in_own_forms():
         solve_form(F, u, bcs=[bc], upper=1, eps=-1)
     with pytest.raises(InputError, match="solve_form: a value of bcs lies below the lower obstacle: 0 against"):
         solve_form(F, u, bcs=[bc], lower=0.1, eps=1e-3)
-    W = fem.Function(releases.functionspace(V.mesh, "Lagrange", 2))
-    with pytest.raises(InputError, match="continuous P1"):
+    W = fem.Function(releases.functionspace(V.mesh, "Lagrange", 3))
+    with pytest.raises(InputError, match="continuous Lagrange Function of degree 1 or 2"):
         solve_form(ufl.inner(ufl.grad(W), ufl.grad(ufl.TestFunction(W.function_space))) * ufl.dx, W, upper=1, eps=1)
 
 

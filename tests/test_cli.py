@@ -224,6 +224,15 @@ def test_one_added_line(tmp_path):
     assert "SNES reason 3; largest height 0.9998" in done.stdout
 
 
+def test_own_mesh(tmp_path):
+    """A mesh from Gmsh with tags, a Function as tension and a formula as obstacle: certified 1 % on 2 ranks."""
+    command = [*mpirun(2), sys.executable, str(DEMOS / "own_mesh.py")]
+    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=150, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "certified on the polygon of the mesh" in done.stdout
+    assert "the relative tolerance 0.01 is reached" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("text", "key", "values"),
     [

@@ -10,7 +10,6 @@ from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, on_root
@@ -80,7 +79,7 @@ def test_errors_without_an_exact_solution_are_those_with_one(fine, element):
             for norm in ("energy", "l2"):
                 assert abs(found[norm] - exact[norm]) <= own[norm] + 0.01 * exact[norm]
             if element == "P2":
-                cut = linear(answer)
+                cut = answer.plain
                 assert Nearby(cloud, cut.level).norms(cut.u)["energy"] > 2 * found["energy"]
 
 

@@ -11,11 +11,11 @@ from dolfinx import fem
 from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.choose import nested
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.scenes.hard import case
 from fenicsx_obstacle.show.explain import explain, explained, integrals
+from fenicsx_obstacle.solvers.choose import nested
 
 SCENES = {
     "pollutant": ("GMRES", "the norm of the residual"),
@@ -41,7 +41,7 @@ def test_explained_and_done(name):
         assert float(told.split()[1]) == pytest.approx(bench.problem.level.dofs, rel=0.03)
         formed = len(bench.problem.forms._a_minus_f.integrals())
         assert integrals(scene) == formed + bench.problem.constrained
-        assert nested(scene, scene.options) == ("truncated multigrid" in text)
+        assert nested(scene.effects, scene.pair, scene.options) == ("truncated multigrid" in text)
         assert bench.problem.symmetric == ("GMRES" not in text)
 
 

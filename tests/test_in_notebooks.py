@@ -8,7 +8,7 @@ import pytest
 from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.show import warped
+from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.widget import slider
 
 INTERVAL = {"shape": "interval", "cells": 8}
@@ -17,7 +17,7 @@ INTERVAL = {"shape": "interval", "cells": 8}
 @pytest.fixture(autouse=True)
 def without_pyvista(monkeypatch):
     """Who draws is not what is tested here."""
-    monkeypatch.setattr(warped, "find_spec", lambda name: None)
+    monkeypatch.setattr(render, "find_spec", lambda name: None)
 
 
 @pytest.fixture

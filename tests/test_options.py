@@ -8,9 +8,9 @@ import pytest
 from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError
-from fenicsx_obstacle.answers.choose import penalty_parameter
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
 
 WRONG = {

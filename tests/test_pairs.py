@@ -10,7 +10,6 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, study
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.linear import linear
 from fenicsx_obstacle.discrete.cells import volumes
 from fenicsx_obstacle.forms.pairs import Pair, _register, pairs, register
 from fenicsx_obstacle.forms.rules import Rule, nodal_rule
@@ -194,7 +193,7 @@ def test_a_pair_with_weights_of_its_own():
 def test_linear_view(name, tmp_path):
     """What is saved and drawn keeps all nodal values, and a chessboard stays one; read again on any number of ranks."""
     answer = solve(DISK, cells=8, element=name, eps=1e-4)
-    plain = linear(answer)
+    plain = answer.plain
     for key in ("u", "upper", "error"):
         mine, theirs = answer.functions()[key].x.array, plain.functions()[key].x.array
         assert np.isclose(largest(COMM, mine), largest(COMM, theirs), atol=1e-14)

@@ -4,18 +4,17 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane, slow_except
+from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from fenicsx_obstacle.answers.folder import gather
-from fenicsx_obstacle.show import warped
-from fenicsx_obstacle.show.boundary import free_boundary, with_levels
-from fenicsx_obstacle.show.figures import figure
-from fenicsx_obstacle.show.plan import OUT_OF_CONTACT, draw_plan
-from fenicsx_obstacle.show.relief import free, rgb, touching
-from fenicsx_obstacle.show.relief import membrane as relief_of
+from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.show import render
+from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, patch_of, rim, zero
+from fenicsx_obstacle.show.figures import blank, figure
+from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map
+from fenicsx_obstacle.show.pictures import _pressures
 from fenicsx_obstacle.show.report import report_study
-from fenicsx_obstacle.show.simplices import Patch, above, gradients, patch_of, rims, zero
+from fenicsx_obstacle.show.space import draw_views
 
 CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
 
@@ -30,7 +29,7 @@ def measure(patch):
 
 def on_rank_0(answer):
     arrays = gather(answer)
-    return with_levels(patch_of(arrays)) if COMM.rank == 0 else None
+    return patch_of(arrays) if COMM.rank == 0 else None
 
 
 def pixels(path):
@@ -47,9 +46,7 @@ def test_cuts_of_a_linear_function_are_exact():
         return
     x = square.points[:, 0]
     square = Patch(square.points, square.cells, {"x": x})
-    assert np.allclose(gradients(square, 3 * x), [3, 0, 0])
     assert np.isclose(measure(zero(square, x - 0.3)), 1)
-    assert np.isclose(measure(above(square, x - 0.3)), 0.7)
     assert np.allclose(zero(square, x - 0.3).fields["x"], 0.3)
     for normal, area in (((0, 0, 1), 1), ((1, 0, 1), np.sqrt(2))):
         plane = cube.points @ np.array(normal) - 0.37 * sum(normal)
@@ -57,10 +54,11 @@ def test_cuts_of_a_linear_function_are_exact():
         assert np.isclose(measure(zero(cube, plane)), expected)
 
 
+@pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize(("name", "radius"), [("ball", 0.697965148223374), ("disk", 0.5777150035509266)])
-def test_free_boundary_is_a_smooth_closed_line(name, radius, request):
-    """Within a cell of the exact circle, and much rounder than the staircase of the nodes."""
-    answer = solve(request.getfixturevalue(name))
+def test_free_boundary_is_a_smooth_closed_line(name, radius, element, request):
+    """Within a cell of the exact circle, much rounder than the staircase of the nodes, which it still separates."""
+    answer = solve(request.getfixturevalue(name), element=element)
     patch = on_rank_0(answer)
     if COMM.rank != 0:
         return
@@ -69,20 +67,9 @@ def test_free_boundary_is_a_smooth_closed_line(name, radius, request):
     assert np.abs(r - radius).max() < h
     assert r.std() < 0.1 * h
     assert np.all(np.bincount(line.cells.ravel()) == 2)
-    # both parts together are the domain
-    assert np.isclose(measure(touching(patch)) + measure(free(patch)), measure(patch))
-
-
-def test_a_cut_through_nodes_is_whole():
-    """A level through a whole layer of nodes: no cell twice, none without area, one line around it."""
-    cube = on_rank_0(solve(membrane(mesh={"shape": "box", "cells": 4}, upper=1)))
-    if COMM.rank != 0:
-        return
-    cut = zero(cube, cube.points[:, 1] - 0.5)
-    sizes = [measure(Patch(cut.points, cell[None], {})) for cell in cut.cells]
-    assert min(sizes) > 1e-12
-    assert np.isclose(sum(sizes), 1)
-    assert len(rims(cut, (0, 2))) == 1
+    (level,) = (patch.fields[name] for name in LEVELS.values() if name in patch.fields)
+    assert np.all(level[patch.fields["contact"] == 1] < 0)
+    assert np.all(level[patch.fields["contact"] == 0] > 0)
 
 
 def with_a_hole(n=12):
@@ -103,21 +90,20 @@ def test_a_hole_is_outlined_and_stays_white():
     patch = on_rank_0(solve(Scene(mesh=with_a_hole(), tension=1, load=-1, lower=-5)))
     if COMM.rank != 0:
         return
-    areas = sorted(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) / 2 for x, y in (line.T for line in rims(patch)))
-    assert np.allclose(areas, [-1 / 9, 1])  # around the hole the other way
-    _, pixel = drawn_plan(patch)
+    assert np.isclose(measure(Patch(patch.points, rim(patch.cells), {})), 4 + 4 / 3)
+    _, pixel = drawn_map(patch)
+    from matplotlib.colors import to_rgb
+
     assert np.allclose(pixel(0.5, 0.5), 1)
-    assert np.allclose(pixel(0.31, 0.02), rgb(OUT_OF_CONTACT), atol=0.01)
+    assert np.allclose(pixel(0.31, 0.02), to_rgb(OUT_OF_CONTACT), atol=0.01)
     near = np.linspace(1 / 3 - 0.02, 1 / 3 + 0.02, 81)
     assert min(pixel(x, 0.5).max() for x in near) < 0.5  # a dark line
 
 
-def drawn_plan(patch):
+def drawn_map(patch):
     """Axes of the view from above, and the colour of its pixel at a point."""
-    from fenicsx_obstacle.show.pictures import _pressures
-
     page, axis = figure(6, 5)
-    draw_plan(page, axis, patch, _pressures(patch.fields["pressure"]), "u", "p")
+    draw_map(axis, patch, _pressures(patch.fields["pressure"]), "u")
     page.canvas.draw()
     picture = np.asarray(page.canvas.buffer_rgba())[..., :3] / 255.0
 
@@ -128,39 +114,108 @@ def drawn_plan(patch):
     return axis, pixel
 
 
-@pytest.mark.parametrize("name", ["ball", "disk"])
-def test_labels_keep_away_from_all_lines(name, request):
-    """Labels of contour lines: not across the free boundary, nor across each other, nor cut by the frame."""
-    patch = on_rank_0(solve(request.getfixturevalue(name)))
+@pytest.mark.parametrize(
+    ("element", "words"), [("P1", "at nodes, linear"), ("P2", "midpoints"), ("Q1-gauss", "centres of cells")]
+)
+def test_the_pressure_is_the_one_that_was_computed(element, words):
+    """At each node its value, 0 at those out of contact; the page says where it was computed, and what was done."""
+    cell = {"cell": "quadrilateral"} if element.startswith("Q") else {}
+    answer = solve(membrane(mesh={"shape": "rectangle", "cells": 8} | cell, load=-8, lower=-0.05), element=element)
+    arrays = gather(answer)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(render, "find_spec", lambda name: None)
+        page = answer.plot().page
     if COMM.rank != 0:
         return
-    axis, _ = drawn_plan(patch)
-    boxes = [label.get_window_extent() for label in axis.texts]
-    assert len(boxes) >= 3
-    (line,) = free_boundary(patch)
-    free_line = axis.transData.transform(line.points[:, :2])
-    frame = axis.get_window_extent()
-    for number, box in enumerate(boxes):
-        assert not any(box.overlaps(other) for other in boxes[:number])
-        assert box.count_contains(free_line) == 0
-        assert frame.count_contains(box.corners()) == 4
+    axis = page.axes[1]
+    drawn = [mesh for mesh in axis.collections if np.shape(mesh.get_array()) == arrays["pressure"].shape]
+    assert any(np.array_equal(mesh.get_array(), arrays["pressure"]) for mesh in drawn)
+    label = page.axes[2].get_ylabel().replace("\n", " ")
+    assert words in label
+    assert label.endswith("cut at the free boundary")
+    if element == "P1":
+        assert np.all(arrays["pressure"][arrays["contact"] == 0] == 0)
 
 
+def test_obstacles_on_the_boundary_are_pressed_there():
+    """A wide line along the boundary has the colours of the pressure; within the domain there is none."""
+    patch = on_rank_0(solve(Scene.read(DEMOS / "wall.toml"), cells=8))
+    if COMM.rank != 0:
+        return
+    axis, pixel = drawn_map(patch)
+    (line,) = [line for line in axis.collections if line.get_array() is not None and len(line.get_array()) == 32]
+    mean = patch.fields["pressure"][rim(patch.cells)].mean(axis=1)
+    assert np.array_equal(line.get_array(), mean)
+    assert mean.min() < 0
+    assert np.all(pixel(0.95, 0.95) > 0.8)
+
+
+class Seen:
+    """What a plotter of pyvista is asked to draw."""
+
+    def __init__(self):
+        self.meshes = []
+
+    def add_mesh(self, mesh, **look):
+        self.meshes.append((mesh, look))
+
+    def with_look(self, **look):
+        """Meshes with these words, in the units of the view."""
+        return [mesh for mesh, given in self.meshes if look.items() <= given.items()]
+
+
+def seen(patch, kind, shown, monkeypatch):
+    """What pyvista draws of a patch, and its view."""
+    found = []
+    monkeypatch.setattr("fenicsx_obstacle.show.space.rendered", lambda *given: found.append(given) or ([], "nobody"))
+    page = blank(6, 5)
+    scale = _pressures(patch.fields[shown])
+    draw_views(page, list(page.add_gridspec(1, 1)), patch, {shown: scale}, kind, "u")
+    ((arrays, (view,)),) = found
+    plotter = Seen()
+    render._add(plotter, render._grid(arrays, view), view)
+    return plotter, view
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["lower", "upper"])
-def test_contact_is_drawn_on_the_obstacle(side):
+def test_contact_is_drawn_on_the_obstacle(side, monkeypatch):
     """However deep a large eps lets u sink in, the contact is not hidden under the surface of the obstacle."""
+    pytest.importorskip("pyvista")
     sign = 1 if side == "lower" else -1
     answer = solve(membrane(load=-8 * sign, **{side: f"{-sign}*(0.1 + 0.2*(x - 1/2)^2)"}), eps=0.1)
     assert answer.record["penetration"] > 0.02
     patch = on_rank_0(answer)
     if COMM.rank != 0:
         return
-    view = relief_of(patch, lambda p: np.tile([1.0, 0, 0], (len(p), 1)), "u")
-    (contact,) = [s for s in view.surfaces if np.all(s.colours == [1.0, 0, 0])]
-    points = contact.points / view.scale + (view.lower + view.upper) / 2
+    plotter, view = seen(patch, "graph", "pressure", monkeypatch)
+    (contact,) = plotter.with_look(scalars="pressure")
+    points = contact.points / view.scale
     obstacle = -sign * (0.1 + 0.2 * (points[:, 0] - 0.5) ** 2)
     assert len(points) > 50
-    assert np.min(sign * (points[:, 2] - obstacle)) > -0.02 * (view.upper - view.lower)[2]
+    assert np.min(sign * (points[:, 2] - obstacle)) > -0.02 * (view.upper[2] - view.lower[2])
+    # both parts together are the domain
+    (free,) = plotter.with_look(color=render.FREE)
+    for part in (contact, free):
+        part.points[:, 2] = 0
+    assert np.isclose(contact.area + free.area, 1, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_solid_is_cut_open_without_slivers(monkeypatch):
+    """A cut through a whole layer of nodes: none of its triangles is without area, and together they are the cut."""
+    pytest.importorskip("pyvista")
+    patch = on_rank_0(solve(membrane(mesh={"shape": "box", "cells": 4}, load=30, upper=0.1)))
+    if COMM.rank != 0:
+        return
+    plotter, view = seen(patch, "solid", "u", monkeypatch)
+    cut = [mesh for mesh in plotter.with_look(scalars="u") if mesh.n_cells]
+    assert len(cut) == 2  # in contact, and out of it
+    assert np.isclose(sum(mesh.area for mesh in cut), 1 + 1 + 4 * 0.5, rtol=1e-3)
+    sizes = np.concatenate([mesh.extract_surface().compute_cell_sizes()["Area"] for mesh in cut])
+    assert np.median(sizes) > 1e-3
+    assert np.mean(sizes < 1e-9) < 0.01
+    assert view.lower[1] == 0.5
 
 
 def test_one_node_in_contact_keeps_its_line():
@@ -176,7 +231,7 @@ def test_one_node_in_contact_keeps_its_line():
 @pytest.mark.parametrize("shape", slow_except(["interval", "rectangle", "disk", "box"], "disk"))
 def test_every_shape_has_a_picture(shape, folder, monkeypatch):
     """By matplotlib alone; pyvista's turn comes below."""
-    monkeypatch.setattr(warped, "find_spec", lambda name: None)
+    monkeypatch.setattr(render, "find_spec", lambda name: None)
     answer = solve(membrane(mesh={"shape": shape, "cells": 8}, load=8, upper=0.1))
     said = answer.plot(folder / f"{shape}.png").said
     assert "drawn by " in said
@@ -206,8 +261,8 @@ def test_a_surface_in_space_has_a_picture(folder):
 @pytest.mark.slow
 def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
     """Matplotlib draws the same view, and says why."""
-    monkeypatch.setattr(warped, "find_spec", lambda name: True)
-    monkeypatch.setattr(warped, "_WORKER", CRASH)
+    monkeypatch.setattr(render, "find_spec", lambda name: True)
+    monkeypatch.setattr(render, "_WORKER", CRASH)
     said = []
     rows = report_study(disk, {"cells": [8, 16]}, {}, folder / "out", said.append)
     assert len(rows) == 2
@@ -230,17 +285,17 @@ def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
     ),
 )
 def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
-    monkeypatch.setattr(warped, "find_spec", lambda name: code if code is None else True)
-    monkeypatch.setattr(warped, "_WORKER", [sys.executable, "-c", code or ""])
-    monkeypatch.setattr(warped, "PATIENCE", 1.0 if "took" in why else 60.0)
+    monkeypatch.setattr(render, "find_spec", lambda name: code if code is None else True)
+    monkeypatch.setattr(render, "_WORKER", [sys.executable, "-c", code or ""])
+    monkeypatch.setattr(render, "PATIENCE", 1.0 if "took" in why else 60.0)
     assert solve(disk, cells=4).plot(folder / "disk.png").said.endswith(f"drawn by matplotlib, because {why}")
 
 
 def test_pyvista_sees_nothing_of_our_mpi(disk, folder, monkeypatch):
     """VTK's process would otherwise take itself for one of our ranks."""
     code = "import os, sys; sys.exit(' '.join(k for k in os.environ if k.startswith(('OMPI_', 'PMIX_'))) or 'clean')"
-    monkeypatch.setattr(warped, "find_spec", lambda name: True)
-    monkeypatch.setattr(warped, "_WORKER", [sys.executable, "-c", code])
+    monkeypatch.setattr(render, "find_spec", lambda name: True)
+    monkeypatch.setattr(render, "_WORKER", [sys.executable, "-c", code])
     assert "pyvista failed (clean)" in solve(disk, cells=8).plot(folder / "disk.png").said
 
 
@@ -255,7 +310,7 @@ def test_pyvista_draws_where_it_is(ball, folder):
     ("ending", "begins"), slow_except([("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")], ("pdf", b"%PDF"))
 )
 def test_the_name_says_the_kind(ending, begins, disk, folder, monkeypatch):
-    monkeypatch.setattr(warped, "find_spec", lambda name: None)
+    monkeypatch.setattr(render, "find_spec", lambda name: None)
     solve(disk, cells=4).plot(folder / f"disk.{ending}")
     assert (folder / f"disk.{ending}").read_bytes().startswith(begins)
     assert [path.name for path in folder.iterdir()] == [f"disk.{ending}"]

@@ -8,7 +8,7 @@ import pytest
 from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import InputError, Scene, study
-from fenicsx_obstacle.show import warped
+from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.tables import StudyTable
@@ -21,7 +21,7 @@ BUMP = {"load": -4, "lower": "-c", "define": {"c": 0.1}}
 @pytest.fixture(autouse=True)
 def without_pyvista(monkeypatch):
     """The pictures of the last rows are not what is tested here."""
-    monkeypatch.setattr(warped, "find_spec", lambda name: None)
+    monkeypatch.setattr(render, "find_spec", lambda name: None)
 
 
 def rows_of(scene, vary, folder):

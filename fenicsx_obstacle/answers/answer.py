@@ -1,75 +1,41 @@
-"""An answer: what a converged solve found, frozen."""
+"""The solution of a scene, frozen."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import gathered, on_root
+from fenicsx_obstacle.problems.solution import Files, Solution
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
-from fenicsx_obstacle.solvers.stopping import Step
-from fenicsx_obstacle.words import counted, shown, title_of
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from fenicsx_obstacle.answers.course import Course
-    from fenicsx_obstacle.answers.linear import Cut
-    from fenicsx_obstacle.discrete.levels import Level
-    from fenicsx_obstacle.estimation.bound import Bound
-    from fenicsx_obstacle.show.pictures import Picture
+
+NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
 
 
-LOST = 1e-3  # relative round-off of a pressure that is worth telling
-DEEP = 0.01  # of the range of u: penetration that shows in forces and contact sets
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A converged solution with everything known about it.
+@dataclass(frozen=True, eq=False, repr=False)
+class Answer(Solution):
+    """A solution of a scene.
 
     Attributes:
         scene: What was solved, with all changes.
-        level: The mesh and its space.
-        u: Solution, in the unit of the heights.
-        pressure: Contact pressure p in Q_h, in the unit of the load; <= 0 against the upper obstacle.
-        contact: 1 at the points of I in contact, else 0; in Q_h.
-        lower: Nodal lower obstacle, or None.
-        upper: Nodal upper obstacle, or None.
         error: Nodal distance to the exact solution, or None.
-        history: The steps of the iteration.
-        record: All figures, as in answer.json.
-        bound: Of the energy error, where it was asked for; of a read answer only its figures are there, in `record`.
         course: All steps, of a scene with [time]; the fields are those of the last moment.
     """
 
-    scene: Scene
-    level: Level
-    u: fem.Function
-    pressure: fem.Function
-    contact: fem.Function
-    lower: fem.Function | None
-    upper: fem.Function | None
-    error: fem.Function | None
-    history: tuple[Step, ...]
-    record: Mapping[str, Any] = field(repr=False)
-    bound: Bound | None = None
+    scene: Scene = field(kw_only=True)
+    error: fem.Function | None = None
     course: Course | None = None
-
-    def __repr__(self) -> str:
-        r = self.record
-        how = r["method"] if r["eps"] is None else f"{r['method']}, eps = {r['eps']:.3g}"
-        return (
-            f"Answer({title_of(r['title'], r['scene'])!r}: {how}, {r['dofs']} unknowns; {', '.join(self._figures())})"
-        )
 
     @property
     def report(self) -> dict[str, float | None]:
@@ -77,188 +43,35 @@ class Answer:
         return dict(self.record.get("report", {}))
 
     @property
-    def plain(self) -> Answer:
-        """The same on P1 simplices, as it is drawn, and written for ParaView (first use is collective)."""
-        return self if self.level.pair.nests else self.cut.plain
-
-    @cached_property
-    def cut(self) -> Cut:
-        """How `plain` was made of the cells of another element than P1 (first use is collective)."""
-        from fenicsx_obstacle.answers.linear import cut
-
-        return cut(self)
-
-    def at(self, points: ArrayLike) -> np.ndarray:
-        """Values of u at points, not-a-number outside the mesh (collective).
-
-        Args:
-            points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
-                as many as the mesh has, or three, as in DOLFINx, the others being 0.
-
-        Returns:
-            One value for each point, the same on every rank: shape (n,) for points of shape (n, gdim) or (n, 3), and
-            shape (), a number, for one point.
-
-        Raises:
-            InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh.
-        """
-        gdim = self.level.mesh.geometry.dim
-        try:
-            given = np.asarray(points, dtype=np.float64)
-        except (TypeError, ValueError):
-            given = np.empty(())
-        if given.ndim == 0 or given.shape[-1] not in (gdim, 3):
-            got = shown(points) if given.ndim == 0 else f"shape {given.shape}"
-            raise InputError(f"at() takes points, shape (n, {gdim}), or one point, shape ({gdim},), not {got}")
-        flat = np.zeros((given[..., 0].size, 3))
-        flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
-        if np.any(flat[:, gdim:] != 0):
-            raise InputError(f"at() takes points of the mesh, shape (n, {gdim}); coordinates beyond these must be 0")
-        return self.values(flat).reshape(given.shape[:-1])
-
-    def values(self, points: np.ndarray) -> np.ndarray:
-        """Values of u at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective)."""
-        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at
-
-        if self.level.pair.nests:
-            return values_at(self.level, self.u, points)
-        rows, cells, _ = locate(self.plain.level, points)
-        found = self.u.eval(points[rows], self.cut.parents[cells].astype(np.int32)) if len(rows) else np.empty(0)
-        return mean_over_cells(self.level.comm, len(points), rows, np.ravel(found))
+    def symbol(self) -> str:
+        return self.scene.tables.u
 
     def functions(self) -> dict[str, fem.Function]:
-        """The fields by name, those that exist."""
-        named = {key: getattr(self, key) for key in ("u", "pressure", "contact", "lower", "upper", "error")}
-        return {key: function for key, function in named.items() if function is not None}
+        return super().functions() | ({} if self.error is None else {"error": self.error})
 
-    def summary(self) -> str:
-        """The figures in a few lines of text."""
-        r = self.record
-        size = f"{counted(r['cells_total'], 'cell')}, {counted(r['dofs'], 'unknown')}, h = {r['h']:.4g}"
-        eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
-        figures = self._figures()
-        if "peclet" in r:
-            how = "upwinded where it is above 1" if r["peclet"] > 1 else "so no upwinding anywhere"
-            figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
-        if r["free"] == 0:
-            figures.append("u is given at every node: take more cells")
-        linear = "GMRES step" if "peclet" in r else "CG step"
-        steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
-        if "time" in r:
-            steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"
-        lines = [
-            title_of(r["title"], r["scene"]),
-            f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
-            *self._steps(),
-            f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
-            f"{r['memory_mb']:.0f} MB",
-            "  " + "; ".join(figures),
-            *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
-            *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
-        ]
-        if r["penetration"] > DEEP * r["u_range"]:
-            large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
-            share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
-            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or --method vi")
-        lines += self._round_off()
-        if "errors" in r:
-            lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
-        if "bound" in r:
-            b = r["bound"]
-            relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
-            parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
-            most = "at most" if b["words"].startswith("certified") else "about"
-            times = self._effectivity()
-            lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
-        lines += self._enclosure() + self._tolerance()
-        if self.report:
-            values = ("not finite" if value is None else f"{value:.6g}" for value in self.report.values())
-            lines.append("  report: " + ", ".join(map(" = ".join, zip(self.report, values, strict=True))))
-        return "\n".join(lines)
+    def files(self, folder: Path, arrays: Mapping[str, np.ndarray], element: Mapping[str, np.ndarray]) -> Files:
+        from fenicsx_obstacle.io.element import own_mesh
 
-    def _steps(self) -> list[str]:
-        """The steps in time, in words."""
-        time = self.record.get("time")
-        if time is None:
-            return []
-        scheme = {"equilibria": "equilibria", "euler": "implicit Euler", "bdf2": "BDF2",
-                  "midpoint": "midpoint rule"}[time["scheme"]]  # fmt: skip
-        again = f", {counted(time['rejected'], 'step')} repeated" if time["rejected"] else ""
-        return [f"  {counted(time['steps'], 'step')} to {time['name']} = {time['t']:g}, {scheme}{again}; at the end:"]
+        contents = {"scene.toml": self._scene_in(folder).toml().encode()}
+        if element and self.scene.mesh is not None:
+            contents |= own_mesh(arrays["points"][:, : arrays["gdim"]], element)
+        if self.course is not None:
+            from fenicsx_obstacle.answers.frames import files_of  # only where a scene has time
+            from fenicsx_obstacle.io.folder import history_csv
 
-    def _round_off(self) -> list[str]:
-        """What floating point leaves of the pressure, in words, where that is little."""
-        found, lines = self.record.get("round_off", {}), []
-        if (found.get("left") or 0.0) > LOST:
-            lines.append(
-                f"  heights so far from 0 leave the pressure a round-off of {found['left']:.1g}: count them from the "
-                "obstacle's"
-            )
-        if (found.get("line") or 0.0) > LOST:
-            lines.append(
-                f"  eps is below what heights resolve: p was found from u - obstacle; from u and obstacle as they are "
-                f"saved its error would be {found['line']:.1g}"
-            )
-        return lines
+            contents |= {NEWTON: history_csv(self.history), **files_of(self.course, dict(arrays))}
+        return contents
 
-    def _enclosure(self) -> list[str]:
-        """How near u is to the inequality's solution on the same mesh, in words."""
-        enclosure = self.record.get("enclosure")
-        if enclosure is None:
-            return []
-        side = "above" if self.lower is not None else "below"
-        words = "" if enclosure["guaranteed"] else "; not guaranteed, the stiffness is no M-matrix"
-        return [f"  without the penalty u would be at most {enclosure['width']:.3g} farther {side}, at any node{words}"]
+    def _scene_in(self, folder: Path) -> Scene:
+        """The scene as it can be read from its folder: a mesh of the caller's own is the one in fields.xdmf."""
+        from fenicsx_obstacle.io.element import OWN_MESH
 
-    def _effectivity(self) -> str:
-        """Bound over true error, in words; where it is below 1, why."""
-        b = self.record["bound"]
-        if b["effectivity"] is None:
-            return ""
-        times = f"; {b['effectivity']:.3g} times the true one"
-        if b["effectivity"] >= 1 or not b["words"].startswith("certified"):
-            return times
-        if b["guaranteed"]:
-            return times + ", so that [exact] is not the solution of this scene, or both are round-off"
-        what = ["the curved boundary"] if "polygon" in b["words"] else []
-        what += ["what no sample sees"] if "sampled" in b["words"] else []
-        return f"{times}, which includes {' and '.join(what)}: the bound does not"
-
-    def _tolerance(self) -> list[str]:
-        """Whether the tolerance was reached, in words."""
-        adaptive = self.record.get("adaptive")
-        if adaptive is None:
-            return []
-        kind = "relative" if adaptive["relative"] else "absolute"
-        goal = f"{kind} tolerance {adaptive['tolerance']:g}"
-        if adaptive["reached"]:
-            kind, _, what = self.record["bound"]["words"].partition(":")[0].partition("certified")
-            words = ", by an indicator only" if kind else f",{what}" if what else ""
-            where = f"on mesh {len(adaptive['path'])}"
-            return [f"  the {goal} is reached{words}, {where}; eps and meshes were chosen for it"]
-        return [f"  THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]
-
-    def _figures(self) -> list[str]:
-        """Energy and contact, in words."""
-        r, contact = self.record, self.record["contact"]
-        sides = [side for side in ("lower", "upper") if side in contact]
-        figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}"]
-        if sides:
-            figures.append(f"contact area {contact['area']:.6g}")
-            figures += [f"force on {side} obstacle {contact[side]['force']:.6g}" for side in sides]
-            figures.append(f"penetration {r['penetration']:.3g}")
-        return figures
-
-    @checked()
-    def save(self, folder: str | Path) -> None:
-        """Write answer.json, scene.toml, history.csv and fields.xdmf into a folder (collective).
-
-        Raises:
-            InputError: If the folder cannot be written.
-        """
-        from fenicsx_obstacle.answers.folder import save
-
-        save(self, Path(folder))
+        scene, file = self.scene, self.scene.tables.mesh.file
+        if scene.mesh is not None:
+            return scene.with_mesh_file("fields.xdmf" if scene.pair.nests else OWN_MESH[0])
+        if file is None:
+            return scene
+        return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})
 
     @classmethod
     @checked()
@@ -272,23 +85,15 @@ class Answer:
         Raises:
             InputError: If the folder does not hold one.
         """
-        from fenicsx_obstacle.answers.folder import read
+        from fenicsx_obstacle.io.folder import read
 
-        return read(cls, Path(folder), comm)
+        folder = Path(folder)
+        saved = read(folder, comm, needed=("scene.toml",), steps_in_time=NEWTON)
+        answer = cls(**saved.fields, scene=Scene.read(folder / "scene.toml"))
+        if "time" not in answer.record:
+            return answer
+        from fenicsx_obstacle.answers.frames import load_course
 
-    @checked()
-    def plot(self, path: str | Path | None = None) -> Picture:
-        """Draw u with its obstacles, free boundary and pressure (collective).
-
-        Args:
-            path: A file to write, too: .png, .pdf or .svg.
-
-        Returns:
-            The picture, which notebooks show, and in its words who drew it, and why.
-
-        Raises:
-            InputError: If the name has another ending, or the file cannot be written.
-        """
-        from fenicsx_obstacle.show.pictures import draw_answer
-
-        return draw_answer(self, None if path is None else Path(path))
+        course = on_root(comm, lambda: load_course(folder))
+        shown = answer.plain.level
+        return replace(answer, course=course.renumbered(saved.points, gathered(comm, shown.points.T[: shown.owned])))

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.answers.course import Course, Frame, from_groups, renumbered, to_arrays
-from fenicsx_obstacle.answers.paraview import to_hdf5
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.moments import INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.parallel import agree, gathered, on_root
 from fenicsx_obstacle.solvers.steps import Steps
 

@@ -13,8 +13,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.linear import linear
-from fenicsx_obstacle.answers.paraview import to_hdf5
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.inside import values, values_and_slopes
@@ -23,6 +21,7 @@ from fenicsx_obstacle.discrete.points import locate
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.parallel import largest, new_files, on_root, total
 from fenicsx_obstacle.releases import cell_name
 
@@ -142,7 +141,7 @@ class Nearby:
 
 def on_simplices(answer: Answer) -> Answer:
     """The answer itself on simplices, of whatever degree; otherwise its interpolant on the cut cells (collective)."""
-    return answer if cell_name(answer.level.mesh) in SIMPLICES else linear(answer)
+    return answer if cell_name(answer.level.mesh) in SIMPLICES else answer.plain
 
 
 def _along(tension: np.ndarray, slopes: np.ndarray) -> np.ndarray:

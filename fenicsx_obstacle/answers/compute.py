@@ -8,26 +8,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.choose import Method, chain, method_of, nested, stepwise
-from fenicsx_obstacle.answers.figures import figures_of, with_errors
-from fenicsx_obstacle.answers.origin import command, versions
-from fenicsx_obstacle.answers.state import State, state_of
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.norms import Exact
-from fenicsx_obstacle.parallel import largest, peak_memory_mb
+from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.problems.figures import course_of, figures_of
+from fenicsx_obstacle.problems.solution import Seconds
+from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
+from fenicsx_obstacle.solvers.choose import Method, chain, method_of, nested, stepwise
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
@@ -79,7 +80,7 @@ class Workbench:
         self.problem = Problem(Data(scene.model, level))
         self._grids: list[Multigrid] | None = None
         self._problems: list[Problem] | None = None
-        self._solved_below = before is not None and nested(scene, self.options)
+        self._solved_below = before is not None and nested(scene.effects, scene.pair, self.options)
         if before is not None and self._solved_below:
             self._grids = self._above(before)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
@@ -160,10 +161,10 @@ class Workbench:
         """
         problem, scene, options = self.problem, self.scene, options or self.options
         estimator = self.estimator if bound else None  # refuses before anything is solved
-        levels_serve = nested(scene, options) and problem.level.coarse is not None
+        levels_serve = nested(scene.effects, scene.pair, options) and problem.level.coarse is not None
         grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
         at_rest = scene.time is None or scene.time.order == EQUILIBRIA
-        if at_rest and stepwise(scene, options) and problem.level.coarse is not None:
+        if at_rest and stepwise(scene.effects, scene.pair, options) and problem.level.coarse is not None:
             grids = self._chain()
         start = time.perf_counter()
         if problem.forms.multiplier is not None:  # of an earlier solve
@@ -196,7 +197,7 @@ class Workbench:
 
     def measured(self, answer: Answer) -> Answer:
         """The answer with its errors, if the scene has an exact solution (collective)."""
-        return answer if self.exact is None else with_errors(answer, self.exact)
+        return answer if self.exact is None else _with_errors(answer, self.exact)
 
     def _at_rest(self, method: Method, grids: Sequence[Multigrid | Problem]) -> list[Outcome]:
         """Solve from a cold start, or from the coarsest level on (collective)."""
@@ -267,16 +268,16 @@ class Workbench:
         bound: Bound | None,
         course: Course | None,
     ) -> Answer:
-        problem, level, eps = self.problem, self.problem.level, method.eps
+        problem, level, scene, eps = self.problem, self.problem.level, self.scene, method.eps
         seconds += self.setup_seconds
+        tables = scene.tables
+        figures = figures_of(
+            problem, options.method, eps, state, name=scene.name, title=tables.title, refine=tables.mesh.refine
+        )
+        spent = Seconds(time.perf_counter() - self.started, self.mesh_seconds, seconds)
         record = {
-            **figures_of(problem, self.scene, options, eps, state),
-            "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
-            "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, **counts,
-            "seconds": {"total": time.perf_counter() - self.started, "mesh": self.mesh_seconds, "solve": seconds},
-            "poisson_seconds": self._poisson,
+            **figures, **course_of(outcome, spent, level.comm), **counts, "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
-            "memory_mb": peak_memory_mb(level.comm), "versions": versions(), "command": command(level.comm.size),
         }  # fmt: skip
         if bound is not None:
             record["bound"] = {**bound.record, "effectivity": None}
@@ -288,14 +289,29 @@ class Workbench:
             record["report"] = self._reported(state)
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
-        scene = self.scene.with_options(options)
+        scene = scene.with_options(options)
         return replace(self._fields(state), history=history, record=record, bound=bound, course=course, scene=scene)
 
     def _fields(self, state: State) -> Answer:
         """The fields of an answer, without figures."""
         problem, data = self.problem, self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
-        return Answer(self.scene, problem.level, state.u, state.pressure, state.touching, *shown, None, (), {})
+        return Answer(problem.level, state.u, state.pressure, state.touching, *shown, (), {}, scene=self.scene)
+
+
+def _with_errors(answer: Answer, exact: Exact) -> Answer:
+    """The answer with its errors, and with the effectivity of its bound (collective).
+
+    Raises:
+        InputError: If the exact solution is not a number somewhere.
+    """
+    eps = answer.record["eps"]
+    record: dict[str, Any] = {**answer.record, "errors": exact.errors(answer.u, answer.pressure, eps)}
+    if answer.bound is not None and record["errors"]["energy"] > 0:
+        record["bound"] = {**record["bound"], "effectivity": answer.bound.total / record["errors"]["energy"]}
+    error = fem.Function(answer.level.V)
+    error.x.array[:] = answer.u.x.array - exact.nodal(eps)
+    return replace(answer, record=record, error=error)
 
 
 def close(benches: Sequence[Workbench]) -> None:

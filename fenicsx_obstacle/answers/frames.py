@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 
 from fenicsx_obstacle.answers.course import Course, Frame, from_csv, from_groups, to_arrays, to_csv
-from fenicsx_obstacle.answers.paraview import FRAMES, to_hdf5, xdmf
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.paraview import FRAMES, to_hdf5, xdmf
 
 
 def files_of(course: Course, mesh: Mapping[str, np.ndarray]) -> dict[str, bytes]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
@@ -51,7 +51,7 @@ def iterates(scene: Scene, level: Level) -> list[Iterate]:
 
     def watch(problem: Problem, step: Step, active: np.ndarray) -> None:
         contact = in_q(problem.level, (active != 0).astype(float))
-        shown = Answer(scene, problem.level, problem.heights(), contact, contact, None, None, None, (), {})
+        shown = Answer(problem.level, problem.heights(), contact, contact, None, None, (), {}, scene=scene)
         arrays = gather(shown)
         dofs = problem.level.dofs
         before = found[-1] if found and found[-1].dofs == dofs else None

@@ -16,12 +16,12 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.course import Course, Frame, Row
-from fenicsx_obstacle.answers.folder import fields_of
-from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.io.folder import fields_of
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.problems.state import State
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.steps import Steps
 from fenicsx_obstacle.words import one_line

@@ -24,7 +24,7 @@ def check_admissible(data: Data) -> None:
     dofs, values = data.fixed
     holds = any(effect.holds or effect.gives_way for effect in data.model.effects)
     if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
-        raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: add a [[boundary]] with a value")
+        raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: hold u on a part of the boundary")
     _check_parts(data)
     heights = [f.x.array for f in (data.lower, data.upper) if f is not None] + [values.x.array[dofs]]
     if data.thin:
@@ -33,7 +33,7 @@ def check_admissible(data: Data) -> None:
     tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
     if data.lower is not None and data.upper is not None:
         crossing = data.lower.x.array - data.upper.x.array
-        _refuse_gap(data, crossing, tolerance, f"{source}: [obstacle] lower is above upper")
+        _refuse_gap(data, crossing, tolerance, f"{source}: lower is above upper")
     for obstacle, sign, word in ((data.lower, 1, "lower"), (data.upper, -1, "upper")):
         if obstacle is None:
             continue

@@ -136,15 +136,15 @@ def _refuse(
         side = "lower" if up[one] else "upper"
         raise InputError(
             f"{source}{where}, and the load, {net[one] + 0.0:.3g} in all, does not press against the {side} obstacle: "
-            "no u is in balance; add a [[boundary]] with a value"
+            "no u is in balance; hold u on a part of the boundary"
         )
     if any(effect.holds or effect.gives_way for effect in problem.model.effects):
         raise InputError(
             f"{source}{where}, and what holds it, {max(held[one], 0.0):.3g} in all per unit of u, is below the "
-            "round-off of the stiffness: round-off would decide u; add a [[boundary]] with a value, or a stiffer "
+            "round-off of the stiffness: round-off would decide u; hold u on a part of the boundary, or a stiffer "
             "support"
         )
-    raise InputError(f"{source}{where}, and no obstacle holds it: add a [[boundary]] with a value")
+    raise InputError(f"{source}{where}, and no obstacle holds it: hold u on a part of the boundary")
 
 
 def _forces(problem: Problem, heights: np.ndarray | float) -> np.ndarray:

@@ -64,7 +64,9 @@ class Forms:
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self.impulse: np.ndarray | None = None
         self._a_minus_f = self._terms(self.w + self.reference)
-        self._stiffness = releases.form(ufl.derivative(self._a_minus_f, self.w))
+        given = [effect.derivative(self.w + self.reference, self.v, data) for effect in effects]
+        self._slope = sum(form for form in given if form is not None) or ufl.derivative(self._a_minus_f, self.w)
+        self._stiffness = releases.form(self._slope)
         dofs, values = data.fixed
         self.fixed = dofs[dofs < data.level.owned]
         self._bc = fem.dirichletbc(values, dofs)
@@ -172,7 +174,7 @@ class Forms:
             else:
                 form = penalty(self.w, self.v, rule=self.rule, measure=self.measure, **gaps)
             if name == "jacobian":
-                form = ufl.derivative(self._a_minus_f + form, self.w)
+                form = self._slope + ufl.derivative(form, self.w)
             self._made[name] = releases.form(form)
         return self._made[name]
 
@@ -222,7 +224,7 @@ class Nodal(Forms):
     @cached_property
     def _stiffness_moves(self) -> bool:
         """Whether anything in it depends on time."""
-        form = expand_derivatives(ufl.derivative(self._a_minus_f, self.w))
+        form = expand_derivatives(self._slope)
         return bool({*form.coefficients(), *form.constants()} & set(self.data.moving))
 
     def _lump(self, D: np.ndarray) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 
 
 def corners(mesh: dmesh.Mesh, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -20,6 +21,25 @@ def volumes(corners: np.ndarray) -> np.ndarray:
     edges = corners[:, 1:] - corners[:, :1]
     gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
     return np.sqrt(np.maximum(gram, 0.0)) / factorial(corners.shape[1] - 1)
+
+
+def corner_simplices(corners: np.ndarray, dim: int) -> np.ndarray:
+    """Of quadrilaterals or hexahedra the simplices that each vertex spans with its neighbours, all turned alike.
+
+    Args:
+        corners: Vertices in DOLFINx's order, shape (cells, 2^dim, 3).
+        dim: Dimension.
+
+    Returns:
+        Shape (cells, 2^dim, dim + 1, 3).
+    """
+    found = []
+    for vertex in range(2**dim):
+        beside = [vertex ^ (1 << axis) for axis in range(dim)]
+        if vertex.bit_count() % 2:
+            beside[:2] = beside[1::-1]
+        found.append([vertex, *beside])
+    return corners[:, found]
 
 
 def duals(corners: np.ndarray) -> np.ndarray:
@@ -38,7 +58,8 @@ def cell_facets(mesh: dmesh.Mesh) -> np.ndarray:
     """Facets of each local cell, shape (cells, facets)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim, dim - 1)
-    return mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)
+    count = dim + 1 if releases.cell_name(mesh) in SIMPLICES else 2 * dim
+    return mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, count)
 
 
 def facet_vertices(dim: int) -> list[list[int]]:

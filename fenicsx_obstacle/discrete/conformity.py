@@ -12,10 +12,18 @@ import numpy as np
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices, own_cells
+from fenicsx_obstacle.discrete.cells import (
+    barycentric,
+    cell_facets,
+    corner_simplices,
+    corners,
+    facet_vertices,
+    own_cells,
+)
 from fenicsx_obstacle.discrete.components import Components, components
 from fenicsx_obstacle.discrete.soundness import FLAT, place, sizes
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import TENSORS
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.words import counted
 
@@ -24,11 +32,17 @@ NEAR, FEW_DIGITS, LARGEST = 1e-5, 1e-6, 1e-2
 OVERLAP = 1e-3  # of a facet's width
 INSIDE = 1e-4  # barycentric coordinate of a point that is inside a cell
 _REMEDY = "in Gmsh use BooleanFragments (OpenCASCADE) or Coherence"
-_CELLS = {1: "an interval", 2: "a triangle", 3: "a tetrahedron"}
+_CELLS = {
+    (2, 1): "an interval",
+    (3, 2): "a triangle",
+    (4, 3): "a tetrahedron",
+    (4, 2): "a quadrilateral",
+    (8, 3): "a hexahedron",
+}  # by vertices and dimension
 
 
 def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
-    """Reject a mesh of simplices that is no domain (collective).
+    """Reject a mesh that is no domain (collective).
 
     Args:
         mesh: From a file, or the caller's own.
@@ -38,11 +52,18 @@ def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
         What the user should know.
 
     Raises:
-        InputError: If a cell has no volume, cells overlap, or parts touch without shared nodes; naming a place.
+        InputError: If a cell is curved or has no volume, cells of simplices overlap, or parts of these touch without
+            shared nodes; naming a place.
     """
+    if (degree := releases.geometry_degree(mesh)) > 1:
+        raise InputError(
+            f"{source}: the mesh has curved cells, of degree {degree}: make one with straight cells, of degree 1"
+        )
     wrong = _wrong_cell(mesh)
     if wrong is not None:
         raise InputError(f"{source}: {wrong}")
+    if releases.cell_name(mesh) in TENSORS:
+        return ()
     try:
         return tuple(_check_contact(mesh, components(mesh)))
     except InputError as error:
@@ -53,11 +74,20 @@ def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
     """What is wrong with the cells of a mesh, with a place: one without volume, or three at a facet (collective)."""
     dim, own = mesh.topology.dim, slice(own_cells(mesh))
     vertices = corners(mesh, own)
-    flat = np.flatnonzero(~(sizes(vertices) > FLAT))
+    if releases.cell_name(mesh) in TENSORS:
+        parts = corner_simplices(vertices, dim)
+        sound = (sizes(parts.reshape(-1, dim + 1, 3)) > FLAT).reshape(parts.shape[:2]).all(axis=1)
+        if dim == mesh.geometry.dim:
+            sides = np.sign(np.linalg.det((parts[:, :, 1:] - parts[:, :, :1])[..., :dim]))
+            sound &= np.abs(sides.sum(axis=1)) == sides.shape[1]
+        flat = np.flatnonzero(~sound)
+    else:
+        flat = np.flatnonzero(~(sizes(vertices) > FLAT))
     mine = None
     if len(flat):
         word = {1: "length", 2: "area", 3: "volume"}[dim]
-        mine = f"{_CELLS[dim]} at {place(vertices[flat[0]].mean(axis=0))} has no {word}"
+        wrong = f"has no {word}" if vertices.shape[1] == dim + 1 else f"has no {word} at a corner, or is not convex"
+        mine = f"{_CELLS[vertices.shape[1], dim]} at {place(vertices[flat[0]].mean(axis=0))} {wrong}"
     elif dim == mesh.geometry.dim:
         beside = np.diff(mesh.topology.connectivity(dim - 1, dim).offsets)
         if beside.max(initial=0) > 2:

@@ -59,7 +59,15 @@ class Data:
         givers: Where each boundary value stands, and the dofs that have it.
     """
 
-    def __init__(self, model: Model, level: Level, moment: Moment | None = None, bcs: Sequence[Any] = ()):
+    def __init__(
+        self,
+        model: Model,
+        level: Level,
+        moment: Moment | None = None,
+        bcs: Sequence[Any] = (),
+        *,
+        live: bool = False,
+    ):
         """Sample nothing yet.
 
         Args:
@@ -67,6 +75,7 @@ class Data:
             level: Mesh and V.
             moment: Of another level of the same mesh; by default the start of the model's time.
             bcs: Dirichlet conditions of V besides those of the model's boundary.
+            live: Whether `renew` is to take data anew that the caller has changed.
         """
         self.model, self.level = model, level
         if model.time is not None and moment is None:
@@ -76,7 +85,7 @@ class Data:
         self.moment, self.thin = moment, model.thin
         self.moving: dict[Cellwise, Callable[[], Cellwise]] = {}
         self.givers: list[tuple[str, np.ndarray]] = []
-        self._bcs = bcs
+        self._bcs, self._live = bcs, live
         self._here: dict[Field, Field] = {}
         # one datum may be given for several purposes, with other bounds in each
         self._cellwise: dict[tuple[Field, bool, float | None], Cellwise] = {}
@@ -112,7 +121,7 @@ class Data:
     def follow(self, fields: Iterable[Field], sample: Callable[[], Sampled]) -> Sampled:
         """What is sampled of some data; if they depend on time it is renewed whenever time goes on (collective)."""
         made = sample()
-        if any(field.moves for field in fields):
+        if self._live or any(field.moves for field in fields):
             self.moving[made] = sample
         return made
 
@@ -125,17 +134,29 @@ class Data:
         Raises:
             InputError: If it is not finite somewhere, or out of bounds.
         """
+        self._sample_again()
+        for rows in self._definite:
+            if any(entry.moves for row in rows for entry in row):
+                self._check_definite(rows)
+        assert self.model.time is not None
+        return self.model.time.order > 0 and self.motion.follow()
+
+    def renew(self) -> None:
+        """Sample data anew that the caller may have changed (collective).
+
+        Raises:
+            InputError: If they are not finite somewhere.
+        """
+        self._here.clear()  # values of Constants, and what was interpolated from another mesh
+        self._sample_again()
+
+    def _sample_again(self) -> None:
         for made, sample in self.moving.items():
             fresh = sample()  # has to live as long as its values are read
             if isinstance(made, fem.Constant):
                 made.value = fresh.value
             else:
                 made.x.array[:] = fresh.x.array
-        for rows in self._definite:
-            if any(entry.moves for row in rows for entry in row):
-                self._check_definite(rows)
-        assert self.model.time is not None
-        return self.model.time.order > 0 and self.motion.follow()
 
     # fields in cells and at nodes
 

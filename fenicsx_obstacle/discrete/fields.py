@@ -140,9 +140,8 @@ class _Bounds:
     def finite(self) -> np.ndarray:
         return np.isfinite(self.lower) & np.isfinite(self.upper)
 
-    @property
-    def derivatives(self) -> tuple[np.ndarray, ...]:
-        return (np.full(len(self.degree), np.inf),)
+    def derivative(self, k: int) -> np.ndarray:
+        return np.full(len(self.degree), np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +157,9 @@ class _Piecewise:
         every = np.arange(len(self.cells))
         low, high = polynomials.bounds(self.values(self.degree, every), self.corners.shape[1], self.degree)
         return _Bounds(low, high, np.full(len(every), self.degree))
+
+    def some(self, cells: np.ndarray) -> _Piecewise:
+        return _Piecewise(self.function, self.degree, self.corners[cells], self.cells[cells])
 
     def truth(self) -> Truth:
         bounds = self.once()
@@ -207,10 +209,17 @@ class OfFunction(Field):
     def on(self, level: Level) -> Field:
         if self._mesh.ufl_domain() == level.mesh.ufl_domain():
             return self
-        V = level.V if _continuous(self.function.function_space) else level.W
+        own = self.function.function_space
+        V = level.V if _continuous(own) else level.W
         taken = fem.Function(V, name=self.function.name)
         taken.x.array[:] = self._elsewhere(level, level.points_of(V))
-        return OfFunction(taken, self.source, interpolated=True)
+        # a polynomial in each cell of a mesh is one in each cell of its refinements
+        nested = level.shape is None and any(one.mesh.ufl_domain() == self._mesh.ufl_domain() for one in level.downward)
+        # in W, whose points are moved into the cells, constants alone stay what they are
+        most = releases.polynomial_degree(V) if V is level.V else 0
+        degree = releases.polynomial_degree(own)
+        same = nested and degree is not None and most is not None and degree <= most
+        return OfFunction(taken, self.source, interpolated=self._interpolated or not same)
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         if cells is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from math import factorial
+from math import comb, factorial
 
 import numpy as np
 from dolfinx import fem
@@ -14,12 +14,12 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, parents
-from fenicsx_obstacle.discrete.cells import corners, volumes
+from fenicsx_obstacle.discrete.cells import corner_simplices, corners, volumes
 from fenicsx_obstacle.discrete.components import components
 from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair
+from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.parallel import largest
 
 INWARD = 1e-6  # of the way to the middle of the cell
@@ -195,19 +195,37 @@ def of_pair(level: Level, pair: Pair) -> Level:
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
 
-def of_space(V: fem.FunctionSpace) -> Level:
-    """The level of a P1 space of the caller's own (collective).
+def of_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray] | None = None) -> Level:
+    """The level of a space of the caller's own (collective).
+
+    Args:
+        V: Continuous Lagrange elements of degree 1 or 2.
+        source: What messages call its user.
+        facets: Local facets of each named part.
 
     Raises:
-        InputError: If it is another space.
+        InputError: If it is another space, or the mesh is no domain.
     """
-    layout = V.dofmap.dof_layout
-    at_vertices = len(layout.entity_dofs(0, 0)) == 1 and layout.num_dofs == releases.geometry_dofs(V.mesh).shape[1]
-    if not at_vertices or V.dofmap.index_map_bs != 1:
-        raise InputError(f"solve_form: u must be a continuous P1 Function of one component, not of {V.ufl_element()}")
-    level = of_mesh(releases.settle(V.mesh), "solve_form")
+    cell = releases.cell_name(V.mesh)
+    layout, dim = V.dofmap.dof_layout, V.mesh.topology.dim
+    sizes = {comb(dim + k, k) if cell in SIMPLICES else (k + 1) ** dim: k for k in (1, 2)}  # dofs of a cell
+    degree = sizes.get(layout.num_dofs)
+    if degree is None or len(layout.entity_dofs(0, 0)) != 1 or V.dofmap.index_map_bs != 1:
+        raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 and one component, not "
+                         f"of {V.ufl_element()}")  # fmt: skip
+    pair = _nodal_pair(cell, degree)
+    if pair is None:
+        raise InputError(f"{source}: no rule at the nodes of degree {degree} on a {cell} has positive weights (3.6): "
+                         "take degree 1, or cells with another shape")  # fmt: skip
+    level = of_pair(of_mesh(releases.settle(V.mesh), source, facets), pair)
     level.__dict__["V"] = V  # in place of one made on first use
     return level
+
+
+def _nodal_pair(cell: str, degree: int) -> Pair | None:
+    """The first pair of a degree on cells whose points are nodes and whose weights are those of its rule."""
+    found = (pair for pair in pairs().values() if cell in pair.rules and pair.degree == degree)
+    return next((pair for pair in found if pair.nodal and not pair.own_weights), None)
 
 
 def refined(level: Level) -> Level:
@@ -248,21 +266,23 @@ def of_mesh(
     """A mesh that is not one of our shapes: h from the volumes of its cells (collective).
 
     Args:
-        mesh: Of intervals, triangles or tetrahedra.
+        mesh: Of cells of one kind.
         source: Where it comes from, for messages.
         facets: Local facets of each named part.
         groups: Owned cells of each named material.
 
     Raises:
-        InputError: If it has other cells, or its cells do not fit together.
+        InputError: If its cells do not fit together.
     """
-    cell = releases.cell_name(mesh)
-    if cell not in SIMPLICES:
-        raise InputError(f"the mesh has {cell} cells; only shapes have others than intervals, triangles and tetrahedra")
     return Level(mesh, _largest_side(mesh), facets, groups, remarks=check_mesh(mesh, source))
 
 
 def _largest_side(mesh: dmesh.Mesh) -> float:
-    """The largest sqrt(2|T|) or (6|T|)^(1/3): the side of the grid, were this one (collective)."""
-    dim = mesh.topology.dim
-    return largest(mesh.comm, (factorial(dim) * volumes(corners(mesh))) ** (1 / dim))
+    """The largest sqrt(2|T|) or (6|T|)^(1/3), of other cells than simplices |T|^(1/dim): the side of the grid, were
+    this one (collective)."""
+    dim, vertices = mesh.topology.dim, corners(mesh)
+    if releases.cell_name(mesh) in SIMPLICES:
+        return largest(mesh.comm, (factorial(dim) * volumes(vertices)) ** (1 / dim))
+    parts = corner_simplices(vertices, dim)
+    sizes = volumes(parts.reshape(-1, dim + 1, 3)).reshape(parts.shape[:2]).mean(axis=1)
+    return largest(mesh.comm, (factorial(dim) * sizes) ** (1 / dim))

@@ -66,7 +66,7 @@ class Model:
         if (count := sum(effect.elastic for effect in self.effects)) != 1:
             raise InputError(f"{self.source}: one effect must give a(u, v) its stiffness, such as tension; {count} do")
         if self.thin and (self.lower is not None or self.upper is not None):
-            raise InputError(f"{self.source}: [obstacle] and obstacles in [[boundary]]: one or the other, not both")
+            raise InputError(f"{self.source}: obstacles in the domain and on its boundary: one or the other, not both")
 
     def acts(self, number: int) -> list[str]:
         """Keys of the effects that act on a part of the boundary, counted from 0."""

@@ -63,7 +63,7 @@ class Parts:
             InputError: If there are too many.
         """
         if len(parts) > MOST:
-            raise InputError(f"[[boundary]] gives more than {MOST} values; join parts that have the same")
+            raise InputError(f"more than {MOST} data on parts of the boundary; join parts that have the same")
         self.level, mesh = level, level.mesh
         self.weight = ufl.SpatialCoordinate(mesh)[0] if radial else None
         dim = mesh.topology.dim - 1

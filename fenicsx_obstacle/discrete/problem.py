@@ -50,10 +50,12 @@ class Problem:
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
+        prefix: Of its PETSc options; where it is empty, that of the solver.
     """
 
-    def __init__(self, data: Data):
+    def __init__(self, data: Data, prefix: str = ""):
         """Assemble what stays."""
+        self.prefix = prefix
         self.data, self.model, self.level = data, data.model, data.level
         model, level = self.model, self.level
         check_admissible(data)
@@ -83,6 +85,10 @@ class Problem:
         self._start, self.floating = check_support(self)
         self.refer(self.cold_start())
 
+    def options_of(self, solver: str) -> str:
+        """The prefix of the PETSc options of a solver."""
+        return self.prefix or f"{solver}_"
+
     def cold_start(self) -> np.ndarray:
         """Heights, ghosts included: the boundary values, and inside their mean, or the obstacle it would cross.
 
@@ -105,7 +111,27 @@ class Problem:
         Raises:
             InputError: If no u can satisfy the data.
         """
-        changed = self.forms.renew(self.A, stiffness=self.data.move())
+        changed = self._take_data(stiffness=self.data.move())
+        self.refer(heights)
+        self.load = forces_at_work(self, self.load)
+        return changed
+
+    def renew(self, *, stiffness: bool) -> None:
+        """Take data that the caller has changed; the state is that of a cold start then.
+
+        Args:
+            stiffness: Whether a(., .) is among it.
+
+        Raises:
+            InputError: If no u can satisfy the data.
+        """
+        self.data.renew()
+        self._take_data(stiffness=stiffness)
+        self.refer(self.cold_start())
+
+    def _take_data(self, *, stiffness: bool) -> bool:
+        """What is assembled of data that have changed; whether the stiffness has."""
+        changed = self.forms.renew(self.A, stiffness=stiffness)
         if self.data.moving:
             check_admissible(self.data)
         if changed:
@@ -113,8 +139,6 @@ class Problem:
         self.load = self._load_sum()
         check_limit_load(self)
         self._start, self.floating = check_support(self)
-        self.refer(heights)
-        self.load = forces_at_work(self, self.load)
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:

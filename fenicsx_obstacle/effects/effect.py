@@ -235,6 +235,10 @@ class Effect:
         """Its part of the residual a(u, v) - f(v), as far as it is a form."""
         return None
 
+    def derivative(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
+        """The derivative of `terms` with respect to u, a bilinear form, where it is not UFL's own."""
+        return None
+
     def heights(self, data: Sampler) -> list[Any]:
         """Local nodal values of u at which its part of a(u, v) is zero, where that is not so for all constants."""
         return [0.0] if self.holds else []

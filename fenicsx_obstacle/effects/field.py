@@ -30,8 +30,6 @@ class Bounds(Protocol):
         whole: Whether no condition cuts a simplex.
         defined: Whether it has a value all over it.
         finite: Whether the bounds are.
-        derivatives: Bounds of its derivatives in any direction, of each order k = 1 .. divided by k!; where it is not
-            `whole` the first alone holds, on both sides of what may be a kink or a jump.
     """
 
     @property
@@ -46,8 +44,10 @@ class Bounds(Protocol):
     def defined(self) -> np.ndarray: ...
     @property
     def finite(self) -> np.ndarray: ...
-    @property
-    def derivatives(self) -> tuple[np.ndarray, ...]: ...
+
+    def derivative(self, k: int) -> np.ndarray:
+        """A bound of its derivative of order k = 1 .. 5 in any direction, divided by k!; where it is not `whole` the
+        first alone holds, on both sides of what may be a kink or a jump."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,9 @@ class Enclosed(Protocol):
 
     def once(self) -> Bounds:
         """Bounds over each simplex."""
+
+    def some(self, cells: np.ndarray) -> Enclosed:
+        """The same on some of the simplices."""
 
     def truth(self) -> Truth:
         """What it may be as a condition: true where it is not 0."""

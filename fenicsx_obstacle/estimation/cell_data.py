@@ -19,7 +19,7 @@ from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, 
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.triangles import Triangles
-from fenicsx_obstacle.parallel import smallest
+from fenicsx_obstacle.parallel import largest, smallest
 
 TENSION = Division(6)
 # by the degree of the elements; the mean of the rest counts with Friedrichs' constant, not with h
@@ -139,7 +139,10 @@ class Load:
         if value.uniform:
             self.moments = solver
             return
-        self.pieces = in_cells(triangles, value, LOAD[data.level.pair.degree])
+        comm = data.level.comm
+        sides = [largest(comm, triangles.x[..., k]) - smallest(comm, triangles.x[..., k]) for k in range(2)]
+        division = replace(LOAD[data.level.pair.degree], length=min(sides) / np.pi)  # about Friedrichs' constant
+        self.pieces = in_cells(triangles, value, division)
         self._integrate(self.pieces)
         self.missing = self.moments - solver
 
@@ -214,8 +217,8 @@ class Tension:
             useless = ~((group.lower > 0) & np.isfinite(group.upper))
             lower, upper = (np.where(useless, middle, bound) for bound in (group.lower, group.upper))
             rest = np.where(useless, 0.0, group.rest)
-            np.minimum.at(self.least, group.rows, lower)
-            np.maximum.at(self.most, group.rows, upper)
+            group.lower_to(self.least, lower)
+            group.raise_to(self.most, upper)
             _add(mean, group.rows, group.share * group.coefficients.mean(axis=1))
             _add(spread, group.rows, group.share * rest)
             varies = (group.degree > 0) | (rest > 0) | (group.corners is not None)

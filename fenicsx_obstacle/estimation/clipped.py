@@ -75,9 +75,8 @@ class _ClippedBounds:
     def finite(self) -> np.ndarray:
         return np.isfinite(self.lower) & np.isfinite(self.upper)
 
-    @property
-    def derivatives(self) -> tuple[np.ndarray, ...]:
-        return tuple(np.where(self.beyond, 0.0, bound) for bound in self.known.derivatives)
+    def derivative(self, k: int) -> np.ndarray:
+        return np.where(self.beyond, 0.0, self.known.derivative(k))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +97,9 @@ class _ClippedCells:
             np.where(beyond, 0, np.where(cut, NO_POLYNOMIAL, bounds.degree)), beyond | (bounds.whole & ~cut),
             bounds.defined, beyond, bounds,
         )  # fmt: skip
+
+    def some(self, cells: np.ndarray) -> _ClippedCells:
+        return _ClippedCells(self.known.some(cells), self.by, self.corners[cells])
 
     def truth(self) -> Truth:
         """Nothing is known of it: an obstacle is no condition."""

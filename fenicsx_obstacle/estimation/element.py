@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import Tension, in_cells, load_of, obstacles_of, other_effects
+from fenicsx_obstacle.estimation.cell_data import Tension, load_of, obstacles_of, other_effects
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.held_boundary import held_boundary
 from fenicsx_obstacle.estimation.oscillation import Oscillation
-from fenicsx_obstacle.estimation.pieces import Division
+from fenicsx_obstacle.estimation.pieces import Range, range_of
 from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.standing import Obstacle
 from fenicsx_obstacle.parallel import largest, smallest
@@ -93,7 +93,13 @@ class Element(ABC):
         load, degree = load_of(self.triangles.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.triangles, equilibration.load, load, degree)
         self.held = held_boundary(self.triangles, equilibration.fans.held)
+        self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.triangles.data)}
         self.reach = self._reach()
+
+    def _range(self, obstacle: Field) -> Range:
+        """Bounds of an obstacle in the cells."""
+        triangles = self.triangles
+        return range_of(triangles.data, obstacle, triangles.x, np.arange(len(triangles.area)))
 
     def _reach(self) -> tuple[float, float]:
         """Bounds of the solution by comparison (collective).
@@ -104,9 +110,9 @@ class Element(ABC):
         a(z, z) = a(m - w - u, z) <= -(f^- + f, z) <= 0. Nor does it matter for u, if the lower obstacle is replaced by
         its maximum with such a bound: u satisfies that constraint too, and the inequality for fewer functions.
         """
-        triangles, data = self.triangles, self.triangles.data
+        data = self.triangles.data
         comm, pieces, load = data.level.comm, self.equilibration.load.pieces, load_of(data)
-        limits, sides = {1.0: -np.inf, -1.0: np.inf}, dict(obstacles_of(data))
+        limits = {1.0: -np.inf, -1.0: np.inf}
         if other_effects(data):
             return limits[1], limits[-1]
         if load is None:
@@ -119,10 +125,10 @@ class Element(ABC):
         up, down = (self.held.reach(max(force, 0.0), least_tension) for force in (push, -pull))
         top = max(self.rim.most, -np.inf if data.lower is None else largest(comm, data.lower.x.array))
         bottom = min(self.rim.least, np.inf if data.upper is None else smallest(comm, data.upper.x.array))
-        for sign in sides:
+        for sign in self._ranges:
             given, way = (self.rim.least, down) if sign > 0 else (self.rim.most, up)
-            if -sign in sides:
-                other = in_cells(triangles, sides[-sign], Division(0))
+            if -sign in self._ranges:
+                other = self._ranges[-sign]
                 given = min(given, smallest(comm, other.lower)) if sign > 0 else max(given, largest(comm, other.upper))
             if np.isfinite(given) and np.isfinite(way):
                 # a little farther, so that u does not touch there
@@ -130,12 +136,16 @@ class Element(ABC):
         return limits[1], limits[-1]
 
     @property
-    def given_obstacles(self) -> list[tuple[float, Field]]:
-        """The obstacles as `obstacles_of` has them, cut off beyond the reach of u."""
-        found = []
+    def given_obstacles(self) -> list[tuple[float, Field, Range]]:
+        """The obstacles as `obstacles_of` has them, cut off beyond the reach of u, and their bounds in the cells."""
+        found: list[tuple[float, Field, Range]] = []
         for sign, obstacle in obstacles_of(self.triangles.data):
-            limit = self.reach[0] if sign > 0 else self.reach[1]
-            found.append((sign, Clipped(obstacle, sign, limit) if np.isfinite(limit) else obstacle))
+            limit, known = self.reach[0] if sign > 0 else self.reach[1], self._ranges[sign]
+            if np.isfinite(limit):
+                cut = Clipped(obstacle, sign, limit)
+                found.append((sign, cut, Range(cut.clip(known.lower), cut.clip(known.upper), known.sampled)))
+            else:
+                found.append((sign, obstacle, known))
         return found
 
     @abstractmethod

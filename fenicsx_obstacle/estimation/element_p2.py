@@ -21,7 +21,7 @@ from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
-from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
+from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
@@ -101,12 +101,22 @@ class LatticeObstacle:
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, triangles: Triangles, fans: Fans, sign: float, field: Field):
-        """Enclose it in the cells (collective)."""
+    def __init__(self, triangles: Triangles, fans: Fans, sign: float, field: Field, known: Range):
+        """Keep what is known of it (collective).
+
+        Args:
+            triangles: The cells.
+            fans: The cells around the vertices.
+            sign: See the attributes.
+            field: The obstacle.
+            known: Bounds of it in the cells.
+        """
         self.triangles, self._fans, self.sign, self._field = triangles, fans, sign, field
-        self._pieces = in_cells(triangles, field, AS_THEY_ARE)
-        self.unbounded = ~np.isfinite(self._pieces.upper if sign > 0 else self._pieces.lower)
-        self._of_samples = total(triangles.data.level.comm, int(self._pieces.sampled)) > 0
+        self._top = known.upper if sign > 0 else -known.lower
+        self._pieces: list[tuple[np.ndarray, Pieces]] = []  # in the cells where u came near
+        self._enclosed = np.zeros(len(self._top), dtype=bool)
+        self.unbounded = ~np.isfinite(self._top)
+        self._of_samples = total(triangles.data.level.comm, int(known.sampled)) > 0
         self.sampled = self._of_samples
 
     def nodal(self, data: Data) -> np.ndarray:
@@ -159,12 +169,19 @@ class LatticeObstacle:
         return self._fans.largest(self._fans.gather(np.repeat(heights[:, None], 3, axis=1))[0])
 
     def _may_touch(self, u: np.ndarray, rim: Rim) -> np.ndarray:
-        """Whether the obstacle may be above u in each cell."""
+        """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
+        middles = 2 * u[:, 3:] - (u[:, :3].sum(axis=1, keepdims=True) - u[:, :3]) / 2
+        lowest = (self.sign * np.hstack([u[:, :3], middles])).min(axis=1, initial=np.inf)  # of Bernstein coefficients
+        new = np.flatnonzero((self._top + rim.dip >= lowest) & ~self._enclosed)
+        self._pieces.append((new, in_cells(self.triangles, self._field, AS_THEY_ARE, new)))
+        self._enclosed[new] = True
         found = np.zeros(len(u), dtype=bool)
-        for group in self._pieces.groups:
-            degree, coefficient, room = self._difference(group, u[group.rows])
-            touches = largest(coefficient, 3, degree) + group.rest + rim.dip[group.rows] > room
-            np.logical_or.at(found, group.rows, touches)
+        for cells, pieces in self._pieces:
+            for group in pieces.groups:
+                rows = cells[group.rows]
+                degree, coefficient, room = self._difference(group, u[rows])
+                touches = largest(coefficient, 3, degree) + group.rest + rim.dip[rows] > room
+                np.logical_or.at(found, rows, touches)
         return found
 
     def _difference(self, group: Group, u: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Obstacles between the nodes.
 
 The highest point of an obstacle above its nodal interpolant is added at the nodes around. Bernstein coefficients of the
-polynomials that stand for it bound that height; where it is rough cells are divided for this, if u may touch it there.
+polynomials that stand for it bound that height; where it is rough cells are divided for this. All this is done where u
+may touch it; elsewhere its bounds are enough.
 """
 
 from __future__ import annotations
@@ -13,14 +14,15 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.fans import Fans
-from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, pieces_of
+from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.triangles import Triangles, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
 
 AS_THEY_ARE = Division(0, degree=2)
-NEAR = Division(4, 2e-3, 1e-3, 2)  # where u may touch; what counts is the distance to the nodal interpolant
+# where u may touch; what counts is the distance to the nodal interpolant
+SHARPER = (AS_THEY_ARE, Division(4, 2e-3, 1e-3, 2))
 BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state,
 FEW = 20_000  # while there are so few parts: on fine meshes they matter less
 ROUND_OFF = 1e-14  # of the heights
@@ -41,8 +43,17 @@ class Peaks:
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, sign: float, field: Field):
-        """Enclose it in each cell (collective)."""
+    def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, sign: float, field: Field, known: Range):
+        """Compare it with its interpolant (collective).
+
+        Args:
+            triangles: The cells.
+            fans: The cells around the vertices.
+            rim: Boundary values between the nodes.
+            sign: See the attributes.
+            field: The obstacle.
+            known: Bounds of it in the cells.
+        """
         data = triangles.data
         self.triangles, self.fans, self.rim, self.sign, self._field = triangles, fans, rim, sign, field
         nodal = data.lower if sign > 0 else data.upper
@@ -51,18 +62,16 @@ class Peaks:
         comm, cells = data.level.comm, len(triangles.area)
         self._heights = largest(comm, np.abs(self.nodal))
         self._flat = self._field.uniform
-        self.mean, self._height = np.zeros(cells), np.zeros(cells)
-        self._top = self.nodal[triangles.dofs].max(axis=1, initial=-np.inf)
-        self.unbounded, self._rough = np.zeros(cells, dtype=bool), np.zeros(cells, dtype=bool)
+        nodal_there = self.nodal[triangles.dofs]
+        low, high = polynomials.row_min(nodal_there), polynomials.row_max(nodal_there)
+        bottom, top = (known.lower, known.upper.copy()) if sign > 0 else (-known.upper, -known.lower)
+        self._top = top
+        self.unbounded = ~np.isfinite(self._top)
+        self.mean, self._height = np.maximum(bottom - high, LOWEST), np.maximum(self._top - low, 0.0)
+        # how many of SHARPER are done in each cell
+        self._done = np.full(cells, len(SHARPER) if self._flat else 0)
         self.cover_energy, self.cover_volume = np.zeros(cells), np.zeros(cells)
-        self.sampled = self._of_samples = False
-        if self._flat:
-            return
-        pieces = in_cells(triangles, field, AS_THEY_ARE)
-        self.unbounded = ~np.isfinite(pieces.upper if sign > 0 else pieces.lower)
-        self._rough[:] = True
-        self._take(np.arange(cells), pieces, sharp=False)
-        self.sampled = self._of_samples = total(comm, int(pieces.sampled)) > 0
+        self.sampled = self._of_samples = total(comm, int(known.sampled)) > 0
 
     def _take(self, cells: np.ndarray, pieces: Pieces, *, sharp: bool) -> None:
         """Heights, sharp or rough ones, and means in some cells; above the interpolant, and in all."""
@@ -71,21 +80,22 @@ class Peaks:
         for group in pieces.groups:
             coefficient, room = self._above(group, nodal)
             known = np.isfinite(group.rest)
-            highest_there = coefficient.max(axis=1, initial=-np.inf)
+            highest_there = polynomials.row_max(coefficient)
             if sharp:
                 highest_there = polynomials.largest(coefficient, 3, max(group.degree, 1))
             top = highest_there + np.where(known, group.rest, 0.0)
             side = group.upper if self.sign > 0 else -group.lower
             top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
-            np.maximum.at(highest, group.rows, np.where(top <= room, 0.0, top + room))
-            np.add.at(mean, group.rows, np.where(known, group.share * (coefficient.mean(axis=1) - group.rest), LOWEST))
+            group.raise_to(highest, np.where(top <= room, 0.0, top + room))
+            share = np.where(known, group.share * (coefficient.mean(axis=1) - group.rest), LOWEST)
+            mean += np.bincount(group.rows, share, len(mean))
         self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
         self._top[cells] = pieces.upper if self.sign > 0 else -pieces.lower
 
     def _above(self, group: Group, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
         degree, coefficient = group.above(linear, self.sign)
-        size = np.maximum(np.abs(group.coefficients).max(axis=1), np.abs(linear[group.rows]).max(axis=1))
+        size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(linear[group.rows]))
         return coefficient, polynomials.round_off(size[:, None], 3, degree) + ROUND_OFF * self._heights
 
     def lift(self, u: np.ndarray) -> np.ndarray:
@@ -103,11 +113,11 @@ class Peaks:
         if self._flat and not self.rim.twice:
             return self.nodal
         dofs = self.triangles.dofs
-        near = _least(u - self.nodal, dofs) <= np.maximum(self._height, ROUND_OFF * self._heights) + self.rim.dip
-        near &= _least(u, dofs) <= self._top + self.rim.dip
-        new = np.flatnonzero(near & self._rough)
-        self._take(new, in_cells(self.triangles, self._field, NEAR, new), sharp=True)
-        self._rough[new] = False
+        for done, division in enumerate(SHARPER):
+            near = self._near(u)
+            new = np.flatnonzero(near & (self._done == done))
+            self._take(new, in_cells(self.triangles, self._field, division, new), sharp=division is SHARPER[-1])
+            self._done[new] = done + 1
         given = np.zeros(len(u), dtype=bool)
         given[self.triangles.data.fixed[0]] = True
         # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
@@ -119,6 +129,12 @@ class Peaks:
         lifted = self.nodal + np.where(given, 0.0, self._at_nodes(needed))
         self._cover(np.where(given, u, np.maximum(u, lifted)), near & (given[dofs].any(axis=1) | (self.rim.dip > 0)))
         return lifted
+
+    def _near(self, u: np.ndarray) -> np.ndarray:
+        """Where u may touch."""
+        dofs = self.triangles.dofs
+        near = _least(u - self.nodal, dofs) <= np.maximum(self._height, ROUND_OFF * self._heights) + self.rim.dip
+        return near & (_least(u, dofs) <= self._top + self.rim.dip)
 
     def _cover(self, state: np.ndarray, beside: np.ndarray) -> None:
         """What is still above the state beside nodes that cannot be raised, because u is given there (collective).

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
 
 NEAR = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
+ENOUGH = 1e-4  # of h/length max|f|: likewise
 APART = 3.0  # so many times further than a condition may change from a line, it is decided
 NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it
 EXACT = 5e-13  # of its size: round-off, which conditions do not see
@@ -43,12 +44,15 @@ class Division:
         rough: How far the datum may be from a polynomial, in parts of its range over a part.
         share: Parts in which a condition changes are not divided if they are smaller, in parts of a simplex.
         degree: Of interpolants: 4, or 2 where what counts is the distance to linear functions.
+        length: Where the mean of what an interpolant lacks counts times a length, beside the size of the datum times
+            that of the parts: this length.
     """
 
     depth: int
     rough: float = 0.1
     share: float = 1e-6
     degree: int = 4
+    length: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +103,20 @@ class Group:
         reference = polynomials.inner_points(corners, degree)
         there = np.matmul(self.points(reference), linear[self.rows][..., None])[..., 0]
         return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
+
+    def lower_to(self, least: np.ndarray, values: np.ndarray) -> None:
+        """Let each simplex have no more than the least of the values on its parts."""
+        if self.corners is None:  # each simplex has one part
+            least[self.rows] = np.minimum(least[self.rows], values)
+        else:
+            np.minimum.at(least, self.rows, values)
+
+    def raise_to(self, most: np.ndarray, values: np.ndarray) -> None:
+        """Let each simplex have no less than the largest of the values on its parts."""
+        if self.corners is None:
+            most[self.rows] = np.maximum(most[self.rows], values)
+        else:
+            np.maximum.at(most, self.rows, values)
 
     def __getitem__(self, chosen: np.ndarray | slice) -> Group:
         """Some of the parts."""
@@ -156,7 +174,7 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
             enclosed = here.over(*where)
             found.sampled |= enclosed is None
             enclosed = enclosed or _Samples(here, *where)
-            known.append(_Near(enclosed, parts[block], division.degree, continuous=datum.continuous))
+            known.append(_Near(enclosed, parts[block], division, continuous=datum.continuous))
         open_ = _together([near.open(division.rough) for near in known])
         found.rough[parts.rows[open_]] = True
         infinite = _together([~near.finite for near in known])
@@ -172,6 +190,46 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
             break
         parts = reduce(Parts.with_, further)
     return found.pieces()
+
+
+@dataclass(frozen=True, eq=False)
+class Range:
+    """What a datum is between on simplices: no polynomials, so that it costs little.
+
+    Attributes:
+        lower: Lower bound over each simplex; infinite where none is known.
+        upper: Upper bound.
+        sampled: Whether all this comes from samples.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    sampled: bool
+
+
+def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Range:
+    """Bounds of a datum (collective where it is the first to need the distance); the arguments are those of
+    `pieces_of`. Simplices without finite bounds are divided."""
+    here, names = data.here(datum), data.names(datum)
+    if datum.uniform:
+        number = np.full(len(cells), here.at(np.zeros((3, 1)), names)[0])
+        return Range(number, number, sampled=False)
+    lower, upper, sampled = np.empty(len(cells)), np.empty(len(cells)), False
+    for block in blocks(len(cells)):
+        where = corners[block], names, cells[block]
+        enclosed = here.over(*where)
+        sampled |= enclosed is None
+        bounds = (enclosed or _Samples(here, *where)).once()
+        lower[block], upper[block] = _defined(bounds)
+    infinite = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper)))
+    divided = pieces_of(data, datum, corners[infinite], cells[infinite], Division(0))
+    lower[infinite], upper[infinite] = divided.lower, divided.upper
+    return Range(lower, upper, sampled)
+
+
+def _defined(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds, infinite where a datum may have no value."""
+    return np.where(bounds.defined, bounds.lower, -np.inf), np.where(bounds.defined, bounds.upper, np.inf)
 
 
 def joined(parts: list[tuple[np.ndarray, Pieces]], count: int) -> Pieces:
@@ -224,8 +282,8 @@ class _Collected:
                 np.concatenate(coefficients), np.concatenate(rest), np.concatenate(low), np.concatenate(high),
                 np.concatenate(steep), smooth,
             )  # fmt: skip
-            np.minimum.at(lower, group.rows, group.lower)
-            np.maximum.at(upper, group.rows, group.upper)
+            group.lower_to(lower, group.lower)
+            group.raise_to(upper, group.upper)
             groups.append(group)
         return Pieces(groups, lower, upper, self.sampled, self.rough)
 
@@ -242,19 +300,19 @@ class _Near:
         steep: As in `Group`.
     """
 
-    def __init__(self, known: Enclosed, parts: Parts, least: int, *, continuous: bool):
+    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool):
         """Look for polynomials.
 
         Args:
             known: The datum.
             parts: Where.
-            least: Degree of interpolants.
+            division: Says which interpolants are good enough.
             continuous: Whether it is, for sure.
         """
         bounds: Bounds = known.once()
         self._known, self._corners = known, parts.x.shape[1]
-        self.lower = np.maximum(np.where(bounds.defined, bounds.lower, -np.inf), parts.least)
-        self.upper = np.minimum(np.where(bounds.defined, bounds.upper, np.inf), parts.most)
+        lower, upper = _defined(bounds)
+        self.lower, self.upper = np.maximum(lower, parts.least), np.minimum(upper, parts.most)
         self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.whole = bounds.whole
         self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
@@ -265,35 +323,56 @@ class _Near:
             rows = np.flatnonzero(exact & (bounds.degree == degree))
             self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
         if (smooth & ~exact).any():
-            self._smooth(smooth & ~exact, bounds, parts.x, least)
+            self._smooth(smooth & ~exact, bounds, parts.x, division)
         others = self.finite & ~exact & (self.upper > self.lower)
         for _, chosen, _ in self._found:
             others[chosen] = False
         cut = np.flatnonzero(others)
-        at_corners, rest, steep = known.linear(cut)
-        near = rest < BETTER * self.rest[cut]
-        self._take(1, cut[near], at_corners[near], rest[near], steep[near])
-        if continuous and not near.all():
-            far = cut[~near]
-            self.steep[far] = bounds.derivatives[0][far]
+        if len(cut):
+            at_corners, rest, steep = known.linear(cut)
+            near = rest < BETTER * self.rest[cut]
+            self._take(1, cut[near], at_corners[near], rest[near], steep[near])
+            if continuous and not near.all():
+                far = cut[~near]
+                self.steep[far] = bounds.derivative(1)[far]
 
     def _half(self) -> np.ndarray:
         return np.where(self.finite, (self.upper - self.lower) / 2, np.inf)
 
-    def _smooth(self, smooth: np.ndarray, bounds: Bounds, x: np.ndarray, least: int) -> None:
+    def _smooth(self, smooth: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
         """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
         edges = [x[:, i] - x[:, j] for i in range(self._corners) for j in range(i)]
         size = np.sqrt(np.max([edge[:, 0] ** 2 + edge[:, 1] ** 2 for edge in edges], axis=0))
         height = size if self._corners == 2 else np.abs(_cross(x)) / size
-        _, second, third, _, fifth = bounds.derivatives
-        good = smooth & (least == 2) & (polynomials.REMAINDER[self._corners][2] * size * third <= NEAR * second)
-        for degree, chosen, derivative in ((2, good, third), (4, smooth & ~good, fifth)):
-            rows = np.flatnonzero(chosen)
-            scale = size[rows] ** (degree + 1) * derivative[rows]
-            better = polynomials.REMAINDER[self._corners][degree] * scale < self.rest[rows]
-            rows, scale = rows[better], scale[better]
-            steep = polynomials.STEEPNESS[self._corners][degree] * scale / height[rows]
-            self._interpolate(degree, rows, polynomials.REMAINDER[self._corners][degree] * scale, steep)
+        good = np.zeros(len(smooth), dtype=bool)
+        if division.degree == 2:
+            second, third = bounds.derivative(2), bounds.derivative(3)
+            largest = np.maximum(np.abs(self.lower), np.abs(self.upper))
+            enough = np.maximum(NEAR * size * second, ENOUGH / division.length * largest)
+            good = smooth & (polynomials.REMAINDER[self._corners][2] * size**2 * third <= enough)
+            rows = np.flatnonzero(good)
+            self._near(2, rows, third[rows], size[rows], height[rows])
+        rows = np.flatnonzero(smooth & ~good)
+        if len(rows):
+            there = self._known.some(rows).once() if good.any() else bounds
+            fifth = there.derivative(5) if good.any() else there.derivative(5)[rows]
+            self._near(4, rows, fifth, size[rows], height[rows])
+
+    def _near(self, degree: int, rows: np.ndarray, bound: np.ndarray, size: np.ndarray, height: np.ndarray) -> None:
+        """Let interpolants stand for the datum where they are nearer than the middle of its bounds.
+
+        Args:
+            degree: Of the interpolants.
+            rows: Parts.
+            bound: There of the derivative of the next order.
+            size: Of the longest edge.
+            height: The least one.
+        """
+        scale = size ** (degree + 1) * bound
+        rest = polynomials.REMAINDER[self._corners][degree] * scale
+        steep = polynomials.STEEPNESS[self._corners][degree] * scale / height
+        better = rest < self.rest[rows]
+        self._interpolate(degree, rows[better], rest[better], steep[better])
 
     def _interpolate(self, degree: int, chosen: np.ndarray, rest: np.ndarray, steep: np.ndarray) -> None:
         """Let interpolants of a degree stand for the datum on some parts."""
@@ -310,8 +389,8 @@ class _Near:
         """Let polynomials stand for the datum on some parts."""
         self.rest[chosen], self.steep[chosen] = rest, steep
         room = rest + margin
-        self.lower[chosen] = np.maximum(self.lower[chosen], coefficients.min(axis=1, initial=np.inf) - room)
-        self.upper[chosen] = np.minimum(self.upper[chosen], coefficients.max(axis=1, initial=-np.inf) + room)
+        self.lower[chosen] = np.maximum(self.lower[chosen], polynomials.row_min(coefficients) - room)
+        self.upper[chosen] = np.minimum(self.upper[chosen], polynomials.row_max(coefficients) + room)
         self._found.append((degree, chosen, coefficients))
 
     def open(self, rough: float) -> np.ndarray:
@@ -323,10 +402,12 @@ class _Near:
     def divided(self, parts: Parts, chosen: np.ndarray) -> Parts:
         """Some parts divided: along the line where a condition changes, if one is known, or halved."""
         within = parts[chosen].within(self.lower[chosen], self.upper[chosen])
+        if not len(chosen):
+            return within.halved()
         values, rest = self._known.cuts(chosen)
         levels = APART * rest
         line = levels < NARROW * np.ptp(values, axis=1)
-        levels = np.where(levels <= EXACT * np.abs(values).max(axis=1, initial=0.0), 0.0, levels)
+        levels = np.where(levels <= EXACT * polynomials.row_size(values), 0.0, levels)
         return within[line].cut(values[line], levels[line]).with_(within[~line].halved())
 
     def polynomials(self, wanted: np.ndarray) -> Iterator[tuple[int, bool, np.ndarray, np.ndarray]]:
@@ -366,6 +447,9 @@ class _Samples:
         """Of samples there is none."""
         unknown = np.ones(len(self.corners), dtype=bool)
         return Truth(unknown, unknown)
+
+    def some(self, cells: np.ndarray) -> _Samples:
+        return _Samples(self.here, self.corners[cells], self.names, self.cells[cells])
 
     def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Samples tell nothing of them."""
@@ -413,6 +497,5 @@ class _SampledBounds:
     def finite(self) -> np.ndarray:
         return self.defined
 
-    @property
-    def derivatives(self) -> tuple[np.ndarray, ...]:
-        return (np.full(len(self.samples), np.inf),)
+    def derivative(self, k: int) -> np.ndarray:
+        return np.full(len(self.samples), np.inf)

@@ -71,7 +71,7 @@ class Pair:
     @property
     def space(self) -> str:
         """V_h in short: P1, Q2."""
-        return f"{'P' if any(cell in SIMPLICES for cell in self.rules) else 'Q'}{self.degree}"
+        return f"{'P' if all(cell in SIMPLICES for cell in self.rules) else 'Q'}{self.degree}"
 
     @property
     def bounded(self) -> bool:
@@ -161,7 +161,7 @@ register(Pair("Q1", 1, {cell: nodal_rule(cell) for cell in TENSORS}, ("Lagrange"
               words="trapezoid rule, weights detJ(x_i)/2^dim at the vertices of each cell"))  # fmt: skip
 register(Pair("P2", 2, {"triangle": midpoint_rule("triangle")}, ("CR", 1),
               words="rule at edge midpoints, obstacle and pressure there"))  # fmt: skip
-register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in TENSORS}, ("Lagrange", 2),
+register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in ("interval", *TENSORS)}, ("Lagrange", 2),
               words="Simpson's rule in each direction"))  # fmt: skip
 register(Voronoi("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1),
                  words="vertex rule with Voronoi areas: consistent on any Delaunay mesh"))  # fmt: skip

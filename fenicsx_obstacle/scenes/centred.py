@@ -42,7 +42,7 @@ def linear(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray, np.n
         Its values at the corners; bounds of its distance, and of the gradient of the difference.
     """
     with np.errstate(all="ignore"):
-        return _at_corners(_Forms(TreeWalk(cells)).form(formula, formula.tree), cells)
+        return _at_corners(_Forms(cells.walk).form(formula, formula.tree), cells)
 
 
 def lines(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +50,7 @@ def lines(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
     the one that is nearest to a line."""
     found, rest = np.zeros((cells.count, cells.corners.shape[1])), np.full(cells.count, np.inf)
     with np.errstate(all="ignore"):
-        walk = TreeWalk(cells)
+        walk = cells.walk
         walk.number(formula, formula.tree)
         for number, undecided in list(walk.undecided):
             values, away = nearest(cells, number)
@@ -68,7 +68,7 @@ def nearest(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
         return values, rest
     edges = [x[:, i] - x[:, j] for i in range(corners) for j in range(i)]
     squares = np.max([(edge**2).sum(axis=1) for edge in edges], axis=0)
-    away = polynomials.REMAINDER[corners][1] * squares * cells.once(formula).derivatives[1]
+    away = polynomials.REMAINDER[corners][1] * squares * cells.walk.number(formula, formula.tree).derivative(2)
     at_points = cells.values(formula, 1, np.arange(cells.count))
     away = away + polynomials.round_off(at_points, corners, 1)
     better = away < rest
@@ -84,9 +84,9 @@ def _at_corners(form: Form, cells: Cells) -> tuple[np.ndarray, np.ndarray, np.nd
     for axis, slope in enumerate(form.slopes):
         middle, width = _middle_and_width(slope, cells.count)
         at_corners = at_corners + middle[:, None] * away[..., axis]
-        rest = rest + width * np.abs(away[..., axis]).max(axis=1)
+        rest = rest + width * polynomials.row_size(away[..., axis])
         square = square + width**2
-    size = np.abs(at_corners).max(axis=1, initial=0.0)
+    size = polynomials.row_size(at_corners)
     return at_corners, rest + 1e-14 * size, np.sqrt(square)
 
 

@@ -6,6 +6,7 @@ See `tree_walk` for how.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +41,11 @@ class Cells:
         """Some of them."""
         return Cells(self.vocabulary, self.corners[cells], self.distance)
 
+    @cached_property
+    def walk(self) -> TreeWalk:
+        """One that is kept, with all it finds: for few cells."""
+        return TreeWalk(self)
+
     def truth(self, formula: Formula) -> Truth:
         """What a condition, or a number as one, may be on each cell."""
         with np.errstate(all="ignore"):
@@ -70,6 +76,9 @@ class OnCells:
 
     def once(self) -> Enclosure:
         return self.cells.once(self.formula)
+
+    def some(self, cells: np.ndarray) -> OnCells:
+        return OnCells(self.cells.of(cells), self.formula)
 
     def truth(self) -> Truth:
         return self.cells.truth(self.formula)

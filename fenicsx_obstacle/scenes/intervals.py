@@ -45,11 +45,10 @@ class Enclosure:
     slopes: Slopes = field(default=NONE, repr=False)
     square: Enclosure | None = None
 
-    @property
-    def derivatives(self) -> tuple[np.ndarray, ...]:
-        """Bounds of its derivatives in any direction, of each order k = 1 .. divided by k!."""
+    def derivative(self, k: int) -> np.ndarray:
+        """A bound of its derivative of order k = 1 .. 5 in any direction, divided by k!."""
         with np.errstate(all="ignore"):
-            return tuple(np.broadcast_to(np.asarray(f) * MARGIN, self.lower.shape) for f in self.slopes.orders)
+            return np.broadcast_to(np.asarray(self.slopes.order(k)) * MARGIN, self.lower.shape)
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
@@ -92,23 +91,38 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
     """Rounded outward; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
-    below, above = lower - _ROUND_OFF * np.abs(lower) - _TINY, upper + _ROUND_OFF * np.abs(upper) + _TINY
-    lower = np.where(np.isnan(below), -np.inf, np.where(point, lower, below))
-    upper = np.where(np.isnan(above), np.inf, np.where(point, upper, above))
-    whole = np.logical_and.reduce(np.broadcast_arrays(*(p.whole for p in parents)))
-    known = np.logical_and.reduce(np.broadcast_arrays(*(p.defined for p in parents), np.asarray(defined)))
-    return Enclosure(lower, upper, np.asarray(degree), whole, known, slopes)
+    below = np.where(point, lower, lower - (_ROUND_OFF * np.abs(lower) + _TINY))
+    above = np.where(point, upper, upper + (_ROUND_OFF * np.abs(upper) + _TINY))
+    below, above = _known(below, -np.inf), _known(above, np.inf)
+    whole, known = _all([p.whole for p in parents]), _all([*(p.defined for p in parents), np.asarray(defined)])
+    return Enclosure(below, above, np.asarray(degree), whole, known, slopes)
+
+
+def _known(values: np.ndarray, otherwise: float) -> np.ndarray:
+    """The same with a number where there is none."""
+    unknown = np.isnan(values)
+    return np.where(unknown, otherwise, values) if unknown.any() else values
+
+
+def _all(conditions: list[np.ndarray]) -> np.ndarray:
+    """Where all of them hold; those that are one truth everywhere cost nothing."""
+    found = conditions[0]
+    for condition in conditions[1:]:
+        if condition is not found and not (condition.ndim == 0 and condition):
+            found = condition if found.ndim == 0 and found else found & condition
+    return found
 
 
 def _degree(*parents: Enclosure) -> np.ndarray:
     """Of a function that is no polynomial: of numbers it is a number."""
-    numbers = np.logical_and.reduce(np.broadcast_arrays(*(p.degree == 0 for p in parents)))
-    return np.where(numbers, 0, NO_POLYNOMIAL)
+    return np.where(_all([p.degree == 0 for p in parents]), 0, NO_POLYNOMIAL)
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """0 times an infinite bound is 0."""
-    return np.where((a == 0) | (b == 0), 0.0, a * b)
+    found = np.asarray(a * b)
+    unknown = np.isnan(found)
+    return np.where(unknown & ((a == 0) | (b == 0)), 0.0, found) if unknown.any() else found
 
 
 def negative(a: Enclosure) -> Enclosure:
@@ -121,8 +135,14 @@ def add(a: Enclosure, b: Enclosure) -> Enclosure:
 
 
 def multiply(a: Enclosure, b: Enclosure) -> Enclosure:
-    ends = [_product(x, y) for x in (a.lower, a.upper) for y in (b.lower, b.upper)]
-    low, high = np.minimum.reduce(ends), np.maximum.reduce(ends)
+    if a.is_number:
+        a, b = b, a
+    if b.is_number:
+        ends = [_product(a.lower, b.lower), _product(a.upper, b.lower)]
+        low, high = ends if b.lower >= 0 else ends[::-1]
+    else:
+        ends = [_product(x, y) for x in (a.lower, a.upper) for y in (b.lower, b.upper)]
+        low, high = (of(of(ends[0], ends[1]), of(ends[2], ends[3])) for of in (np.minimum, np.maximum))
     both = slopes.product(lambda: _largest(a), a.slopes, lambda: _largest(b), b.slopes)
     return _made(low, high, a.degree + b.degree, a, b, slopes=both)
 
@@ -137,7 +157,7 @@ def _smallest(a: Enclosure) -> np.ndarray:
     return np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
 
 
-def _through(a: Enclosure, outer: Callable[[], slopes.Orders]) -> Slopes:
+def _through(a: Enclosure, outer: slopes.Series) -> Slopes:
     """Bounds of derivatives of a function of a."""
     return slopes.composed(a.slopes, outer)
 
@@ -149,7 +169,7 @@ def _inverse(b: Enclosure) -> Enclosure:
     zero = (b.lower == 0) & (b.upper == 0)
     lower = np.where(within | zero | (b.upper == 0), -np.inf, lower)
     upper = np.where(within | zero | (b.lower == 0), np.inf, upper)
-    outer = _through(b, lambda: slopes.of_inverse(b.lower, b.upper))
+    outer = _through(b, slopes.of_inverse(b.lower, b.upper))
     return _made(lower, upper, _degree(b), b, slopes=outer, defined=~zero)
 
 
@@ -170,7 +190,7 @@ def power(a: Enclosure, n: int) -> Enclosure:
     if n % 2 == 0:
         low, high = np.minimum(low, high), np.maximum(low, high)
         low = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, low)
-    return _made(low, high, a.degree * n, a, slopes=_through(a, lambda: slopes.of_whole_power(n, _largest(a))))
+    return _made(low, high, a.degree * n, a, slopes=_through(a, slopes.of_whole_power(n, lambda: _largest(a))))
 
 
 def raised(a: Enclosure, b: Enclosure) -> Enclosure:
@@ -184,7 +204,7 @@ def raised(a: Enclosure, b: Enclosure) -> Enclosure:
     defined = a.lower >= _least(a)
     low, high = (np.maximum(end, 0.0) ** abs(exponent) for end in (a.lower, a.upper))
     found = _made(low, high, _degree(a), a, slopes=NONE, defined=defined)
-    outer = _through(a, lambda: slopes.of_power(exponent, a.lower, a.upper))
+    outer = _through(a, slopes.of_power(exponent, a.lower, a.upper))
     return replace(found if exponent > 0 else _inverse(found), slopes=outer)
 
 
@@ -195,7 +215,7 @@ def _least(a: Enclosure) -> np.ndarray:
 
 def _outer(name: str, a: Enclosure) -> Slopes:
     """Bounds of derivatives of a function of a, by its name."""
-    return _through(a, lambda: slopes.BOUNDS[name](a.lower, a.upper))
+    return _through(a, slopes.BOUNDS[name](a.lower, a.upper))
 
 
 def _monotone(name: str, f: Callable[[np.ndarray], np.ndarray]) -> Callable[[Enclosure], Enclosure]:
@@ -258,8 +278,8 @@ def tan(a: Enclosure) -> Enclosure:
     regular = (turns[0] == turns[1]) & away[0] & away[1]
     lower, upper = np.where(regular, np.tan(a.lower), -np.inf), np.where(regular, np.tan(a.upper), np.inf)
 
-    def outer() -> slopes.Orders:
-        return tuple(np.where(regular, bound, np.inf) for bound in slopes.BOUNDS["tan"](a.lower, a.upper))
+    def outer(k: int) -> np.ndarray:
+        return np.where(regular, slopes.BOUNDS["tan"](a.lower, a.upper)(k), np.inf)
 
     return _made(lower, upper, _degree(a), a, slopes=_through(a, outer))
 
@@ -287,7 +307,7 @@ def hypot(a: Enclosure, b: Enclosure) -> Enclosure:
 def distance(root: Enclosure) -> Enclosure:
     """The root of a sum of squares that is the distance from a point: its derivatives are known better."""
     assert root.square is not None
-    square = replace(root.square, slopes=Slopes(lambda: (2 * root.upper, 1.0, *NONE.orders[2:])))
+    square = replace(root.square, slopes=Slopes(lambda k: 2 * root.upper if k == 1 else float(k == 2)))
     return replace(root, slopes=slopes.radius(np.maximum(root.lower, 0.0)), square=square)
 
 

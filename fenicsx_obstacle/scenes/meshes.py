@@ -47,8 +47,8 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level, and how often to refine it."""
     table, pair = scene.tables.mesh, scene.pair
     refine = table.refine
-    if scene.mesh is not None:
-        level = of_mesh(releases.settle(scene.mesh), scene.source)
+    if scene.own_mesh is not None:
+        level = scene.own_mesh.level(scene.source)
     elif table.file is not None:
         path = scene.folder / table.file
         found = files.read(path, comm)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from fenicsx_obstacle.discrete.moments import EQUILIBRIA, INERTIA, RATE, Moments
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.fields import FormulaField
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene
@@ -47,7 +48,7 @@ def moments(scene: Scene) -> Moments | None:
     fields = {key: None if (value := getattr(table, key)) is None else scene.field(value, f"[time] {key}")
               for key in ("start", "velocity")}  # fmt: skip
     for field in fields.values():
-        if field is not None:
+        if isinstance(field, FormulaField):
             field.check_names(scene.known_names)
     scheme = {EQUILIBRIA: "equilibria", RATE: table.scheme or "euler", INERTIA: "midpoint"}[order]
     return Moments(

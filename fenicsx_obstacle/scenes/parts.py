@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.from_python import stands_for_an_object
 from fenicsx_obstacle.scenes.tables import ACTING, BoundaryTable
 from fenicsx_obstacle.scenes.vocabulary import TIME
 
@@ -37,7 +38,7 @@ def _check(scene: Scene, part: BoundaryTable, place: str) -> None:
         raise InputError(f"{place} on = []: names no part")
     if part.on is not None and part.where is not None:
         raise InputError(f"{place}: 'on' and 'where' exclude each other")
-    if part.where is not None:
+    if part.where is not None and not stands_for_an_object(part.where):
         needed = scene.needs(scene.formula(part.where, ""))
         if "distance" in needed:
             raise InputError(f"{place} where: 'distance' is 0 all over the boundary")

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.moments import Moments
@@ -23,6 +22,7 @@ from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
 from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, field_of, plain, stands_for_an_object
 from fenicsx_obstacle.scenes.moments import moments
 from fenicsx_obstacle.scenes.parts import check_parts, part_place
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
@@ -34,6 +34,7 @@ from fenicsx_obstacle.words import nearest, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.norms import ExactSolution
+    from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 
 MAX_OPERATIONS = 5000  # of an exact solution: it is differentiated and compiled
 RESERVED = {
@@ -63,7 +64,8 @@ class Scene(Vocabulary):
         pair: V_h, the rule I and Q_h.
         report: Figures of the solution, in order.
         options: The table [solve], without the element.
-        mesh: A DOLFINx mesh of the caller's own, or None.
+        own_mesh: A DOLFINx mesh of the caller's own, or None.
+        objects: Data that are no numbers or formulas, by the names that stand for them in the tables.
         folder: Where relative file names start.
     """
 
@@ -76,17 +78,22 @@ class Scene(Vocabulary):
     report: Mapping[str, Formula]
     model: Model
     options: SolverOptions
-    mesh: Any = None
-    folder: Path = Path()
+    own_mesh: OwnMesh | None
+    objects: Objects
+    folder: Path
 
     def __init__(
         self,
         *,
         mesh: Any,
-        lower: float | str | None = None,
-        upper: float | str | None = None,
+        facet_tags: Any = None,
+        cell_tags: Any = None,
+        facet_names: Mapping[str, Any] | None = None,
+        cell_names: Mapping[str, Any] | None = None,
+        lower: Any = None,
+        upper: Any = None,
         boundary: Any = ({"value": 0.0},),
-        exact: float | str | Mapping[str, Any] | None = None,
+        exact: Any = None,
         define: Mapping[str, float | str] | None = None,
         report: Mapping[str, float | str] | None = None,
         time: Mapping[str, Any] | None = None,
@@ -94,20 +101,29 @@ class Scene(Vocabulary):
         u: str = "u",
         **effects: Any,
     ):
-        """Scene from Python.
+        """Scene from Python; with tags collective.
+
+        A datum (obstacle, value on the boundary, effect) is a number; a formula in x, y, z, such as "0.3 - r^2"; a
+        Constant, whose value is taken when a mesh is made; a Function, of this mesh or of another one that covers it; a
+        UFL expression on this mesh; or a callable of x, shape (3, n), or of x and t.
 
         Args:
             mesh: A DOLFINx mesh, or a table such as {"shape": "rectangle", "cells": 32}.
-            lower: Lower obstacle, a number or a formula.
+            facet_tags: MeshTags of facets of the mesh.
+            cell_tags: MeshTags of its cells.
+            facet_names: Names of parts of the boundary, and of curves inside, with their tag or a list of tags:
+                {"rim": 1}. By default the tags themselves: "1".
+            cell_names: Names of materials, in the same way.
+            lower: Lower obstacle, a datum.
             upper: Upper obstacle, likewise.
             boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
-            exact: Exact solution, where known; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
+            exact: Exact solution, where known, no callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
             define: Named numbers and formulas.
             report: Named figures of the solution: report={"force": "integral(p)"}.
             time: The table [time]: time={"end": 1, "steps": 100, "start": 0}.
             title: Title.
             u: Name of the unknown on axes.
-            **effects: One value per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
+            **effects: One datum per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
 
         Raises:
             InputError: For anything that is wrong without looking at a mesh.
@@ -122,7 +138,10 @@ class Scene(Vocabulary):
             "boundary": [] if boundary is None else boundary, "report": {} if report is None else report,
             "time": time, "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
         }  # fmt: skip
-        self._fill(raw, "scene", Path(), None if isinstance(mesh, dict) else mesh)
+        tags = (facet_tags, cell_tags, facet_names, cell_names)
+        if isinstance(mesh, dict) and any(one is not None for one in tags):
+            raise InputError("scene: tags and names of parts go with a DOLFINx mesh; a shape has names of its own")
+        self._fill(raw, "scene", Path(), None if isinstance(mesh, dict) else OwnMesh.of(mesh, *tags))
 
     def __repr__(self) -> str:
         return f"Scene({self.tables.title or self.name!r}, source={self.source!r})"
@@ -152,23 +171,28 @@ class Scene(Vocabulary):
         raw = msgspec.to_builtins(self.tables)
         set_values(raw, {str(key): value for key, value in changes.items()}, self.source)
         new = Scene.__new__(Scene)
-        new._fill(raw, self.source, self.folder, self.mesh)
+        new._fill(raw, self.source, self.folder, self.own_mesh, self.objects)
         return new
 
     def with_mesh_file(self, file: str) -> Scene:
         """The scene of a mesh of the caller's own, with that mesh in a file."""
         new = Scene.__new__(Scene)
-        new._fill({**msgspec.to_builtins(self.tables), "mesh": {"file": file}}, self.source, self.folder, None)
+        raw = {**msgspec.to_builtins(self.tables), "mesh": {"file": file}}
+        new._fill(raw, self.source, self.folder, None, self.objects)
         return new
 
-    def _fill(self, raw: dict[str, Any], source: str, folder: Path, mesh: Any) -> None:
-        typed = tables.checked(_plain(raw), source)
+    def _fill(
+        self, raw: dict[str, Any], source: str, folder: Path, mesh: OwnMesh | None, objects: Objects | None = None
+    ) -> None:
+        objects = dict(objects or {})
+        typed = tables.checked(plain(raw, objects), source)
         set_ = lambda key, value: object.__setattr__(self, key, value)  # noqa: E731  (the class is frozen)
         set_("name", Path(source).stem)
         set_("source", source)
         set_("folder", folder)
         set_("tables", typed)
-        set_("mesh", mesh)
+        set_("own_mesh", mesh)
+        set_("objects", objects)
         set_("moves", typed.time is not None)
         set_("define", self._definitions())
         set_("effects", self._effects())
@@ -179,9 +203,9 @@ class Scene(Vocabulary):
         for field in self._fields():
             field.check_names(self.known_names)
         if typed.exact is not None:
-            self._check_exact(self.formula(typed.exact.u, "[exact] u"))
+            self._check_exact(typed.exact.u, "[exact] u")
             if typed.exact.pressure is not None:
-                self._check_exact(self.formula(typed.exact.pressure, "[exact] pressure"))
+                self._check_exact(typed.exact.pressure, "[exact] pressure")
         set_("report", parse_report(self, typed.report, RESERVED))
         solve, place = typed.solve, f"{source}: [solve]"
         set_("options", SolverOptions(solve.method, self._eps(solve.eps), solve.start, place))
@@ -290,8 +314,15 @@ class Scene(Vocabulary):
                 raise InputError(f"{self.source}: {place} {why}")
         return tuple(effects)
 
-    def field(self, value: float | str, place: str) -> FormulaField:
-        """A number or a formula as a datum; `place` is its table and key."""
+    @property
+    def mesh(self) -> Any:
+        """The caller's own DOLFINx mesh, or None."""
+        return None if self.own_mesh is None else self.own_mesh.mesh
+
+    def field(self, value: float | str, place: str) -> Field:
+        """A number, a formula or an object as a datum; `place` is its table and key."""
+        if stands_for_an_object(value):
+            return field_of(str(value), self.objects, f"{self.source}: {place}")
         return FormulaField(self.formula(value, place), self)
 
     def _model(self) -> Model:
@@ -326,7 +357,10 @@ class Scene(Vocabulary):
         return ByCells({name: self.field(part, f"{place}.{name}") for name, part in value.items()},
                        f"{self.source}: {place}")  # fmt: skip
 
-    def _check_exact(self, formula: Formula) -> None:
+    def _check_exact(self, value: float | str, place: str) -> None:
+        if stands_for_an_object(value):
+            return
+        formula = self.formula(value, place)
         formula.check_names({*self.known_names, "eps"})
         if (count := self.operations(formula)) > MAX_OPERATIONS:
             words = f"{count:.3g} operations with its definitions written out; the limit is {MAX_OPERATIONS}"
@@ -342,15 +376,23 @@ class Scene(Vocabulary):
         found = [list(field.parts.values()) if field.parts is not None else [field] for field in fields_in(given)]
         return [field for part in found for field in part if isinstance(field, FormulaField)]
 
+    def problem(self, comm: Any = None) -> ObstacleProblem:
+        """The scene on its mesh, as a problem that is solved from Python (collective).
+
+        Args:
+            comm: Ranks that share the mesh, by default all; a mesh of the caller's own brings its own.
+
+        Raises:
+            InputError: If the scene has [time], or no u can satisfy the data.
+        """
+        from mpi4py import MPI
+
+        from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+        from fenicsx_obstacle.scenes import meshes
+
+        ranks = self.mesh.comm if self.mesh is not None else comm or MPI.COMM_WORLD
+        return ObstacleProblem.of_model(self.model, meshes.build(self, ranks))
+
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""
         return msgspec.toml.encode(self.tables).decode()
-
-
-def _plain(value: Any) -> Any:
-    """The same with Python's own numbers and lists for NumPy's."""
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value

@@ -51,6 +51,7 @@ class TreeWalk:
         self.cells, self.known = cells, dict[str, Enclosure]()
         self.undecided: list[tuple[Formula, np.ndarray]] = []
         self._nodes: dict[int, tuple[ast.expr, Enclosure]] = {}
+        self._truths: dict[int, tuple[ast.expr, Truth]] = {}
 
     def name(self, name: str) -> Enclosure:
         if name not in self.known:
@@ -66,7 +67,7 @@ class TreeWalk:
             if axis >= corners.shape[2]:
                 return intervals.constant(0.0)
             x = corners[:, :, axis]
-            low, high = x.min(axis=1), x.max(axis=1)
+            low, high = polynomials.row_min(x), polynomials.row_max(x)
             return intervals.of_bounds(low, high, np.where(low == high, 0, 1), slopes.COORDINATE)
         if name == "r":
             squares = [intervals.power(self.name(axis), 2) for axis in "xyz"]
@@ -122,7 +123,8 @@ class TreeWalk:
             case "-":
                 return intervals.add(a, intervals.negative(b))
             case "*":
-                return intervals.power(a, 2) if ast.dump(left) == ast.dump(right) else intervals.multiply(a, b)
+                same = type(left) is type(right) and ast.dump(left) == ast.dump(right)
+                return intervals.power(a, 2) if same else intervals.multiply(a, b)
             case "/":
                 return intervals.divide(a, self._argument(formula, right))
             case "^":
@@ -185,7 +187,12 @@ class TreeWalk:
         return chosen(Truth(one, ~one), number, found).inheriting(a)
 
     def condition(self, formula: Formula, node: ast.expr) -> Truth:
-        """What a node may be as a condition; numbers are true where they are not 0."""
+        """What a node may be as a condition, found once; numbers are true where they are not 0."""
+        if id(node) not in self._truths:
+            self._truths[id(node)] = node, self._condition(formula, node)
+        return self._truths[id(node)][1]
+
+    def _condition(self, formula: Formula, node: ast.expr) -> Truth:
         match node:
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 truth = self.condition(formula, operand)
@@ -259,7 +266,7 @@ class TreeWalk:
                 # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
                 inside = (least < -room) & (most > room)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere
-                nothing = np.abs(values).max(axis=1) <= room
+                nothing = polynomials.row_size(values) <= room
                 above, below = high[cells] > room, low[cells] < -room
                 unclear = (nothing & (not polynomial)) | ~(nothing | above | below) | ~np.isfinite(values).all(axis=1)
                 up[cells] = (above & ~nothing) | unclear
@@ -279,7 +286,12 @@ class TreeWalk:
 
         at_corners, rest = nearest(self.cells.of(cells), part)
         values = self.cells.values(part, 1, cells)
-        return values, at_corners.min(axis=1) - rest, at_corners.max(axis=1) + rest, np.zeros(len(cells))
+        return (
+            values,
+            polynomials.row_min(at_corners) - rest,
+            polynomials.row_max(at_corners) + rest,
+            np.zeros(len(cells)),
+        )
 
     def _argument(self, formula: Formula, node: ast.expr) -> Enclosure:
         """Bounds of what a root is taken of, or a logarithm, or what is divided by: sharper where they contain 0."""
@@ -295,7 +307,7 @@ class TreeWalk:
         return replace(a, lower=low, upper=high)
 
     def _can_sample(self, formula: Formula, node: ast.expr) -> bool:
-        return "distance" not in self.cells.vocabulary.needs(formula.part(node)) or self.cells.distance is not None
+        return self.cells.distance is not None or "distance" not in self.cells.vocabulary.needs(formula.part(node))
 
 
 def _size(enclosures: list[Enclosure]) -> np.ndarray:

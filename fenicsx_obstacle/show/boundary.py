@@ -1,104 +1,124 @@
-"""The free boundary as a line between the nodes: where a level function of gap and contact vanishes.
+"""The free boundary of nodal fields on simplices, by NumPy alone: the zero set of a nodal level function.
 
 Off contact the gap grows like q d^2 / (2 tension) with the distance d to the free boundary, so its square root is
-nearly linear there. In contact it is continued linearly, which puts the line between the nodes where the steps of
-the 0/1 contact field would only name the edge.
+nearly linear there. At the nodes in contact it is continued beyond zero, and then averaged over neighbours: the line
+between the nodes becomes smooth. It always runs between the nodes in contact and the others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 
-from fenicsx_obstacle.show.simplices import Patch, gradients, zero
-
-SIDES = {"lower": 1.0, "upper": -1.0}  # sign of the pressure that each obstacle gives
+SIDES = {"lower": 1.0, "upper": -1.0}  # sign of the pressure of each obstacle
 LEVELS = {"lower": "level lower", "upper": "level upper"}  # names of the level functions among the fields
-RINGS = 4  # of nodes in contact that the level function is continued to
+AVERAGED = 2  # times that each value is replaced by the mean with its neighbours
+LEAST = 0.02  # level of a node next to the line, in units of the level's usual rise from node to node
+
+
+class Patch(NamedTuple):
+    """Simplices with nodal fields.
+
+    Attributes:
+        points: Coordinates, shape (n, 3).
+        cells: Nodes of each cell, shape (cells, k + 1): points, lines, triangles or tetrahedra.
+        fields: Nodal values by name, each of shape (n,).
+    """
+
+    points: np.ndarray
+    cells: np.ndarray
+    fields: dict[str, np.ndarray]
+
+
+def patch_of(arrays: Mapping[str, np.ndarray]) -> Patch:
+    """A gathered answer with its nodal fields, and with the level function of each obstacle among them."""
+    fields = {name: values for name, values in arrays.items() if name not in ("points", "cells", "gdim")}
+    return with_levels(Patch(arrays["points"], arrays["cells"], fields))
 
 
 def with_levels(patch: Patch) -> Patch:
-    """The same with the level function of each obstacle among the fields; cuts interpolate it like the others.
-
-    Args:
-        patch: An answer with `u`, `pressure`, `contact` and its obstacles as fields.
-    """
-    levels = {LEVELS[side]: _level_function(patch, side) for side in SIDES if side in patch.fields}
+    """The same with the level function of each obstacle: negative at nodes in contact with it, otherwise positive."""
+    levels = {LEVELS[side]: _level(patch, side) for side in SIDES if side in patch.fields}
     return Patch(patch.points, patch.cells, {**patch.fields, **levels})
 
 
 def free_boundary(patch: Patch) -> list[Patch]:
-    """The free boundary of each obstacle that is touched, with all fields on it.
-
-    Args:
-        patch: From `with_levels`.
-    """
+    """The free boundary of each obstacle that is touched, with all fields on it; levels are among the fields."""
     found = [zero(patch, patch.fields[level]) for level in LEVELS.values() if level in patch.fields]
     return [line for line in found if len(line.cells)]
 
 
-def _level_function(patch: Patch, side: str) -> np.ndarray:
-    """Nodal function, negative in contact with this obstacle; its zero line lies within a cell of the contact set."""
+def zero(patch: Patch, level: np.ndarray) -> Patch:
+    """Where a nodal function vanishes: points in lines, lines in triangles, triangles in tetrahedra.
+
+    Args:
+        patch: Intervals, triangles or tetrahedra.
+        level: Nodal values, none of them 0.
+
+    Returns:
+        The simplices of the zero set, one dimension lower, with interpolated fields; neighbours share their corners.
+    """
+    inside = level[patch.cells] < 0
+    size, found = patch.cells.shape[1], list[np.ndarray]()
+    for count in range(1, size):
+        cut = np.flatnonzero(inside.sum(axis=1) == count)
+        # the nodes inside first
+        nodes = np.take_along_axis(patch.cells[cut], np.argsort(~inside[cut], axis=1, kind="stable"), axis=1)
+        edges = np.stack([nodes[:, [i, j]] for i in range(count) for j in range(count, size)], axis=1)
+        # a tetrahedron with two nodes inside is cut in a quadrilateral: two triangles
+        found += [edges] if edges.shape[1] == size - 1 else [edges[:, [0, 1, 2]], edges[:, [1, 2, 3]]]
+    corners = np.sort(np.concatenate(found), axis=2)
+    names, cells = np.unique(corners @ [len(level), 1], return_inverse=True)
+    a, b = np.divmod(names, max(len(level), 1))
+    t = level[a] / (level[a] - level[b])
+    fields = {name: values[a] + t * (values[b] - values[a]) for name, values in patch.fields.items()}
+    points = patch.points[a] + t[:, None] * (patch.points[b] - patch.points[a])
+    return Patch(points, cells.reshape(-1, corners.shape[1]), fields)
+
+
+def rim(cells: np.ndarray) -> np.ndarray:
+    """The sides that belong to one cell only: edges of triangles, triangles of tetrahedra."""
+    size = cells.shape[1]
+    sides = np.concatenate([np.delete(cells, i, axis=1) for i in range(size)])
+    _, first, count = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
+    return sides[first[count == 1]]
+
+
+def _level(patch: Patch, side: str) -> np.ndarray:
     sign, fields = SIDES[side], patch.fields
+    a, b = _edges(patch.cells)
     gap = np.maximum(sign * (fields["u"] - fields[side]), 0.0)
-    touching = (fields["contact"] > 0) & (sign * fields["pressure"] > 0)
-    largest = np.sqrt(gap.max(initial=0.0)) or 1.0
-    edges = _edges(patch.cells)
+    touching = fields["contact"] > 0.5  # a mean between the points where pressures are computed
+    if all(other in fields for other in SIDES):
+        touching &= sign * fields["pressure"] > 0
     # where the boundary value is the obstacle itself there is no pressure to tell, only contact beside it
-    touching |= (gap <= 1e-10 * largest**2) & _touched(touching, edges)
-    level = np.where(touching, 0.0, np.sqrt(gap))
-    known = ~touching
-    for _ in range(RINGS):
-        level, known = _continued(patch, level, known, edges)
-    level[~known] = level.min()
-    for _ in range(RINGS - 1):
-        level = _averaged(level, edges)
-    # thin sets keep their nodes: where no neighbour is surrounded by nodes of the same kind
-    for kind, sign in ((touching, -1.0), (~touching, 1.0)):
-        thin = kind & ~_touched(~_touched(~kind, edges), edges)
-        level[thin] = sign * np.maximum(sign * level[thin], 1e-6 * largest)
-    return level
+    beside = np.zeros_like(touching)
+    beside[a[touching[b]]] = True
+    touching |= beside & (gap <= 1e-10 * gap.max(initial=0.0))
+    root = np.where(touching, 0.0, np.sqrt(gap))
+    rise = np.zeros_like(root)
+    np.maximum.at(rise, a, root[b] - root[a])
+    rise = np.where(rise > 0, rise, 2 * root)  # where there is none, at the end of the mesh: halfway
+    across = touching[a] & ~touching[b]
+    step = max(np.median(rise[b[across]]) if across.any() else 0.0, np.finfo(float).tiny)
+    inside, known = _mean(a[across], (root - rise)[b[across]], len(root))
+    level = np.where(touching, np.where(known, np.minimum(inside, 0.0), -2 * step), root)
+    for _ in range(AVERAGED):
+        near, known = _mean(a, level[b], len(root))
+        level = np.where(known, (level + near) / 2, level)
+    return np.where(touching, np.minimum(level, -LEAST * step), np.maximum(level, LEAST * step))
 
 
-def _continued(patch: Patch, level: np.ndarray, known: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One more ring of nodes: from each known neighbour along its slope, the mean of all."""
-    slopes, steady = _slopes(patch, level, known)
-    a, b = edges[~known[edges[:, 0]] & known[edges[:, 1]]].T
-    rise = np.einsum("ex,ex->e", slopes[b], patch.points[a] - patch.points[b])
-    # where nothing is known of the slope, or it points the wrong way: halfway
-    guess = np.where(steady[b] & (rise < 0), level[b] + rise, -np.abs(level[b]))
-    count = np.bincount(a, minlength=len(level))
-    mean = np.bincount(a, guess, len(level)) / np.maximum(count, 1)
-    return np.where(count > 0, mean, level), known | (count > 0)
-
-
-def _averaged(level: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Half of each value comes from its neighbours: this keeps lines straight and takes the jitter of nodes away."""
-    count = np.bincount(edges[:, 0], minlength=len(level))
-    sums = np.bincount(edges[:, 0], level[edges[:, 1]], len(level))
-    return 0.5 * level + 0.5 * np.where(count > 0, sums / np.maximum(count, 1), level)
-
-
-def _touched(nodes: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """These nodes and their neighbours."""
-    result = nodes.copy()
-    result[edges[nodes[edges[:, 0]], 1]] = True
-    return result
-
-
-def _slopes(patch: Patch, level: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient at known nodes: the mean over cells with all nodes known; and where there is one."""
-    whole = Patch(patch.points, patch.cells[known[patch.cells].all(axis=1)], {})
-    if not len(whole.cells):
-        return np.zeros_like(patch.points), np.zeros(len(level), dtype=bool)
-    slopes, nodes = gradients(whole, level), whole.cells.ravel()
-    count = np.bincount(nodes, minlength=len(level))
-    per_node = np.repeat(slopes, whole.cells.shape[1], axis=0)
-    sums = np.stack([np.bincount(nodes, per_node[:, x], len(level)) for x in range(3)], axis=1)
-    return sums / np.maximum(count, 1)[:, None], count > 0
+def _mean(nodes: np.ndarray, values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The mean of the values that each node has, and whether it has any."""
+    count = np.bincount(nodes, minlength=size)
+    return np.bincount(nodes, values, size) / np.maximum(count, 1), count > 0
 
 
 def _edges(cells: np.ndarray) -> np.ndarray:
-    """Both directions of all edges, shape (n, 2)."""
+    """Both directions of all edges, shape (2, n)."""
     size, count = cells.shape[1], int(cells.max(initial=-1)) + 1
     names = np.concatenate([cells[:, i] * count + cells[:, j] for i in range(size) for j in range(size) if i != j])
-    return np.column_stack(np.divmod(np.unique(names), max(count, 1)))
+    return np.array(np.divmod(np.unique(names), max(count, 1)))

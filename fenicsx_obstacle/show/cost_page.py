@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fenicsx_obstacle.answers.compute import command, versions
+from fenicsx_obstacle.io.origin import command, versions
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import cost_tables as tables
 from fenicsx_obstacle.show import page

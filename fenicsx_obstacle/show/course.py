@@ -10,9 +10,9 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.course import Course, Frame
+from fenicsx_obstacle.show.boundary import SIDES, Patch
 from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, figure, heading, plain, save, write_gif
-from fenicsx_obstacle.show.plan import triangles
-from fenicsx_obstacle.show.simplices import patch_of
+from fenicsx_obstacle.show.maps import hatch_obstacles, triangles
 from fenicsx_obstacle.words import title_of
 
 HISTORY, ANIMATION = "history.png", "answer.gif"
@@ -137,13 +137,14 @@ def _lines(page: Any, answer: Answer, arrays: Arrays, chosen: list[Frame]) -> No
     left, right = (page.sheet.add_subplot(page.grid[0, place]) for place in (slice(0, 3), slice(3, 6)))
     order = np.argsort(arrays["points"][:, 0])
     x, name = arrays["points"][order, 0], plain(_moments(answer).name)
-    _obstacles(left, x, order, chosen)
     import matplotlib
 
+    fields = {side: chosen[-1].fields[side][order] for side in SIDES if side in chosen[-1].fields}
+    hatch_obstacles(left, x, fields, _range(chosen, "u"))
     shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(chosen)))
     for frame, shade in zip(chosen, shades, strict=True):
         left.plot(x, frame.fields["u"][order], color=shade, linewidth=1.6, label=f"{frame.t:.3g}")
-    left.set(xlabel="x", ylabel=plain(answer.scene.tables.u), xlim=(x[0], x[-1]))
+    left.set(xlabel="x", ylabel=plain(answer.scene.tables.u))
     left.legend(fontsize=7, title=name, title_fontsize=7)
     frames = _course(answer).frames[1:]
     touching = np.array([frame.fields["contact"][order] > 0.5 for frame in frames])
@@ -156,18 +157,6 @@ def _lines(page: Any, answer: Answer, arrays: Arrays, chosen: list[Frame]) -> No
     else:
         right.set_axis_off()
         right.text(0.5, 0.5, "no contact at these moments", ha="center", transform=right.transAxes)
-
-
-def _obstacles(axis: Any, x: np.ndarray, order: np.ndarray, frames: list[Frame]) -> None:
-    """The obstacles at the last of these moments, as far as they are near u."""
-    heights = np.concatenate([frame.fields["u"] for frame in frames])
-    margin = 0.15 * (np.ptp(heights) or 1.0)
-    low, high = heights.min() - margin, heights.max() + margin
-    for side, outside in (("lower", low), ("upper", high)):
-        if side in frames[-1].fields:
-            edge = np.clip(frames[-1].fields[side][order], low, high)
-            axis.fill_between(x, edge, outside, color="0.88", hatch="////", edgecolor="0.7", linewidth=0)
-    axis.set_ylim(low, high)
 
 
 def _maps(page: Any, answer: Answer, arrays: Arrays, chosen: list[Frame]) -> None:
@@ -183,7 +172,7 @@ def _maps(page: Any, answer: Answer, arrays: Arrays, chosen: list[Frame]) -> Non
 
 def _map(axis: Any, answer: Answer, arrays: Arrays, frame: Frame, low: float, high: float) -> Any:
     """u in colours, the edge of contact as a line."""
-    surface = triangles(patch_of({**arrays, **frame.fields}))
+    surface = triangles(Patch(arrays["points"], arrays["cells"], {}))
     colours = axis.tripcolor(surface, frame.fields["u"], shading="gouraud", vmin=low, vmax=high, cmap="viridis")
     contact = frame.fields["contact"]
     if 0 < contact.sum() < len(contact):
@@ -201,20 +190,17 @@ def _moving_line(answer: Answer, course: Course, arrays: Arrays) -> tuple[Any, C
     page, (top, bottom) = figure(6.4, 4.6, rows=2, sharex=True)
     order = np.argsort(arrays["points"][:, 0])
     x = arrays["points"][order, 0]
-    low, high = _range(course.frames, "u")
-    margin = 0.12 * (high - low or 1.0)
+    limits = _range(course.frames, "u")
     pressures = _range(course.frames[1:] or course.frames, "pressure")
 
     def draw(frame: Frame) -> None:
         top.clear()
         bottom.clear()
-        for side, outside in (("lower", low - margin), ("upper", high + margin)):
-            if side in frame.fields:
-                edge = np.clip(frame.fields[side][order], low - margin, high + margin)
-                top.fill_between(x, edge, outside, color="0.88", hatch="////", edgecolor="0.7", linewidth=0)
-        top.plot(x, frame.fields["u"][order], color=BLUE, linewidth=2)
-        top.set(ylim=(low - margin, high + margin), ylabel=plain(answer.scene.tables.u))
-        bottom.fill_between(x, frame.fields["pressure"][order], color=VERMILION, alpha=0.4, linewidth=0)
+        fields = {name: values[order] for name, values in frame.fields.items()}
+        hatch_obstacles(top, x, fields, limits)
+        top.plot(x, fields["u"], color=BLUE, linewidth=2)
+        top.set_ylabel(plain(answer.scene.tables.u))
+        bottom.fill_between(x, fields["pressure"], color=VERMILION, alpha=0.4, linewidth=0)
         bottom.set(ylim=(pressures[0], pressures[1] or 1.0), xlabel="x", ylabel="contact pressure p")
 
     return page, draw

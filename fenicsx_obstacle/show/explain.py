@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from textwrap import fill
 
-from fenicsx_obstacle.answers.choose import (
+from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
+from fenicsx_obstacle.discrete.moments import EQUILIBRIA
+from fenicsx_obstacle.effects.effect import Effect, known
+from fenicsx_obstacle.scenes.meshes import shape_of
+from fenicsx_obstacle.scenes.parts import part_place
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.tables import BoundaryTable
+from fenicsx_obstacle.show.steps import steps_of
+from fenicsx_obstacle.solvers.choose import (
     AUGMENTED,
     BENT,
     DIRECT_SOLVER,
@@ -15,14 +23,6 @@ from fenicsx_obstacle.answers.choose import (
     nested,
     stepwise,
 )
-from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
-from fenicsx_obstacle.discrete.moments import EQUILIBRIA
-from fenicsx_obstacle.effects.effect import Effect, known
-from fenicsx_obstacle.scenes.meshes import shape_of
-from fenicsx_obstacle.scenes.parts import part_place
-from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import BoundaryTable
-from fenicsx_obstacle.show.steps import steps_of
 from fenicsx_obstacle.words import counted, plain, title_of
 
 
@@ -202,7 +202,9 @@ def _size(scene: Scene) -> list[str]:
 def _solver(scene: Scene) -> list[str]:
     if not scene.sides:
         steps = "one linear solve" if all(effect.affine for effect in scene.effects) else "Newton steps"
-        levels = NESTED if nested(scene, scene.options) else f"{_linear_solver(scene)}, {_levels(scene)}"
+        levels = (
+            NESTED if nested(scene.effects, scene.pair, scene.options) else f"{_linear_solver(scene)}, {_levels(scene)}"
+        )
         return [_why(scene), f"PETSc SNES, {steps}: {levels}"]
     method, pair = scene.options.method, scene.pair
     prefix = "vi" if method == "vi" and pair.nodal else "penalty"
@@ -212,7 +214,7 @@ def _solver(scene: Scene) -> list[str]:
         _steps(scene),
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
         f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
-        if nested(scene, scene.options)
+        if nested(scene.effects, scene.pair, scene.options)
         else f"each step: {_linear_solver(scene)}, {_levels(scene)}",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",
     ]
@@ -230,7 +232,7 @@ def _why(scene: Scene) -> str:
 def _levels(scene: Scene) -> str:
     if scene.time is not None and scene.time.order > EQUILIBRIA:
         return "on the finest level alone, from the last moment"
-    by_levels = stepwise(scene, scene.options)
+    by_levels = stepwise(scene.effects, scene.pair, scene.options)
     return "each level starts from the next coarser one" if by_levels else "on the finest level alone"
 
 

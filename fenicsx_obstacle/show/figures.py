@@ -23,6 +23,16 @@ LABEL, LINE = 60, 64  # characters of a label, and of each line of a title
 DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))  # dots are for what is expected
 
 
+def blank(width: float, height: float) -> Any:
+    """A figure without axes, sizes in inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    page = Figure(figsize=(width, height), dpi=150, constrained_layout=True)
+    FigureCanvasAgg(page)
+    return page
+
+
 def figure(
     width: float,
     height: float,
@@ -33,11 +43,7 @@ def figure(
     sharex: bool = False,
 ) -> Any:
     """A figure and its axes, sizes in inches; `widths` of the columns are in proportion."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    page = Figure(figsize=(width, height), dpi=150, constrained_layout=True)
-    FigureCanvasAgg(page)
+    page = blank(width, height)
     return page, page.subplots(rows, columns, sharex=sharex, gridspec_kw={"width_ratios": widths})
 
 

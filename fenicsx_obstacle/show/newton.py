@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.answers.iterates import Iterate, iterates
 from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show.boundary import SIDES, free_boundary, with_levels
+from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of, with_levels
 from fenicsx_obstacle.show.figures import BLUE, figure, heading, write_gif
-from fenicsx_obstacle.show.plan import outline, strokes, triangles
-from fenicsx_obstacle.show.relief import INK
-from fenicsx_obstacle.show.simplices import Patch, patch_of, rims
+from fenicsx_obstacle.show.maps import draw_domain, draw_lines, triangles
+from fenicsx_obstacle.show.render import INK
 from fenicsx_obstacle.words import counted, title_of
 
 PER_SECOND = 2  # steps
@@ -65,7 +64,7 @@ def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iter
     def draw(frame: int) -> None:
         for axis, name, course in zip(panels, names, courses.values(), strict=True):
             _draw(axis, patch, name, course, min(frame, len(course) - 1))
-            strokes(axis, line, (0, 1))
+            draw_lines(axis, line)
 
     count = max(len(course) for course in courses.values())
     write_gif(page, path, PER_SECOND, [*range(count), *[count - 1] * REST], draw)
@@ -79,16 +78,12 @@ def _draw(axis: Any, patch: Patch, name: str, course: Sequence[Iterate], number:
     now = course[number]
     before = course[number - 1].contact if now.number else now.contact
     axis.clear()
-    outline(axis, rims(patch))
+    draw_domain(axis, patch)
     shown = triangles(Patch(now.mesh["points"], now.mesh["cells"], {}))
     for nodes, colour in ((now.contact | before, LEFT), (now.contact, ENTERED), (now.contact & before, KEPT)):
         if nodes.any():
             axis.tricontourf(shown, nodes.astype(float), levels=[0.5, 1.5], colors=[colour], zorder=1)
-    low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
-    room = 0.01 * max(high - low)  # for the line around the domain
-    axis.set(aspect="equal", xticks=[], yticks=[])
-    axis.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
-    axis.set_frame_on(False)
+    axis.set(xticks=[], yticks=[], frame_on=False)
     what = f"step {now.number}: {now.step.changed} nodes changed" if now.number else "start"
     title = f"{name}\n{counted(now.dofs, 'node')}, {what}, {now.step.active} in contact"
     axis.set_title(title, fontsize=9.5, linespacing=1.4)
@@ -98,7 +93,7 @@ def _free_boundary(patch: Patch) -> tuple[list[Patch], str]:
     """That of the exact solution where it is known, otherwise that of the answer; and whose it is."""
     fields = patch.fields
     if "error" not in fields:
-        return free_boundary(with_levels(patch)), "free boundary in the end"
+        return free_boundary(patch), "free boundary in the end"
     u = fields["u"] - fields["error"]
     sides = {side: sign for side, sign in SIDES.items() if side in fields}
     touching = {side: np.abs(u - fields[side]) <= CLOSE * np.ptp(u) for side in sides}

@@ -11,13 +11,12 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.folder import STEPS, gather
-from fenicsx_obstacle.answers.origin import command
+from fenicsx_obstacle.io.folder import STEPS, gather
+from fenicsx_obstacle.io.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
-from fenicsx_obstacle.show.boundary import free_boundary, with_levels
-from fenicsx_obstacle.show.simplices import patch_of
+from fenicsx_obstacle.show.boundary import free_boundary, patch_of
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.rows import RowStore
@@ -169,7 +168,7 @@ def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) 
 
 def _write_free_boundary(arrays: Mapping[str, Any], path: Path) -> None:
     """One line of the table per piece of the free boundary: the coordinates of its ends, or of its corners."""
-    lines = free_boundary(with_levels(patch_of(arrays)))
+    lines = free_boundary(patch_of(arrays))
     pieces = [line.points[line.cells].reshape(len(line.cells), -1) for line in lines]
     table = np.concatenate([*pieces, np.empty((0, pieces[0].shape[1] if pieces else 6))])
     heads = [f"{axis}{corner}" for corner in range(1, table.shape[1] // 3 + 1) for axis in "xyz"]

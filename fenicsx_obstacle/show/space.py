@@ -1,132 +1,159 @@
-"""A view in space on a page: box, ticks and letters by matplotlib, the inside by pyvista or by matplotlib too."""
+"""Views in space on a page: box, ticks and letters by matplotlib, the inside by pyvista, or by matplotlib too."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.show.boundary import LEVELS, SIDES, Patch, free_boundary, rim
 from fenicsx_obstacle.show.figures import over, power
-from fenicsx_obstacle.show.relief import View, axes_of_view, rgb
-from fenicsx_obstacle.show.warped import rendered
+from fenicsx_obstacle.show.render import (
+    AZIMUTH,
+    CLEAR,
+    ELEVATION,
+    FREE,
+    INK,
+    OBSTACLE,
+    UPPER,
+    View,
+    axes_of_view,
+    rendered,
+)  # fmt: skip
 
+HEIGHT = 0.42  # of the graph of u, in units of its widest side
+MARGIN = 0.12  # of the box above and below the graph, in units of the range of u
+ZOOM = {"graph": 1.3, "surface": 0.95, "solid": 0.95}  # of the box within its place on the page
 LIGHT = np.array([-0.25, -0.45, 0.86])
 
 
-def draw_view(axis: Any, view: View, pixels: int = 1500) -> str:
-    """Draw a view (one rank).
+def draw_views(page: Any, places: Sequence[Any], patch: Patch, scales: Mapping[str, Any], kind: str, label: str) -> str:
+    """Draw some fields in space, each in a view of its own (one rank).
 
     Args:
-        axis: Axes of matplotlib.
-        view: What to draw.
-        pixels: Width of the picture.
+        page: Figure of matplotlib.
+        places: Where each view goes: parts of a grid.
+        patch: Triangles or tetrahedra, with levels.
+        scales: Colours of each field.
+        kind: `graph`, `surface` or `solid`.
+        label: Name of the third axis.
 
     Returns:
         Who drew it, and why.
     """
-    corners = np.array([[(view.lower, view.upper)[b][i] for i, b in enumerate(bits)] for bits in np.ndindex(2, 2, 2)])
-    flat = _project(view, corners)
-    (left, bottom), (right, top) = flat.min(axis=0) - 0.02, flat.max(axis=0) + 0.02
-    extent = (left, right, bottom, top)
-    _box(axis, view)
-    picture, who = rendered(view, extent, pixels)
-    if picture is None:
-        _paint(axis, view)
-        who = f"matplotlib, because {who}"
-    else:
-        axis.imshow(picture, extent=extent, zorder=3, interpolation="antialiased")
-    axis.set_aspect("equal")
-    axis.set_xlim(left - 0.16, right + 0.12)
-    axis.set_ylim(bottom - 0.12, top + 0.02)
-    axis.set_axis_off()
-    return who
+    arrays = {**patch.fields, "points": patch.points, "cells": patch.cells}
+    if kind == "graph":
+        patch = _graph(patch)
+        arrays["seen"] = patch.points[:, 2]
+    lower, upper = patch.points.min(axis=0), patch.points.max(axis=0)
+    if kind == "solid":
+        lower[1] = cut_at(patch)
+    if kind == "graph":
+        margin = MARGIN * (upper[2] - lower[2] or 1.0)
+        lower[2], upper[2] = lower[2] - margin, upper[2] + margin
+    size = upper - lower
+    scale = np.ones(3) / max(size[:2] if kind == "graph" else size)
+    if kind == "graph":
+        scale[2] = HEIGHT / size[2]
+    views = [
+        View(kind, name, shown.cmap.name, shown.get_clim(), lower.tolist(), upper.tolist(), scale.tolist())
+        for name, shown in scales.items()
+    ]
+    pictures, who = rendered(arrays, views)
+    for number, (place, view) in enumerate(zip(places, views, strict=True)):
+        axis = _box(page, place, view, label)
+        if pictures:
+            _put(axis, view, pictures[number])
+        else:
+            _paint(axis, patch, view, scales[view.shown])
+    return who if pictures else f"matplotlib, because {who}"
 
 
-def _project(view: View, points: np.ndarray) -> np.ndarray:
-    return view.place(np.asarray(points, dtype=float)) @ axes_of_view()[:2].T
+def cut_at(patch: Patch) -> float:
+    """The y where a solid is cut open: the middle of the contact set, or of the solid."""
+    where = patch.points[patch.fields["contact"] > 0]
+    return float((where if len(where) else patch.points)[:, 1].mean())
 
 
-def _box(axis: Any, view: View) -> None:
-    """Floor and the two walls behind; ticks on the floor's front edges and on the left edge."""
-    from matplotlib.ticker import MaxNLocator
-
-    low, high = view.lower, view.upper
-    middle = (low + high) / 2
-    # an axis, the edge its ticks stand on, and where its letters go: outwards in the projection
-    edges = ((0, np.array([np.nan, low[1], low[2]])), (1, np.array([high[0], np.nan, low[2]])),
-             (2, np.array([low[0], low[1], np.nan])))  # fmt: skip
-    walls = {0: [(1, high[1]), (2, low[2])], 1: [(0, low[0]), (2, low[2])], 2: [(0, low[0]), (1, high[1])]}
-    for number, edge in edges:
-        ends = np.array([np.where(np.isnan(edge), bound, edge) for bound in (low, high)])
-        axis.plot(*_project(view, ends).T, color="0.4", linewidth=0.8, zorder=2)
-        outwards = _outwards(view, number, edge, middle)
-        wanted = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[number], high[number])
-        size = high[number] - low[number]
-        # at the foot of the upright edge a figure of the x-axis stands already
-        first = low[number] + (0.08 if number == 2 else -1e-9) * size
-        ticks = [tick for tick in wanted if first <= tick <= high[number] + 1e-9 * size]
-        exponent = power(low[number], high[number])
-        texts = _texts(ticks, exponent)
-        for tick, text in zip(ticks, texts, strict=True):
-            at = np.where(np.isnan(edge), tick, edge)
-            for fixed, value in walls[number]:
-                other = next(i for i in range(3) if i not in (number, fixed))
-                stroke = np.array([at, at])
-                stroke[:, fixed], stroke[:, other] = value, (low[other], high[other])
-                axis.plot(*_project(view, stroke).T, color="0.9", linewidth=0.7, zorder=1)
-            place = _project(view, at) + 0.035 * outwards
-            axis.text(*place, text, fontsize=7.5, ha=_side(outwards), va="center", color="0.2")
-        beyond = 0.09 + 0.019 * max(map(len, texts), default=0) if number == 2 else 0.12
-        label = _project(view, np.where(np.isnan(edge), middle, edge)) + beyond * outwards
-        turned = {"rotation": 90, "ha": "center"} if number == 2 else {"ha": "center"}
-        axis.text(*label, over(view.labels[number], exponent), fontsize=9, va="center", **turned)
+def _graph(patch: Patch) -> Patch:
+    """The graph of u over the plane, as it is seen: what has penetrated an obstacle lies on the obstacle's surface."""
+    nothing = np.array(np.inf)
+    u = np.clip(patch.fields["u"], patch.fields.get("lower", -nothing), patch.fields.get("upper", nothing))
+    return Patch(np.column_stack([patch.points[:, :2], u]), patch.cells, patch.fields)
 
 
-def _outwards(view: View, number: int, edge: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Direction on the page that leads away from the box."""
-    if number == 2:
-        return np.array([-1.0, 0.0])
-    on_edge = np.where(np.isnan(edge), middle, edge)
-    inside = np.where(np.arange(3) == 2, edge, middle)
-    away = _project(view, on_edge) - _project(view, inside)
-    return away / np.linalg.norm(away)
+def _box(page: Any, place: Any, view: View, label: str) -> Any:
+    """Axes of matplotlib in space, with the projection of pyvista's picture."""
+    from matplotlib import rc_context
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+    with rc_context({"grid.color": "0.9", "grid.linewidth": 0.7}):
+        axis = page.add_subplot(place, projection="3d", proj_type="ortho", azim=AZIMUTH, elev=ELEVATION)
+    axis.computed_zorder = False
+    axis.set_box_aspect((np.array(view.upper) - view.lower) * view.scale, zoom=ZOOM[view.kind])
+    limits = list(zip(view.lower, view.upper, strict=True))
+    axis.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    axes = (axis.xaxis, axis.yaxis, axis.zaxis)
+    for line, (low, high), name in zip(axes, limits, ("x", "y", label), strict=True):
+        exponent = power(low, high)
+        line.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        line.set_major_formatter(FuncFormatter(lambda value, _, ten=10.0**exponent: f"{value / ten:g}"))
+        line.set_label_text(over(name, exponent), fontsize=9)
+        line.set_tick_params(labelsize=7.5, pad=0)
+        line.labelpad = 1
+        line.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        line.pane.set_edgecolor("0.8")
+    return axis
 
 
-def _side(outwards: np.ndarray) -> str:
-    return "right" if outwards[0] < -0.2 else "left" if outwards[0] > 0.2 else "center"
+def _put(axis: Any, view: View, picture: np.ndarray) -> None:
+    """A picture of pyvista where the projection of matplotlib has the same points."""
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    def projected(point: np.ndarray) -> np.ndarray:
+        return np.array(proj_transform(*point, axis.get_proj())[:2], dtype=float)
+
+    middle = projected(view.centre)
+    _, up, _ = axes_of_view()
+    half = np.linalg.norm(projected(view.centre + up * view.half / np.array(view.scale)) - middle)
+    (left, bottom), (right, top) = middle - half, middle + half
+    axis.imshow(picture, extent=(left, right, bottom, top), aspect="auto", zorder=3, interpolation="antialiased",
+                clip_on=False)  # fmt: skip
 
 
-def _texts(ticks: list[float], exponent: int) -> list[str]:
-    step = abs(ticks[1] - ticks[0]) if len(ticks) > 1 else 1.0
-    figures = [0.0 if abs(tick) < 1e-9 * step else tick / 10.0**exponent for tick in ticks]
-    return [f"{figure:g}".replace("-", "\N{MINUS SIGN}") for figure in figures]
+def _paint(axis: Any, patch: Patch, view: View, scale: Any) -> None:
+    """Every triangle in one colour, drawn by matplotlib from the farthest to the nearest."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-
-def _paint(axis: Any, view: View) -> None:
-    """The painter's way: all triangles from the farthest to the nearest."""
-    from matplotlib.collections import PolyCollection
-
-    camera = axes_of_view()
-    corners = np.concatenate([s.points[s.triangles] for s in view.surfaces])
-    colours = np.concatenate([s.colours[s.triangles].mean(axis=1) for s in view.surfaces])
-    opacity = np.concatenate([np.full(len(s.triangles), s.opacity) for s in view.surfaces])
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cells = patch.cells
+    if view.kind == "solid":
+        cells = rim(cells[patch.points[cells, 1].mean(axis=1) >= view.lower[1]])
+    colours = scale.to_rgba(patch.fields[view.shown][cells].mean(axis=1))
+    if view.shown == "pressure":
+        apart = ~np.any(patch.fields["contact"][cells] > 0, axis=1)
+        colours[apart] = _rgba(FREE, CLEAR if view.kind == "graph" else 1.0)
+    parts = [(patch.points[cells], colours)]
+    for side in SIDES if view.kind == "graph" else ():
+        if side in patch.fields:
+            points = np.column_stack([patch.points[:, :2], patch.fields[side]])
+            seen = np.any(patch.fields[LEVELS[side]][patch.cells] > 0, axis=1)
+            seen &= np.all((points >= view.lower) & (points <= view.upper), axis=1)[patch.cells].all(axis=1)
+            paint = np.tile(_rgba(OBSTACLE, 1.0 if side == "lower" else UPPER), (seen.sum(), 1))
+            parts.append((points[patch.cells[seen]], paint))
+    corners, colours = (np.concatenate(part) for part in zip(*parts, strict=True))
+    flat = corners * view.scale
+    normals = np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    shade = 0.62 + 0.38 * np.abs(normals @ LIGHT)
-    faces = np.column_stack([np.clip(colours * shade[:, None], 0, 1), opacity])
-    # edges are drawn where triangles are opaque: without them antialiasing leaves hairlines
-    edges = np.where(faces[:, 3:] > 0.9, faces, 0.0)
-    widths, count = np.full(len(faces), 0.25), len(faces)
-    # pieces of lines are triangles without area, a little nearer than what they lie on
-    for lines in view.lines:
-        corners = np.concatenate([corners, lines.ends[:, [0, 1, 1]]])
-        paint = np.tile(np.append(rgb(lines.colour), 1.0), (len(lines.ends), 1))
-        faces, edges = np.concatenate([faces, paint]), np.concatenate([edges, paint])
-        widths = np.concatenate([widths, np.full(len(paint), 460 * lines.radius)])
-    depth = (corners @ camera[2]).mean(axis=1)
-    depth[count:] += 0.02
-    order = np.argsort(depth)
-    axis.add_collection(
-        PolyCollection((corners @ camera[:2].T)[order], facecolors=faces[order], edgecolors=edges[order],
-                       linewidths=widths[order], zorder=3)
-    )  # fmt: skip
+    colours[:, :3] *= 0.62 + 0.38 * np.abs(normals @ LIGHT)[:, None]
+    axis.add_collection3d(Poly3DCollection(corners, facecolors=np.clip(colours, 0, 1), edgecolors="none"))
+    axis.text2D(0.02, 0.0, "each triangle in its mean colour", transform=axis.transAxes, fontsize=7.5, color="0.4")
+    if view.kind != "solid":
+        for line in free_boundary(patch):
+            axis.add_collection3d(Line3DCollection(line.points[line.cells], colors=INK, linewidths=1.6, zorder=4))
+
+
+def _rgba(colour: str, opacity: float) -> Any:
+    from matplotlib.colors import to_rgba
+
+    return to_rgba(colour, opacity)

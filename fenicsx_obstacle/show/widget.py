@@ -7,8 +7,8 @@ from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.answers.folder import gather
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.course import is_animated, moving
 from fenicsx_obstacle.show.pictures import Picture
 from fenicsx_obstacle.solvers.newton import smallest_eps

@@ -82,6 +82,29 @@ class defaults:
             self.database.delValue(key)
 
 
+class overriding:
+    """Options that hold whatever the user has set on the command line, which returns afterwards."""
+
+    def __init__(self, options: Mapping[str, Any]):
+        """Set nothing yet.
+
+        Args:
+            options: With their prefix; None or "" for one without a value.
+        """
+        self.database, self.values = PETSc.Options(), options
+
+    def __enter__(self) -> None:
+        self.before = {key: self.database.getString(key) for key in self.values if self.database.hasName(key)}
+        for key, value in self.values.items():
+            self.database[key] = value
+
+    def __exit__(self, *error: object) -> None:
+        for key in self.values:
+            self.database.delValue(key)
+        for key, value in self.before.items():
+            self.database[key] = value
+
+
 def user_has_set(option: str) -> bool:
     """Whether the user's PETSc options name this one."""
     return bool(PETSc.Options().hasName(option))

@@ -75,7 +75,8 @@ def solve_penalty(
     if successive:
         problem.refer(problem.cold_start())
     how = {"unchanged": successive, "least": least, "tolerance": tolerance, "watch": watch}
-    if problem.affine or not problem.constrained or user_has_set("penalty_snes_max_it"):  # a limit is kept
+    limited = user_has_set(problem.options_of("penalty") + "snes_max_it")  # a limit is kept
+    if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, how, multigrid), problem, eps, tolerance)
     start = problem.heights().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
@@ -140,7 +141,7 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
 
     A line search ends where the round-off of the energy hides any descent: full steps go on from there.
     """
-    if user_has_set("penalty_snes_linesearch_type"):
+    if user_has_set(problem.options_of("penalty") + "snes_linesearch_type"):
         return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)
     searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
     outcome = _attempt(problem, searches[0], how, multigrid)

@@ -79,7 +79,7 @@ def run(
 
     Args:
         problem: What to solve.
-        name: Name of the solver and prefix of its options.
+        name: Name of the solver, and prefix of its options where the problem has none of its own.
         options: Its defaults, without the prefix; the user's PETSc options win.
         stopping: When to stop.
         penalised: Whether the penalty is part of the residual.
@@ -90,7 +90,8 @@ def run(
             tensions that jump by 1e6 within a few cells defeat algebraic multigrid.
     """
     start = time.perf_counter()
-    chosen = user_has_set(f"{name}_pc_type")
+    prefix = problem.options_of(name)
+    chosen = user_has_set(f"{prefix}pc_type")
     if direct or chosen:
         multigrid = None
     linear: Mapping[str, Any] = LINEAR if problem.symmetric else GENERAL
@@ -113,14 +114,14 @@ def run(
     snes.setJacobian(jacobian, problem.A)
     if objective:
         snes.setObjective(lambda _, x: problem.energy(x, penalised=penalised))
-    snes.setOptionsPrefix(f"{name}_")
-    with defaults(f"{name}_", database):
+    snes.setOptionsPrefix(prefix)
+    with defaults(prefix, database):
         if multigrid is not None and penalised:
             multigrid.install(snes.ksp.pc)
         snes.setFromOptions()
         if multigrid is not None and not penalised:
             snes.ksp.pc.setType("python")
-            snes.ksp.pc.setPythonContext(OnInactive(snes, multigrid, f"{name}_"))
+            snes.ksp.pc.setPythonContext(OnInactive(snes, multigrid, prefix))
         if prepare is not None:
             prepare(snes)
         if multigrid is not None:
@@ -136,7 +137,7 @@ def run(
     for owner in (snes, x, residual):
         owner.destroy()
     failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
-    if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{name}_{key}") for key in LINEAR):
+    if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{prefix}{key}") for key in LINEAR):
         _log.info("a linear system could not be solved by iteration; a direct solver goes on")
         stopping.begin_again()
         again = run(problem, name, options, stopping, penalised=penalised, objective=objective, prepare=prepare,

@@ -46,7 +46,8 @@ def solve_vi(
         NotConverged: With PETSc's reason.
     """
     how = {"least": least, "tolerance": tolerance, "watch": watch}
-    if problem.affine or not problem.constrained or user_has_set("vi_snes_max_it"):  # a limit is kept
+    limited = user_has_set(problem.options_of("vi") + "snes_max_it")  # a limit is kept
+    if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, multigrid, how), problem, None, tolerance)
     start = problem.heights().x.array
     outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})

@@ -20,12 +20,12 @@ from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import changed
-from fenicsx_obstacle.answers.choose import penalty_parameter
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
 from fenicsx_obstacle.studies.measured import Bench, ending, floor_of, place, too_many, without_name
 from fenicsx_obstacle.studies.rows import RowStore, row_key

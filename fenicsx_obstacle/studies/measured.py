@@ -14,13 +14,13 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.choose import penalty_parameter
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import forget_peak_memory, largest, total
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.solvers.newton import smallest_eps
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
 from fenicsx_obstacle.solvers.yardstick import poisson_seconds

@@ -18,8 +18,8 @@ from typing import IO, Any
 import msgspec
 from petsc4py import PETSc
 
-from fenicsx_obstacle.answers.origin import versions
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.origin import versions
 from fenicsx_obstacle.parallel import make_folder, remove_empty, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 

@@ -11,10 +11,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.bring import solve_form
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.forms.rules import nodal_rule
 from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.problems.solve_form import solve_form
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.theory.statement import Curve, Finding, Found, Panel, check, constant, statement

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.bring import FormAnswer, solve_form
+from fenicsx_obstacle.problems.solve_form import FormAnswer, solve_form
 from fenicsx_obstacle.studies.hard.families.family import ANSWER, REJECTION, Family, Judgement
 
 

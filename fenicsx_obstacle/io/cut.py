@@ -1,4 +1,4 @@
-"""An answer of any element as one on P1 simplices: what is drawn, saved, compared and looked up.
+"""A solution of any element as one on P1 simplices: what is drawn, saved, compared and looked up.
 
 Cells are cut along the lattice of their nodes, so that u keeps all its nodal values. Where pressures are constant on
 cells the centres become nodes too, or a mean at the vertices would hide what differs from cell to cell.
@@ -21,35 +21,30 @@ from fenicsx_obstacle.discrete.parents import numbers
 from fenicsx_obstacle.parallel import before
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.answer import Answer
+    from fenicsx_obstacle.problems.solution import Solution
 
 
 _SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}
 
 
-def linear(answer: Answer) -> Answer:
-    """The interpolant of an answer of another element on the cut cells (collective)."""
-    return cut(answer).plain
-
-
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """An answer on cut cells.
+    """A solution on cut cells.
 
     Attributes:
-        plain: The answer, on P1 simplices.
+        plain: The solution, on P1 simplices.
         nodes: Global dof of `plain` at each node of each owned cell, in DOLFINx's order of the dofs of V_h in a cell.
         parents: For each owned cell of `plain` the local cell it was cut from.
     """
 
-    plain: Answer
+    plain: Solution
     nodes: np.ndarray
     parents: np.ndarray
 
 
-def cut(answer: Answer) -> Cut:
-    """Cut the cells of an answer of another element (collective)."""
-    level = answer.level
+def cut(solution: Solution) -> Cut:
+    """Cut the cells of a solution of another element (collective)."""
+    level = solution.level
     mesh, comm = level.mesh, level.comm
     cell, dim, gdim = releases.cell_name(mesh), mesh.topology.dim, mesh.geometry.dim
     V, own, count = level.V, own_cells(mesh), level.owned
@@ -82,11 +77,11 @@ def cut(answer: Answer) -> Cut:
         result.x.scatter_forward()
         return result
 
-    fields: dict[str, Any] = {name: moved(function) for name, function in answer.functions().items()}
+    fields: dict[str, Any] = {name: moved(function) for name, function in solution.functions().items()}
     parents, found = kept // len(pieces), np.empty(nodes.shape, dtype=np.int64)
     global_dofs = pieced.V.dofmap.index_map.local_to_global(targets.astype(np.int32).ravel())
     found[parents[:, None], corners] = np.asarray(global_dofs).reshape(targets.shape)
-    return Cut(replace(answer, level=pieced, **fields), found[:, : dofs.shape[1]], parents)
+    return Cut(replace(solution, level=pieced, **fields), found[:, : dofs.shape[1]], parents)
 
 
 def _continuous(level: Level, values: np.ndarray) -> np.ndarray:

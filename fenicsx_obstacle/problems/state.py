@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle.answers.choose import Method
 from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.contact import Contact, contact_of
+from fenicsx_obstacle.solvers.choose import Method
 
 
 @dataclass(frozen=True, eq=False)

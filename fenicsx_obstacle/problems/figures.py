@@ -1,42 +1,43 @@
-"""The figures of an answer that say what was solved, and what came out; how long it took is not among them."""
+"""The figures of a solution: what was solved, what came out, how it was found."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
+from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.state import State
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.estimation.round_off import round_off
-from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.options import SolverOptions
+from fenicsx_obstacle.io.origin import command, versions
+from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
+from fenicsx_obstacle.problems.solution import Seconds
+from fenicsx_obstacle.problems.state import State
+from fenicsx_obstacle.solvers.snes import Outcome
 
 
 def figures_of(
-    problem: Problem, scene: Scene, options: SolverOptions, eps: float | None, state: State
+    problem: Problem, method: str, eps: float | None, state: State, *, name: str = "", title: str = "", refine: int = 0
 ) -> dict[str, Any]:
-    """Part of answer.json (collective).
+    """What was solved, and what came out (collective).
 
     Args:
         problem: Just solved.
-        scene: Its scene.
-        options: That it was solved with.
+        method: By which method.
         eps: Penalty parameter, or None.
         state: What came out.
+        name: Of the problem.
+        title: Of the problem.
+        refine: How often the mesh of a file was refined.
     """
-    level, asked, contact = problem.level, options.method, state.contact
+    level, contact = problem.level, state.contact
     figures: dict[str, Any] = {
-        "scene": scene.name, "title": scene.tables.title, "method": asked,
-        **({"m_matrix": problem.m_matrix} if asked == "successive" else {}),
-        "element": scene.pair.name, "ranks": level.comm.size,
-        "cells": None if level.shape is None else level.shape.cells[0], "refine": scene.tables.mesh.refine,
+        "scene": name, "title": title, "method": method,
+        **({"m_matrix": problem.m_matrix} if method == "successive" else {}),
+        "element": level.pair.name, "ranks": level.comm.size,
+        "cells": None if level.shape is None else level.shape.cells[0], "refine": refine,
         "cells_total": level.cells, "dofs": level.dofs,
         "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
         "h": level.h, "h_max": level.h_max, "eps": eps, **_of_effects(problem), "energy": state.energy,
@@ -51,24 +52,18 @@ def figures_of(
 
         if (jump := boundary_jump(problem.data)) is not None:
             figures["boundary_jump"] = jump
-    if problem.constrained and problem.affine and level.pair.nodal and scene.time is None:
+    if problem.constrained and problem.affine and level.pair.nodal and problem.model.time is None:
         figures["round_off"] = round_off(problem, state.p, eps)
     return figures
 
 
-def with_errors(answer: Answer, exact: Exact) -> Answer:
-    """The answer with its errors, and with the effectivity of its bound (collective).
-
-    Raises:
-        InputError: If the exact solution is not a number somewhere.
-    """
-    eps = answer.record["eps"]
-    record: dict[str, Any] = {**answer.record, "errors": exact.errors(answer.u, answer.pressure, eps)}
-    if answer.bound is not None and record["errors"]["energy"] > 0:
-        record["bound"] = {**record["bound"], "effectivity": answer.bound.total / record["errors"]["energy"]}
-    error = fem.Function(answer.level.V)
-    error.x.array[:] = answer.u.x.array - exact.nodal(eps)
-    return replace(answer, record=record, error=error)
+def course_of(outcome: Outcome, seconds: Seconds, comm: MPI.Comm) -> dict[str, Any]:
+    """How it was found (collective)."""
+    return {
+        "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
+        "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, "seconds": asdict(seconds),
+        "memory_mb": peak_memory_mb(comm), "versions": versions(), "command": command(comm.size),
+    }  # fmt: skip
 
 
 def _may_jump(problem: Problem) -> bool:

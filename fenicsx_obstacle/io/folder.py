@@ -1,12 +1,11 @@
-"""A saved answer: a folder that ParaView opens and that is read back on any number of ranks."""
+"""A saved solution: a folder that ParaView opens and that is read back on any number of ranks."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-import os
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,50 +14,45 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.element import OWN_MESH, element_of, mesh_of, own_mesh, restored
-from fenicsx_obstacle.answers.paraview import FRAMES, to_hdf5, xdmf
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import P1
+from fenicsx_obstacle.forms.pairs import P1, pairs
+from fenicsx_obstacle.io.element import OWN_MESH, element_of, mesh_of, restored
+from fenicsx_obstacle.io.paraview import FRAMES, to_hdf5, xdmf
 from fenicsx_obstacle.parallel import gathered, new_files, on_root
-from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.stopping import Step
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.answer import Answer
-    from fenicsx_obstacle.answers.course import Course
+    from fenicsx_obstacle.problems.solution import Solution
 
-NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
-STEPS = "newton.gif"  # drawn on demand; of an older answer it goes like what belongs to time
-_OF_TIME = {NEWTON, *FRAMES}
+STEPS = "newton.gif"  # drawn on demand; of an older solution it goes like what belongs to time
+_OF_SOME = {"scene.toml", "newton.csv", "checkpoint.h5", STEPS, *OWN_MESH, *FRAMES}  # files that not all folders have
 FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
 DERIVED = ("gap",)  # written for ParaView, not read back
 
 
-def save(answer: Answer, folder: Path) -> None:
-    """Write an answer; of what is in the folder only an older answer is replaced (collective)."""
-    arrays, element = gather(answer), element_of(answer)
-    comm = answer.level.comm
+def save(solution: Solution, folder: Path) -> None:
+    """Write a solution; of what is in the folder only an older one is replaced (collective).
+
+    Raises:
+        InputError: If the folder cannot be written.
+    """
+    arrays, element = gather(solution), element_of(solution)
+    comm = solution.level.comm
     with new_files(comm, folder) as scratch:
 
         def write() -> None:
             contents = {
-                "scene.toml": _scene_there(answer.scene, folder).toml().encode(),
-                "answer.json": (json.dumps(dict(answer.record), indent=1) + "\n").encode(),
-                "history.csv": _history(answer.history).encode(),
+                "answer.json": (json.dumps(dict(solution.record), indent=1) + "\n").encode(),
+                "history.csv": history_csv(solution.history),
                 "fields.h5": to_hdf5(arrays | {f"element/{name}": values for name, values in element.items()}),
                 "fields.xdmf": xdmf(arrays, {None: arrays}).encode(),
+                **solution.files(folder, arrays, element),
             }
-            if element and answer.scene.mesh is not None:
-                contents |= own_mesh(arrays["points"][:, : arrays["gdim"]], element)
-            if answer.course is not None:
-                from fenicsx_obstacle.answers.frames import files_of  # only where a scene has time
-
-                contents |= {NEWTON: contents["history.csv"], **files_of(answer.course, arrays)}
+            kept = {"checkpoint.h5"} if "time" in solution.record else set[str]()
             try:
                 for name, content in contents.items():
                     (scratch / name).write_bytes(content)
-                state = {"checkpoint.h5"} if answer.course is None else set[str]()
-                for name in ({STEPS, *OWN_MESH, *_OF_TIME} | state) - set(contents):
+                for name in _OF_SOME - kept - set(contents):
                     (folder / name).unlink(missing_ok=True)
             except OSError as error:
                 raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
@@ -66,13 +60,36 @@ def save(answer: Answer, folder: Path) -> None:
         on_root(comm, write)
 
 
-def read(kind: type[Answer], folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Answer:
-    """Read an answer, of this class (collective)."""
+@dataclass(frozen=True, eq=False)
+class Saved:
+    """What a folder holds.
 
-    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], dict[str, np.ndarray], tuple[Step, ...], Course | None]:
+    Attributes:
+        fields: Arguments of `Solution`, and `error` where it is there.
+        points: Coordinates of the nodes in the order of the files, shape (n, 3).
+    """
+
+    fields: dict[str, Any]
+    points: np.ndarray
+
+
+def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_time: str = "history.csv") -> Saved:
+    """Read a solution (collective).
+
+    Args:
+        folder: Of `save`.
+        comm: The ranks that share its mesh.
+        needed: Further files that must be there.
+        steps_in_time: Where the steps of the iteration stand if history.csv has the course of time.
+
+    Raises:
+        InputError: If it holds none, or a damaged one.
+    """
+
+    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], dict[str, np.ndarray], tuple[Step, ...]]:
         if folder.is_file():
             raise InputError(f"{folder}: a file, not the folder of a saved answer")
-        for name in ("answer.json", "fields.h5", "scene.toml", "history.csv"):
+        for name in ("answer.json", "fields.h5", *needed, "history.csv"):
             if not (folder / name).exists():
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
         try:
@@ -86,29 +103,21 @@ def read(kind: type[Answer], folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> A
         if missing:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(sorted(missing))}")
         record = _record(folder)
-        if "time" in record:
-            from fenicsx_obstacle.answers.frames import load_course
+        return record, arrays, element, _steps(folder / (steps_in_time if "time" in record else "history.csv"), record)
 
-            return record, arrays, element, _steps(folder / NEWTON, record), load_course(folder)
-        return record, arrays, element, _steps(folder / "history.csv", record), None
-
-    record, arrays, element, steps, course = on_root(comm, load)
-    scene = Scene.read(folder / "scene.toml")
+    record, arrays, element, steps = on_root(comm, load)
     # version 0.1 kept the nodal values on cut cells alone: what it saved of other elements is P1
-    pair = scene.pair if element or scene.pair.nests else P1
+    name = record.get("element", "P1")
+    if name not in pairs():
+        raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
+    pair = pairs()[name] if element or pairs()[name].nests else P1
     level = mesh_of(arrays, element, int(arrays["gdim"]), record["h"], comm, pair)
     try:
         fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)
     except InputError as error:
         raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-    answer = kind(
-        scene, level, fields["u"], fields["pressure"], fields["contact"],
-        fields.get("lower"), fields.get("upper"), fields.get("error"), steps, record,
-    )  # fmt: skip
-    if course is None:
-        return answer
-    shown = answer.plain.level
-    return replace(answer, course=course.renumbered(arrays["points"], gathered(comm, shown.points.T[: shown.owned])))
+    optional = {name: fields.get(name) for name in ("lower", "upper")}
+    return Saved({**fields, **optional, "level": level, "history": steps, "record": record}, arrays["points"])
 
 
 def _datasets(group: Any) -> dict[str, np.ndarray]:
@@ -139,33 +148,23 @@ def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:
         raise InputError(f"{file.parent}: the saved answer is damaged: {file.name}: {error}") from None
 
 
-def _scene_there(scene: Scene, folder: Path) -> Scene:
-    """The scene as it can be read from its folder: a mesh of the caller's own is the one in fields.xdmf."""
-    file = scene.tables.mesh.file
-    if scene.mesh is not None:
-        return scene.with_mesh_file("fields.xdmf" if scene.pair.nests else OWN_MESH[0])
-    if file is None:
-        return scene
-    return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})
-
-
-def fields_of(answer: Answer) -> dict[str, np.ndarray]:
+def fields_of(solution: Solution) -> dict[str, np.ndarray]:
     """The fields of `gather` alone, in single precision."""
-    arrays = gather(answer)
+    arrays = gather(solution)
     return {name: arrays[name].astype(np.float32) for name in (*FIELDS, *DERIVED) if name in arrays}
 
 
-def gather(answer: Answer) -> dict[str, np.ndarray]:
+def gather(solution: Solution) -> dict[str, np.ndarray]:
     """Points, cells and fields of all ranks on rank 0, numbered by global dof; empty elsewhere (collective)."""
-    answer = answer.plain
-    level = answer.level
+    solution = solution.plain
+    level = solution.level
     comm, owned = level.comm, level.owned
     own_cells = level.mesh.topology.index_map(level.mesh.topology.dim).size_local
     numbering = level.V.dofmap.index_map
     dofs = releases.cell_dofs(level.V)[:own_cells]
     cells = np.asarray(numbering.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
     parts = {"points": level.points.T[:owned], "cells": cells}
-    parts |= {name: function.x.array[:owned].real for name, function in answer.functions().items()}
+    parts |= {name: function.x.array[:owned].real for name, function in solution.functions().items()}
     found = {name: gathered(comm, values) for name, values in parts.items()}
     if comm.rank != 0:
         return {}
@@ -177,10 +176,11 @@ def gather(answer: Answer) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _history(steps: tuple[Step, ...]) -> str:
+def history_csv(steps: tuple[Step, ...]) -> bytes:
+    """The steps of an iteration, a line each."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(["step", *Step.__annotations__])
     for number, step in enumerate(steps):
         writer.writerow([number, *vars(step).values()])
-    return text.getvalue()
+    return text.getvalue().encode()

@@ -1,4 +1,4 @@
-"""The finite element functions of a saved answer, in a form that depends neither on ranks nor on DOLFINx's numbering.
+"""The finite element functions of a saved solution, in a form that depends neither on ranks nor on DOLFINx's numbering.
 
 On P1 simplices the nodal values of fields.h5 are all there is. For other elements that file holds the nodal values on
 cut cells, as ParaView draws them; the group `element` says which of these nodes each cell has, and holds the fields of
@@ -15,15 +15,15 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.paraview import to_hdf5, xdmf_mesh
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.levels import Level, of_pair
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
+from fenicsx_obstacle.io.paraview import to_hdf5, xdmf_mesh
 from fenicsx_obstacle.parallel import gathered
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.answer import Answer
+    from fenicsx_obstacle.problems.solution import Solution
 
 
 OWN_MESH = ("element.xdmf", "element.h5")  # a mesh of the caller's own, where fields.xdmf has cut cells
@@ -34,19 +34,19 @@ _VERTICES = {"interval": 2, "triangle": 3, "quadrilateral": 4, "tetrahedron": 4,
 Arrays = Mapping[str, np.ndarray]
 
 
-def element_of(answer: Answer) -> dict[str, np.ndarray]:
-    """What restores the element of an answer, on rank 0; empty elsewhere, and for P1 simplices (collective).
+def element_of(solution: Solution) -> dict[str, np.ndarray]:
+    """What restores the element of a solution, on rank 0; empty elsewhere, and for P1 simplices (collective).
 
     Returns:
         `cell`, the name of the cells; `cells`, for each of them the rows of the nodal values in the order of its dofs;
         and by its name each field of Q_h that is not nodal, shape (cells, dofs of a cell).
     """
-    level = answer.level
+    level = solution.level
     if level.pair.nests:
         return {}
     own = own_cells(level.mesh)
-    parts = {"cells": answer.cut.nodes}
-    for name, function in answer.functions().items():
+    parts = {"cells": solution.cut.nodes}
+    for name, function in solution.functions().items():
         space = function.function_space
         if space != level.V:
             parts[name] = function.x.array[releases.cell_dofs(space)[:own]].real
@@ -58,7 +58,7 @@ def element_of(answer: Answer) -> dict[str, np.ndarray]:
 
 
 def own_mesh(points: np.ndarray, element: Arrays) -> dict[str, bytes]:
-    """The files `OWN_MESH`: the mesh of an answer without the nodes between its vertices (one rank).
+    """The files `OWN_MESH`: the mesh of a solution without the nodes between its vertices (one rank).
 
     Args:
         points: Coordinates of all nodes, shape (n, gdim).
@@ -70,7 +70,7 @@ def own_mesh(points: np.ndarray, element: Arrays) -> dict[str, bytes]:
 
 
 def mesh_of(arrays: Arrays, element: Arrays, gdim: int, h: float, comm: MPI.Comm, pair: Pair) -> Level:
-    """The mesh of a saved answer with the spaces of its pair (collective).
+    """The mesh of a saved solution with the spaces of its pair (collective).
 
     Args:
         arrays: Those of fields.h5, the same on every rank.

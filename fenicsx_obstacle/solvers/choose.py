@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,9 +12,10 @@ import numpy as np
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.augmented import solve_augmented
 from fenicsx_obstacle.solvers.linear import LARGEST
 from fenicsx_obstacle.solvers.newton import penalty_pressure, smallest_eps, solve_penalty
@@ -41,26 +42,26 @@ DIRECT_SOLVER = "a direct solver (MUMPS), because contact couples the nodes of a
 AUGMENTED = "penalty solves with augmented obstacles g + eps p: the quadratic program with u <= g at the points of I"
 
 
-def nested(scene: Scene, options: SolverOptions) -> bool:
-    """Whether a scene is solved from the coarsest level of its mesh on, where it has more than one.
+def nested(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> bool:
+    """Whether a problem is solved from the coarsest level of its mesh on, where it has more than one.
 
     Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
     at the nodes of spaces that nest, or of P2, which begins with P1 on the same mesh. (3.4)* is the paper's own
     iteration, which starts without contact; `start = "cold"` asks for the same of the other methods. Whatever is not
     nested is solved with `LINEAR_SOLVER`, `GENERAL_SOLVER` or, where the pair is not nodal, `DIRECT_SOLVER`.
     """
-    simple = all(effect.affine and effect.symmetric and effect.convex for effect in scene.effects)
-    serves = scene.pair.nests or scene.pair.stacks
+    simple = all(effect.affine and effect.symmetric and effect.convex for effect in effects)
+    serves = pair.nests or pair.stacks
     return simple and serves and options.start == "nested" and options.method != "successive"
 
 
-def stepwise(scene: Scene, options: SolverOptions) -> bool:
-    """Whether a scene that truncated multigrid does not serve is still solved level by level, for better starts.
+def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> bool:
+    """Whether a problem that truncated multigrid does not serve is still solved level by level, for better starts.
 
     Newton's method then has the region of convergence of the coarsest mesh, and few steps on the finest.
     """
     starts = options.start == "nested" and options.method != "successive"
-    return starts and scene.pair.nests and not nested(scene, options)
+    return starts and pair.nests and not nested(effects, pair, options)
 
 
 def chain(problem: Problem) -> list[Problem]:

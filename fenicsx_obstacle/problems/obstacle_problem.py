@@ -1,0 +1,400 @@
+"""ObstacleProblem: a residual in UFL and obstacles, solved by the penalty method or as a variational inequality."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.levels import Level, of_space
+from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import smallest, total
+from fenicsx_obstacle.problems.figures import course_of, figures_of
+from fenicsx_obstacle.problems.own_form import OfForm, check_form, conditions, number_of, obstacle
+from fenicsx_obstacle.problems.solution import Seconds, Solution
+from fenicsx_obstacle.problems.state import State, state_of
+from fenicsx_obstacle.solvers.choose import Method, method_of
+from fenicsx_obstacle.solvers.linear import overriding
+from fenicsx_obstacle.solvers.options import SolverOptions
+from fenicsx_obstacle.solvers.snes import Outcome
+from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
+from fenicsx_obstacle.words import shown
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.estimation.bound import Estimator
+
+SHARE = 0.01  # of the median of D_i/A_ii: eps = "auto"
+Monitor = Callable[[int, Step], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What a solve left.
+
+    Attributes:
+        outcome: Of the iteration.
+        method: With eps.
+        state: The fields.
+    """
+
+    outcome: Outcome
+    method: Method
+    state: State
+
+
+class ObstacleProblem:
+    """Find u between obstacles such that F(u; v) + (1/eps) I((u - g)^+, v) = 0 for all v, or the inequality itself.
+
+    I is the rule at the nodes of u (3.5), (3.6): the penalty is diagonal, and (3.7) gives the contact pressure at the
+    nodes. Whether F is linear in u is found out; if so, its matrix is assembled once and kept while the values of the
+    coefficients in it stay the same.
+
+    Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
+    values are taken anew, and the iteration starts from u. So a loop over time steps is a loop.
+
+    All methods are collective.
+
+    Attributes:
+        u: The unknown: start and solution.
+        A: The matrix of the last linear system, for experts; rows of Dirichlet dofs are those of the identity.
+        b: The residual of F at the last state without contact; at Dirichlet dofs the reaction of the support.
+    """
+
+    name = "ObstacleProblem"  # in messages
+
+    def __init__(
+        self,
+        F: ufl.Form,
+        u: fem.Function,
+        *,
+        bcs: Any = (),
+        lower: Any = None,
+        upper: Any = None,
+        energy: ufl.Form | None = None,
+        J: ufl.Form | None = None,
+        measure: ufl.Measure | None = None,
+        petsc_options_prefix: str = "",
+        petsc_options: Mapping[str, Any] | None = None,
+        form_compiler_options: Mapping[str, Any] | None = None,
+        jit_options: Mapping[str, Any] | None = None,
+    ):
+        """Compile and assemble (collective).
+
+        Args:
+            F: Residual without contact, a linear form in one test function; linear in u or not.
+            u: Unknown of F, a continuous Lagrange Function of degree 1 or 2. It holds the start, and then the solution.
+                Where nothing but contact holds it the start is in contact instead.
+            bcs: Dirichlet conditions, a list or a single one.
+            lower: Obstacle below, taken at the nodes: a number; a Constant; a Function, also of another space, or on
+                another mesh that covers this one; UFL without u; or a callable of x, shape (3, n), as
+                Function.interpolate takes it. In units of u.
+            upper: Obstacle above, in the same way.
+            energy: The functional whose derivative F is; with it a line search safeguards the iteration. Needed where F
+                is not linear only.
+            J: The derivative of F where UFL's own is not wanted; of linear F it is not used.
+            measure: Where contact can be: `ds(3)` for the facets tagged 3, also a tuple of tags; by default the domain.
+                The pressure is then a force per area of these facets (in the plane, per length).
+            petsc_options_prefix: Of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
+            petsc_options: Options without the prefix; they go before those of the command line, and hold for this
+                problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
+                symmetric, else GMRES.
+            form_compiler_options: As for dolfinx.fem.form.
+            jit_options: As for dolfinx.fem.form.
+
+        Raises:
+            InputError: If an argument is of another kind, or no u can satisfy the data.
+        """
+        if lower is None and upper is None:
+            raise InputError(f"{self.name}: give an obstacle, lower= or upper=")
+        if not isinstance(u, fem.Function):
+            raise InputError(f"{self.name}: u = {shown(u)}: expected the Function that F is to be solved for")
+        V = u.function_space
+        facets = None if measure is None else _facets(measure, V.mesh, self.name)
+        level = of_space(V, self.name, None if facets is None else {"contact": facets})
+        check_form(F, u, f"{self.name}: F", arguments=1)
+        if energy is not None:
+            check_form(energy, u, f"{self.name}: energy", arguments=0)
+        if J is not None:
+            check_form(J, u, f"{self.name}: J", arguments=2)
+        sides = {
+            name: None if g is None else obstacle(g, u, f"{self.name}: {name}")
+            for name, g in (("lower", lower), ("upper", upper))
+        }
+        form = OfForm(F=F, u=u, functional=energy, J=J)
+        where: dict[str, Any] = sides if measure is None else {"boundary": (Part("measure", ("contact",), **sides),)}
+        model = Model((form,), source=self.name, **where)
+        data = Data(model, level, bcs=conditions(bcs, V, self.name), live=True)
+        compiled = (form_compiler_options, jit_options)
+        self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
+        if energy is not None:
+            self._refuse_no_minimum()
+
+    @classmethod
+    def of_model(
+        cls,
+        model: Model,
+        level: Level,
+        *,
+        petsc_options_prefix: str = "",
+        petsc_options: Mapping[str, Any] | None = None,
+    ) -> ObstacleProblem:
+        """A problem made of effects, for which there are error bounds (collective).
+
+        Args:
+            model: Effects, obstacles and boundary values, none of which depends on time.
+            level: Mesh and spaces; of a refined one only the finest is used.
+            petsc_options_prefix: As for the class.
+            petsc_options: Likewise.
+
+        Raises:
+            InputError: If the model has time, or no u can satisfy the data.
+        """
+        if model.time is not None:
+            raise InputError(f"{model.source}: an ObstacleProblem is one equilibrium; solve() takes [time]")
+        self = cls.__new__(cls)
+        u = fem.Function(level.V, name="u")
+        self._set_up(Data(model, level), u, None, petsc_options_prefix, petsc_options, (None, None))
+        u.x.array[:] = self._problem.heights().x.array
+        return self
+
+    def _set_up(
+        self,
+        data: Data,
+        u: fem.Function,
+        form: OfForm | None,
+        prefix: str,
+        options: Mapping[str, Any] | None,
+        compiled: tuple[Mapping[str, Any] | None, Mapping[str, Any] | None],
+    ) -> None:
+        """Assemble what stays (collective)."""
+        self.u, self._data, self._form, self._compiled = u, data, form, compiled
+        self._options = {} if options is None else dict(options)
+        self._estimator: Estimator | None = None
+        started = time.perf_counter()
+        with releases.compiled_with(*compiled):
+            self._problem = Problem(data, prefix)
+        self._setup_seconds = time.perf_counter() - started
+        self._in_matrix = [] if form is None else _values_in(form.slope)
+        self._pressure = np.zeros(len(self._problem.weights))
+
+    @property
+    def A(self) -> PETSc.Mat:
+        """The matrix of the last linear system."""
+        return self._problem.A
+
+    @property
+    def b(self) -> PETSc.Vec:
+        """The residual of F at the last state."""
+        return self._problem.elastic
+
+    @property
+    def level(self) -> Level:
+        """The mesh and the spaces V_h and Q_h."""
+        return self._problem.level
+
+    def solve(
+        self,
+        *,
+        eps: float | str | fem.Constant = "auto",
+        method: str = "penalty",
+        rtol: float = TOLERANCE,
+        bound: bool = False,
+        monitor: Monitor | None = None,
+    ) -> Solution:
+        """Solve from u on (collective).
+
+        Args:
+            eps: Penalty parameter in units of u/p, a number or a Constant; "auto" takes a hundredth of the median of
+                D_i/A_ii over the nodes where u is free, for A the derivative of F at the start and D the weights of I;
+                of a model it is h^2/100 over the largest tension.
+            method: penalty; successive, the paper's (3.4)*, which starts without contact; or vi, for the variational
+                inequality by SNES VI, without eps.
+            rtol: Unbalanced force over acting forces to stop at, dimensionless.
+            bound: Bound the energy error, which takes a problem made of effects.
+            monitor: Called with the number of each Newton step and its `Step`, on all ranks.
+
+        Raises:
+            InputError: If an argument is of another kind, or no u can satisfy the data.
+            NotConverged: With PETSc's reason; u is then what it was.
+        """
+        started = time.perf_counter()
+        if bound and self._estimator is None:
+            self._estimator = self._bounds()
+        found = self._solved(eps, method, rtol, monitor)
+        problem, level = self._problem, self._problem.level
+        figures = figures_of(problem, method, found.method.eps, found.state, name=self.name)
+        spent = time.perf_counter() - started + self._setup_seconds
+        record = {**figures, **course_of(found.outcome, Seconds(spent, 0.0, spent), level.comm)}
+        certified = self._estimator.bound() if bound and self._estimator is not None else None
+        if certified is not None:
+            record["bound"] = {**certified.record, "effectivity": None}
+        self._setup_seconds = 0.0
+        # clocks differ between ranks: rank 0 speaks for all
+        record, history = level.comm.bcast((record, found.outcome.history))
+        shown_sides = (None, None) if self._data.thin else (self._data.lower, self._data.upper)
+        kept = [None if side is None else side.copy() for side in shown_sides]
+        state = found.state
+        return Solution(level, self.u, state.pressure, state.touching, kept[0], kept[1], history, record, certified)
+
+    def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
+        """Solve, into u (collective)."""
+        options = SolverOptions(method, source=f"{self.name}:")
+        if not 0 < rtol < 1:
+            raise InputError(f"{self.name}: rtol = {rtol:g}: expected a number between 0 and 1")
+        value = number_of(eps, self.name)
+        with self._settings():
+            self._begin()
+            if method != "vi":
+                by_itself = isinstance(value, str) and self._form is not None
+                options = SolverOptions(method, self._automatic() if by_itself else value, source=f"{self.name}:")
+            problem = self._problem
+            way = method_of(problem, options)
+            watch = None if monitor is None else _Numbered(monitor)
+            if way.eps is not None:
+                self._press(way.eps)
+            outcome = way.solve(problem, tolerance=rtol, watch=watch)
+            state = state_of(problem, way)
+        self.u.x.array[:], self._pressure = state.u.x.array, state.p
+        return Solved(outcome, way, state)
+
+    @contextmanager
+    def _settings(self) -> Iterator[None]:
+        """The options of this problem, and of no other."""
+        prefixes = [self._problem.prefix] if self._problem.prefix else ["penalty_", "vi_"]
+        options = {prefix + key: value for prefix in prefixes for key, value in self._options.items()}
+        with overriding(options), releases.compiled_with(*self._compiled):
+            yield
+
+    def _begin(self) -> None:
+        """Take what has changed since the last solve, and start from u (collective)."""
+        problem = self._problem
+        if self._form is not None:
+            values = _values_in(self._form.slope)
+            moved = any(not np.array_equal(a, b) for a, b in zip(values, self._in_matrix, strict=True))
+            stiffness = total(problem.level.comm, float(moved)) > 0
+            problem.renew(stiffness=stiffness)
+            self._in_matrix = values
+            if stiffness and self._form.affine:
+                self._form.look_again(problem.nodal.stiffness)
+        self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
+        if problem.floating:
+            problem.refer(problem.cold_start())
+            return
+        start = self.u.x.array.copy()
+        dofs, given = self._data.fixed
+        start[dofs] = given.x.array[dofs]
+        problem.refer(np.clip(start, *problem.obstacles()))
+
+    def _bounds(self) -> Estimator:
+        """Bounds of the energy error (collective).
+
+        Raises:
+            InputError: If there are none for a form, the elements or the effects.
+        """
+        if self._form is not None:
+            raise InputError(
+                f"{self.name}: bound=True needs tension and load as data, which a form hides: take Scene(mesh=...)"
+            )
+        from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
+
+        estimator = Estimator(self._problem)
+        if self._problem.affine:
+            estimator.lend_load()
+        return estimator
+
+    def _press(self, eps: float) -> None:
+        """Let nodes of u that are at an obstacle, and pressed against it in the last solution, do so again: w = -eps p
+        there (collective)."""
+        problem = self._problem
+        if not problem.floating:
+            w = problem.w.x.array[: len(self._pressure)]
+            w -= eps * np.where((np.minimum(*problem.gaps()) == 0) & ~problem.fixed, self._pressure, 0.0)
+            problem.w.x.scatter_forward()
+
+    def _diagonal(self) -> np.ndarray:
+        """A_ii at owned nodes where u is free, for A the derivative of F at the present state (collective)."""
+        problem = self._problem
+        state = problem.state()
+        diagonal = problem.jacobian(state, penalised=False).getDiagonal()
+        found = diagonal.array_r[~problem.fixed]
+        for owner in (state, diagonal):
+            owner.destroy()
+        return found
+
+    def _automatic(self) -> float:
+        """eps = "auto" (collective).
+
+        Raises:
+            InputError: If A has no positive diagonal entry there.
+        """
+        problem, diagonal = self._problem, self._diagonal()
+        weights = problem.weights[~problem.fixed]
+        good = (diagonal > 0) & (weights > 0)
+        everywhere = np.concatenate(problem.level.comm.allgather(weights[good] / diagonal[good]))
+        if not len(everywhere):
+            raise InputError(
+                f"{self.name}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number"
+            )
+        return SHARE * float(np.median(everywhere))
+
+    def _refuse_no_minimum(self) -> None:
+        """A convex energy gives the derivative of F a positive diagonal (collective)."""
+        least = smallest(self._problem.level.comm, self._diagonal())
+        if least <= 0:
+            raise InputError(
+                f"{self.name}: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
+                "is a sign wrong? without energy= any solution of the equation is taken"
+            )
+
+
+class _Numbered:
+    """A monitor as solvers take it."""
+
+    def __init__(self, monitor: Monitor):
+        self.monitor, self.number = monitor, 0
+
+    def __call__(self, problem: Problem, step: Step, active: np.ndarray) -> None:
+        self.monitor(self.number, step)
+        self.number += 1
+
+
+def _values_in(form: ufl.Form) -> list[np.ndarray]:
+    """Copies of the values of Functions and Constants in a form, that u is not known to change."""
+    flat = ufl.algorithms.expand_derivatives(form)
+    functions = [one.x.array.copy() for one in flat.coefficients()]
+    return functions + [np.array(one.value) for one in flat.constants()]
+
+
+def _facets(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
+    """Local facets of a measure (collective).
+
+    Raises:
+        InputError: If it is no measure of facets of this mesh, or has no facets.
+    """
+    kinds = ("exterior_facet", "interior_facet")
+    if not isinstance(measure, ufl.Measure) or measure.integral_type() not in kinds:
+        raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
+    tags, ids = measure.subdomain_data(), measure.subdomain_id()
+    if ids == "everywhere" or ids == ("everywhere",):
+        mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+        found = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
+    elif not hasattr(tags, "find"):
+        raise InputError(f"{name}: measure has the tag {ids} without MeshTags: give it subdomain_data=")
+    else:
+        wanted = ids if isinstance(ids, tuple) else (ids,)
+        found = np.unique(np.concatenate([tags.find(number) for number in wanted])).astype(np.int32)
+    if total(mesh.comm, len(found)) == 0:
+        raise InputError(f"{name}: measure has no facets: no facet is tagged {ids}")
+    return found

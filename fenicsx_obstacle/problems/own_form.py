@@ -1,0 +1,210 @@
+"""The caller's own residual as an effect, and checks of what callers pass with it."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from ufl.algorithms import extract_coefficients
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.classes import Abs, Condition, MaxValue, MinValue
+from ufl.corealg.traversal import unique_pre_traversal
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.fields import field, foreign
+from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.words import shown
+
+_BENT = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
+ROUND_OFF = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class OfForm(Effect):
+    """The caller's residual F(u; v).
+
+    Attributes:
+        F: Residual.
+        u: Its unknown.
+        functional: Whose derivative F is, or None.
+        J: The derivative of F, or None for UFL's own.
+    """
+
+    value: Any = None
+    F: ufl.Form = None
+    u: fem.Function = None
+    functional: ufl.Form | None = None
+    J: ufl.Form | None = None
+
+    key = "F"
+    elastic = True
+
+    @cached_property
+    def affine(self) -> bool:  # type: ignore[override]
+        """Whether F is linear in u plus what does not depend on u: its derivative is free of u, and no condition has
+        u in it."""
+        plain = apply_derivatives(apply_algebra_lowering(self.F))
+        for integral in plain.integrals():
+            for node in unique_pre_traversal(integral.integrand()):
+                if isinstance(node, _BENT) and self.u in extract_coefficients(node):
+                    return False
+        return self.u not in apply_derivatives(apply_algebra_lowering(self.slope)).coefficients()
+
+    @property
+    def slope(self) -> ufl.Form:
+        """The derivative of F."""
+        return ufl.derivative(self.F, self.u)
+
+    @cached_property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """Whether the derivative of F is: found on its matrix, if F is affine (first use is collective)."""
+        if not self.affine:
+            return self.functional is not None
+        A = fem.petsc.assemble_matrix(releases.form(self.slope))
+        A.assemble()
+        found = is_symmetric(A)
+        A.destroy()
+        return found
+
+    def look_again(self, A: PETSc.Mat) -> None:
+        """Whether an affine F is symmetric now that its coefficients have changed (collective)."""
+        self.__dict__["symmetric"] = is_symmetric(A)
+
+    @property
+    def convex(self) -> bool:  # type: ignore[override]
+        return self.functional is not None or (self.affine and self.symmetric)
+
+    def terms(self, u: Any, v: Any, data: Any) -> ufl.Form:
+        return ufl.replace(self.F, {self.u: u, self.F.arguments()[0]: v})
+
+    def derivative(self, u: Any, v: Any, data: Any) -> ufl.Form | None:
+        if self.J is None or self.affine:
+            return None
+        return ufl.replace(self.J, {self.u: u, self.J.arguments()[0]: v})
+
+    def heights(self, data: Any) -> list[Any]:
+        return [0.0]
+
+    def energy(self, u: Any, data: Any) -> ufl.Form | None:
+        if self.functional is not None:
+            return ufl.replace(self.functional, {self.u: u})
+        if not (self.affine and self.symmetric):
+            return None
+        # F(u; v) = a(u, v) - f(v), so that a(u, u)/2 - f(u) = (F(u; u) + F(0; u))/2
+        zero = fem.Constant(data.level.mesh, PETSc.ScalarType(0.0))
+        return 0.5 * (self.terms(u, u, data) + self.terms(zero, u, data))
+
+
+def is_symmetric(A: PETSc.Mat) -> bool:
+    """Whether A x = A^T x up to round-off for a random x (collective)."""
+    x, random = A.createVecRight(), PETSc.Random().create(A.comm)
+    random.setInterval((-1.0, 1.0))
+    x.setRandom(random)
+    direct, transposed = A.createVecLeft(), A.createVecLeft()
+    A.mult(x, direct)
+    A.multTranspose(x, transposed)
+    size = direct.norm(PETSc.NormType.INFINITY)
+    direct.axpy(-1.0, transposed)
+    found = direct.norm(PETSc.NormType.INFINITY) <= ROUND_OFF * max(size, transposed.norm(PETSc.NormType.INFINITY))
+    for owner in (x, random, direct, transposed):
+        owner.destroy()
+    return bool(found)
+
+
+def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
+    """Reject what is not a form of u with so many arguments, on the mesh and in the space of u.
+
+    Args:
+        form: What was given.
+        u: The unknown.
+        place: What messages call the form.
+        arguments: 0 for a functional, 1 for a residual, 2 for its derivative.
+
+    Raises:
+        InputError: Naming what came, and what is expected.
+    """
+    kinds = ("a functional of u", "a linear form in one test function", "a bilinear form in trial and test function")
+    if not isinstance(form, ufl.Form):
+        raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kinds[arguments]}")
+    found = form.arguments()
+    if len(found) != arguments:
+        words = (
+            "must be a functional of u",
+            "must be linear in one test function, and hold no trial function",
+            "must be bilinear, in a trial and a test function",
+        )[arguments]
+        raise InputError(f"{place} {words}")
+    if any(argument.ufl_function_space() != u.function_space for argument in found):
+        raise InputError(f"{place}: its test function is of another space than u")
+    if arguments < 2 and u not in form.coefficients():
+        raise InputError(f"{place} does not depend on u: write it with the Function u, not a trial function")
+    domain = u.function_space.mesh.ufl_domain()
+    elsewhere = [integral for integral in form.integrals() if foreign(integral.integrand(), domain)]
+    if elsewhere or any(one != domain for one in form.ufl_domains()):
+        raise InputError(f"{place} holds a Function or a measure of another mesh than that of u")
+
+
+def conditions(bcs: Any, V: fem.FunctionSpace, place: str) -> list[Any]:
+    """Dirichlet conditions of V, from a list of them, one, or None.
+
+    Raises:
+        InputError: For anything else.
+    """
+    given = [] if bcs is None else [bcs] if hasattr(bcs, "dof_indices") else bcs
+    if not isinstance(given, Sequence):
+        raise InputError(f"{place}: bcs = {shown(bcs)}: expected a list of what dolfinx.fem.dirichletbc returns")
+    for number, bc in enumerate(given):
+        if not hasattr(bc, "dof_indices"):
+            wanted = "expected what dolfinx.fem.dirichletbc returns"
+            raise InputError(f"{place}: bcs[{number}] = {shown(bc)}: {wanted}")
+        space = bc.function_space
+        if getattr(space, "_cpp_object", space) != V._cpp_object:
+            raise InputError(f"{place}: bcs[{number}] is of another space than u: take u.function_space for it")
+    return list(given)
+
+
+def number_of(eps: Any, place: str) -> float | str:
+    """The value of eps: a positive number, or "auto".
+
+    Raises:
+        InputError: For anything else.
+    """
+    value = float(eps.value) if isinstance(eps, fem.Constant) and eps.ufl_shape == () else eps
+    if isinstance(value, str) and value == "auto":
+        return value
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise InputError(f"{place}: eps = {shown(eps)}: expected a number, a Constant or 'auto'")
+    number = float(value)
+    if not 0 < number < np.inf:
+        raise InputError(f"{place}: eps = {number:g}: must be positive and finite")
+    return number
+
+
+def obstacle(g: Any, u: fem.Function, place: str) -> Field:
+    """An obstacle as a datum.
+
+    Args:
+        g: A Function of the space of u, of another one or on another mesh; a number, a UFL expression or a callable.
+        u: The unknown, which g must not hold.
+        place: What messages call it.
+
+    Raises:
+        InputError: If g is none of these, or holds u.
+    """
+    if g is u:
+        raise InputError(f"{place} is u itself, which is about to change: give a copy, u.copy()")
+    if isinstance(g, ufl.core.expr.Expr) and u in extract_coefficients(g):
+        raise InputError(
+            f"{place} depends on u: obstacles are given; put a copy, u.copy(), into it to iterate over them"
+        )
+    return field(g, place)

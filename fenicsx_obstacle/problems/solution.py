@@ -1,0 +1,464 @@
+"""A solution: what a converged solve found, frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.signatures import checked
+from fenicsx_obstacle.solvers.stopping import Step
+from fenicsx_obstacle.words import counted, nearest, shown, title_of
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from numpy.typing import ArrayLike
+
+    from fenicsx_obstacle.estimation.bound import Bound
+    from fenicsx_obstacle.io.cut import Cut
+    from fenicsx_obstacle.show.pictures import Picture
+
+Files = dict[str, bytes]
+LOST = 1e-3  # relative round-off of a pressure that is worth telling
+DEEP = 0.01  # of the range of u: penetration that shows in forces and contact sets
+
+
+@dataclass(frozen=True)
+class Force:
+    """The resultant of the contact pressure on each obstacle, >= 0, in units of pressure times area.
+
+    Attributes:
+        lower: On the lower obstacle; None where there is none.
+        upper: On the upper obstacle, likewise.
+    """
+
+    lower: float | None
+    upper: float | None
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """Wall-clock time.
+
+    Attributes:
+        total: From the mesh to the solution.
+        mesh: To make the mesh; 0 for the caller's own.
+        solve: Set-up, assembly and iteration.
+    """
+
+    total: float
+    mesh: float
+    solve: float
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Values along a line; not-a-number outside the mesh.
+
+    Attributes:
+        points: Shape (n, gdim).
+        s: Distance from the first point, shape (n,).
+        u: Solution, shape (n,).
+        pressure: Contact pressure, shape (n,).
+        gap: Distance to the nearest obstacle, negative where u penetrates it, shape (n,); infinite without one.
+        slope: Gradient of u, shape (n, gdim).
+    """
+
+    points: np.ndarray
+    s: np.ndarray
+    u: np.ndarray
+    pressure: np.ndarray
+    gap: np.ndarray
+    slope: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A converged solution with everything known about it.
+
+    Attributes:
+        level: The mesh and its spaces.
+        u: Solution, in the unit of the heights.
+        pressure: Contact pressure p in Q_h, in the unit of the load; <= 0 against the upper obstacle.
+        contact: 1 at the points of I in contact, else 0; in Q_h.
+        lower: Nodal lower obstacle, or None.
+        upper: Nodal upper obstacle, or None.
+        history: The steps of the iteration.
+        record: All figures, as in answer.json.
+        bound: Of the energy error, where it was asked for; of a read solution only its figures are there, in `record`.
+    """
+
+    level: Level
+    u: fem.Function
+    pressure: fem.Function
+    contact: fem.Function
+    lower: fem.Function | None
+    upper: fem.Function | None
+    history: tuple[Step, ...] = field(repr=False)
+    record: Mapping[str, Any] = field(repr=False)
+    bound: Bound | None = None
+
+    def __repr__(self) -> str:
+        r = self.record
+        how = r["method"] if r["eps"] is None else f"{r['method']}, eps = {r['eps']:.3g}"
+        return f"{type(self).__name__}({self.title!r}: {how}, {r['dofs']} unknowns; {', '.join(self._figures())})"
+
+    # figures
+
+    @property
+    def title(self) -> str:
+        """What was solved, in words."""
+        return title_of(self.record["title"], self.record["scene"])
+
+    @property
+    def symbol(self) -> str:
+        """What u is called in pictures."""
+        return "u"
+
+    @property
+    def method(self) -> str:
+        """penalty, successive or vi."""
+        return str(self.record["method"])
+
+    @property
+    def eps(self) -> float | None:
+        """Penalty parameter, in units of u/p; None for the variational inequality."""
+        return self.record["eps"]
+
+    @property
+    def area(self) -> float:
+        """Of the contact set: the sum of D_i over the contact nodes; of obstacles on the boundary the length there."""
+        return self.record["contact"]["area"]
+
+    @property
+    def force(self) -> Force:
+        """The resultants of the contact pressure."""
+        contact = self.record["contact"]
+        return Force(*(contact[side]["force"] if side in contact else None for side in ("lower", "upper")))
+
+    @property
+    def penetration(self) -> float:
+        """Largest distance of u beyond an obstacle."""
+        return self.record["penetration"]
+
+    @property
+    def energy(self) -> float | None:
+        """a(u, u)/2 - f(u) and the energy of the penalty; None where there is no energy."""
+        return self.record["energy"]
+
+    @property
+    def iterations(self) -> int:
+        """Newton steps on the finest mesh."""
+        return self.record["newton_iterations"]
+
+    @property
+    def seconds(self) -> Seconds:
+        """How long it took."""
+        seconds = self.record["seconds"]
+        return Seconds(seconds["total"], seconds["mesh"], seconds["solve"])
+
+    # fields
+
+    @property
+    def plain(self) -> Self:
+        """The same on P1 simplices, as it is drawn, and written for ParaView (first use is collective)."""
+        return self if self.level.pair.nests else cast("Self", self.cut.plain)
+
+    @cached_property
+    def cut(self) -> Cut:
+        """How `plain` was made of the cells of another element than P1 (first use is collective)."""
+        from fenicsx_obstacle.io.cut import cut
+
+        return cut(self)
+
+    def at(self, points: ArrayLike, of: str = "u") -> np.ndarray:
+        """Values at points, not-a-number outside the mesh (collective).
+
+        Args:
+            points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
+                as many as the mesh has, or three, as in DOLFINx, the others being 0.
+            of: u; pressure; gap, the distance to the nearest obstacle; or slope, the gradient of u. Where cells meet
+                and have different values it is their mean.
+
+        Returns:
+            One value for each point, the same on every rank: shape (n,) for points of shape (n, gdim) or (n, 3), and
+            shape (), a number, for one point. Of slopes (n, gdim) and (gdim,).
+
+        Raises:
+            InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh,
+                or there is no such quantity.
+        """
+        gdim = self.level.mesh.geometry.dim
+        try:
+            given = np.asarray(points, dtype=np.float64)
+        except (TypeError, ValueError):
+            given = np.empty(())
+        if given.ndim == 0 or given.shape[-1] not in (gdim, 3):
+            got = shown(points) if given.ndim == 0 else f"shape {given.shape}"
+            raise InputError(f"at() takes points, shape (n, {gdim}), or one point, shape ({gdim},), not {got}")
+        flat = np.zeros((given[..., 0].size, 3))
+        flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
+        if np.any(flat[:, gdim:] != 0):
+            raise InputError(f"at() takes points of the mesh, shape (n, {gdim}); coordinates beyond these must be 0")
+        return self.values(flat, of).reshape((*given.shape[:-1], *self._shape(of)))
+
+    def along(self, start: ArrayLike, end: ArrayLike, n: int = 200) -> Profile:
+        """All quantities along a line, for a plot (collective).
+
+        Args:
+            start: First point, as many coordinates as the mesh has.
+            end: Last point.
+            n: Number of points, at equal distances.
+
+        Raises:
+            InputError: As `at`, or if there are fewer than two points.
+        """
+        ends = [np.asarray(point, dtype=np.float64) for point in (start, end)]
+        gdim = self.level.mesh.geometry.dim
+        if n < 2 or any(point.shape != (gdim,) for point in ends):
+            raise InputError(f"along() takes two points with {counted(gdim, 'coordinate')} each, and n >= 2")
+        points = np.linspace(ends[0], ends[1], n)
+        values = {name: self.at(points, name) for name in ("u", "pressure", "gap", "slope")}
+        return Profile(points, np.linalg.norm(points - points[0], axis=1), **values)
+
+    def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
+        """Values at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective).
+
+        Args:
+            points: The same on every rank.
+            of: As for `at`.
+        """
+        found = [self._evaluated(function, points) for function in self._components(of)]
+        return found[0] if not self._shape(of) else np.column_stack(found)
+
+    def _shape(self, of: str) -> tuple[int, ...]:
+        return (self.level.mesh.geometry.dim,) if of == "slope" else ()
+
+    def _components(self, of: str) -> list[fem.Function]:
+        """A quantity as Functions of this mesh (collective)."""
+        known = ("u", "pressure", "gap", "slope")
+        if of not in known:
+            raise InputError(f"at() knows no '{of}'{nearest(of, known)}; it knows {', '.join(known)}")
+        if of == "gap":
+            gap = fem.Function(self.level.V)
+            gap.x.array[:] = np.inf
+            for obstacle, sign in ((self.lower, 1), (self.upper, -1)):
+                if obstacle is not None:
+                    np.minimum(gap.x.array, sign * (self.u.x.array - obstacle.x.array), out=gap.x.array)
+            return [gap]
+        if of == "slope":
+            space = releases.functionspace(self.level.mesh, "DG", self._slope_degree)
+            slope = [fem.Function(space) for _ in range(self.level.mesh.geometry.dim)]
+            for axis, component in enumerate(slope):
+                component.interpolate(releases.expression(ufl.grad(self.u)[axis], space))
+            return slope
+        return [getattr(self, of)]
+
+    @property
+    def _slope_degree(self) -> int:
+        """Of polynomials that hold the gradients of V_h."""
+        pair = self.level.pair
+        return pair.degree - 1 if pair.nests or pair.stacks else pair.degree
+
+    def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
+        """Values of a Function on this mesh (collective)."""
+        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only where it is asked for
+
+        if self.level.pair.nests and function.function_space == self.level.V:
+            return values_at(self.level, function, points)
+        rows, cells, _ = locate(self.plain.level, points)
+        here = cells if self.level.pair.nests else self.cut.parents[cells]
+        found = function.eval(points[rows], here.astype(np.int32)) if len(rows) else np.empty(0)
+        return mean_over_cells(self.level.comm, len(points), rows, np.ravel(found))
+
+    def functions(self) -> dict[str, fem.Function]:
+        """The fields by name, those that exist."""
+        named = {key: getattr(self, key) for key in ("u", "pressure", "contact", "lower", "upper")}
+        return {key: function for key, function in named.items() if function is not None}
+
+    def summary(self) -> str:
+        """The figures in a few lines of text."""
+        r = self.record
+        size = f"{counted(r['cells_total'], 'cell')}, {counted(r['dofs'], 'unknown')}, h = {r['h']:.4g}"
+        eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
+        figures = self._figures()
+        if "peclet" in r:
+            how = "upwinded where it is above 1" if r["peclet"] > 1 else "so no upwinding anywhere"
+            figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
+        if r["free"] == 0:
+            figures.append("u is given at every node: take more cells")
+        linear = "GMRES step" if "peclet" in r else "CG step"
+        steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
+        if "time" in r:
+            steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"
+        lines = [
+            self.title,
+            f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
+            *self._steps(),
+            f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
+            f"{r['memory_mb']:.0f} MB",
+            "  " + "; ".join(figures),
+            *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
+            *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
+        ]
+        if r["penetration"] > DEEP * r["u_range"]:
+            large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
+            share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
+            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or --method vi")
+        lines += self._round_off()
+        if "errors" in r:
+            lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
+        if "bound" in r:
+            b = r["bound"]
+            relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
+            parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
+            most = "at most" if b["words"].startswith("certified") else "about"
+            times = self._effectivity()
+            lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
+        lines += self._enclosure() + self._tolerance()
+        if report := r.get("report"):
+            values = ("not finite" if value is None else f"{value:.6g}" for value in report.values())
+            lines.append("  report: " + ", ".join(map(" = ".join, zip(report, values, strict=True))))
+        return "\n".join(lines)
+
+    def _steps(self) -> list[str]:
+        """The steps in time, in words."""
+        time = self.record.get("time")
+        if time is None:
+            return []
+        scheme = {"equilibria": "equilibria", "euler": "implicit Euler", "bdf2": "BDF2",
+                  "midpoint": "midpoint rule"}[time["scheme"]]  # fmt: skip
+        again = f", {counted(time['rejected'], 'step')} repeated" if time["rejected"] else ""
+        return [f"  {counted(time['steps'], 'step')} to {time['name']} = {time['t']:g}, {scheme}{again}; at the end:"]
+
+    def _round_off(self) -> list[str]:
+        """What floating point leaves of the pressure, in words, where that is little."""
+        found, lines = self.record.get("round_off", {}), []
+        if (found.get("left") or 0.0) > LOST:
+            lines.append(
+                f"  heights so far from 0 leave the pressure a round-off of {found['left']:.1g}: count them from the "
+                "obstacle's"
+            )
+        if (found.get("line") or 0.0) > LOST:
+            lines.append(
+                f"  eps is below what heights resolve: p was found from u - obstacle; from u and obstacle as they are "
+                f"saved its error would be {found['line']:.1g}"
+            )
+        return lines
+
+    def _enclosure(self) -> list[str]:
+        """How near u is to the inequality's solution on the same mesh, in words."""
+        enclosure = self.record.get("enclosure")
+        if enclosure is None:
+            return []
+        side = "above" if self.lower is not None else "below"
+        words = "" if enclosure["guaranteed"] else "; not guaranteed, the stiffness is no M-matrix"
+        return [f"  without the penalty u would be at most {enclosure['width']:.3g} farther {side}, at any node{words}"]
+
+    def _effectivity(self) -> str:
+        """Bound over true error, in words; where it is below 1, why."""
+        b = self.record["bound"]
+        if b["effectivity"] is None:
+            return ""
+        times = f"; {b['effectivity']:.3g} times the true one"
+        if b["effectivity"] >= 1 or not b["words"].startswith("certified"):
+            return times
+        if b["guaranteed"]:
+            return times + ", so that [exact] is not the solution of this scene, or both are round-off"
+        what = ["the curved boundary"] if "polygon" in b["words"] else []
+        what += ["what no sample sees"] if "sampled" in b["words"] else []
+        return f"{times}, which includes {' and '.join(what)}: the bound does not"
+
+    def _tolerance(self) -> list[str]:
+        """Whether the tolerance was reached, in words."""
+        adaptive = self.record.get("adaptive")
+        if adaptive is None:
+            return []
+        kind = "relative" if adaptive["relative"] else "absolute"
+        goal = f"{kind} tolerance {adaptive['tolerance']:g}"
+        if adaptive["reached"]:
+            kind, _, what = self.record["bound"]["words"].partition(":")[0].partition("certified")
+            words = ", by an indicator only" if kind else f",{what}" if what else ""
+            where = f"on mesh {len(adaptive['path'])}"
+            return [f"  the {goal} is reached{words}, {where}; eps and meshes were chosen for it"]
+        return [f"  THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]
+
+    def _figures(self) -> list[str]:
+        """Energy and contact, in words."""
+        r, contact = self.record, self.record["contact"]
+        sides = [side for side in ("lower", "upper") if side in contact]
+        figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}"]
+        if sides:
+            figures.append(f"contact area {contact['area']:.6g}")
+            figures += [f"force on {side} obstacle {contact[side]['force']:.6g}" for side in sides]
+            figures.append(f"penetration {r['penetration']:.3g}")
+        return figures
+
+    # files and pictures
+
+    @checked()
+    def save(self, folder: str | Path) -> None:
+        """Write answer.json, history.csv, fields.xdmf and fields.h5 into a folder, and of a scene scene.toml
+        (collective).
+
+        Raises:
+            InputError: If the folder cannot be written.
+        """
+        from fenicsx_obstacle.io.folder import save  # with h5py
+
+        save(self, Path(folder))
+
+    def files(self, folder: Path, arrays: Mapping[str, np.ndarray], element: Mapping[str, np.ndarray]) -> Files:
+        """Further files of the folder by their names (rank 0).
+
+        Args:
+            folder: Where they will be.
+            arrays: Points, cells and fields, as in fields.h5.
+            element: Its group `element`.
+        """
+        return {}
+
+    @classmethod
+    @checked()
+    def read(cls, folder: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Solution:
+        """A saved solution with the element it was computed with, on any number of ranks (collective).
+
+        Args:
+            folder: Of `save`.
+            comm: The ranks that share its mesh.
+
+        Raises:
+            InputError: If the folder does not hold one.
+        """
+        from fenicsx_obstacle.io.folder import read
+
+        fields = read(Path(folder), comm).fields
+        return cls(**{name: value for name, value in fields.items() if name != "error"})
+
+    @checked()
+    def plot(self, path: str | Path | None = None) -> Picture:
+        """Draw u with its obstacles, free boundary and pressure (collective).
+
+        Args:
+            path: A file to write, too: .png, .pdf or .svg.
+
+        Returns:
+            The picture, which notebooks show, and in its words who drew it, and why.
+
+        Raises:
+            InputError: If the name has another ending, or the file cannot be written.
+        """
+        from fenicsx_obstacle.show.pictures import draw_answer
+
+        return draw_answer(self, None if path is None else Path(path))

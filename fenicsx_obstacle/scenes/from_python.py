@@ -1,0 +1,123 @@
+"""What a scene made in Python has that TOML cannot say: data that are objects, a mesh with tags."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.levels import Level, of_mesh
+from fenicsx_obstacle.effects.field import Field, Names
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.words import shown
+
+Objects = dict[str, Any]  # by the names that stand for them in the tables
+_BEFORE, _AFTER = "<data from Python: ", ">"
+
+
+def is_object(value: Any) -> bool:
+    """Whether a value is a Constant, a Function, a UFL expression, a callable or a Field."""
+    return isinstance(value, Field) or hasattr(value, "ufl_shape") or (callable(value) and not isinstance(value, type))
+
+
+def plain(value: Any, objects: Objects, place: str = "") -> Any:
+    """The same with names for objects, which are kept by these, and with Python's numbers and lists for NumPy's."""
+    if is_object(value):
+        name = f"{_BEFORE}{place}{_AFTER}"
+        objects[name] = value
+        return name
+    if isinstance(value, Mapping):
+        return {key: plain(part, objects, f"{place}.{key}" if place else str(key)) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(part, objects, f"{place}[{number}]") for number, part in enumerate(value)]
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+
+
+def stands_for_an_object(value: Any) -> bool:
+    """Whether a value of a table is such a name."""
+    return isinstance(value, str) and value.startswith(_BEFORE) and value.endswith(_AFTER)
+
+
+def field_of(name: str, objects: Objects, place: str) -> Field:
+    """The datum that a name stands for; of a saved scene it can be named, but not evaluated.
+
+    Raises:
+        InputError: If it is no scalar.
+    """
+    if name not in objects:
+        return _Gone(name, place)
+    from fenicsx_obstacle.discrete.fields import field  # only where there is one: it imports finite elements
+
+    return field(objects[name], place)
+
+
+class _Gone(Field):
+    """A datum that was an object when the scene was saved."""
+
+    def __init__(self, text: str, source: str):
+        self.text, self.source = text, source
+
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        raise InputError(f"{self.source} was given in Python and is not in the file: give it again by `change`")
+
+
+@dataclass(frozen=True, eq=False)
+class OwnMesh:
+    """A mesh of the caller's own, and the names of its parts.
+
+    Attributes:
+        mesh: The mesh.
+        facets: Local facets of each named part of the boundary or curve inside.
+        cells: Owned cells of each named material.
+    """
+
+    mesh: Any
+    facets: dict[str, np.ndarray]
+    cells: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, mesh: Any, facet_tags: Any, cell_tags: Any, facet_names: Any, cell_names: Any) -> OwnMesh:
+        """From MeshTags and the names of their values (collective if there are tags).
+
+        Raises:
+            InputError: If tags are of another dimension, or a name is of no facet or cell.
+        """
+        dim = mesh.topology.dim
+        facets = _named(mesh, facet_tags, facet_names, dim - 1, "facet")
+        cells = _named(mesh, cell_tags, cell_names, dim, "cell")
+        own = mesh.topology.index_map(dim).size_local
+        return cls(mesh, facets, {name: found[found < own] for name, found in cells.items()})
+
+    def level(self, source: str) -> Level:
+        """The mesh as the finest level of a hierarchy (collective).
+
+        Raises:
+            InputError: If its cells do not fit together.
+        """
+        return of_mesh(releases.settle(self.mesh), source, self.facets, self.cells)
+
+
+def _named(mesh: Any, tags: Any, names: Any, dim: int, kind: str) -> dict[str, np.ndarray]:
+    """Entities by the names of their tags; without names by the numbers."""
+    if tags is None:
+        if names:
+            raise InputError(f"scene: {kind}_names needs {kind}_tags, the MeshTags that have these numbers")
+        return {}
+    if not hasattr(tags, "find") or tags.dim != dim:
+        got = shown(tags) if not hasattr(tags, "find") else f"MeshTags of dimension {tags.dim}"
+        raise InputError(f"scene: {kind}_tags = {got}: expected MeshTags of dimension {dim}")
+    if names is None:
+        names = {str(one): one for one in set().union(*mesh.comm.allgather(np.unique(tags.values).tolist()))}
+    if not isinstance(names, Mapping):
+        raise InputError(f"scene: {kind}_names = {shown(names)}: expected a dict, such as {{'rim': 1}}")
+    found = {}
+    for name, number in names.items():
+        there = [tags.find(int(one)) for one in (number if isinstance(number, list | tuple) else (number,))]
+        found[str(name)] = np.unique(np.concatenate(there)).astype(np.int32)
+        if total(mesh.comm, len(found[str(name)])) == 0:
+            raise InputError(f"scene: {kind}_names: '{name}' = {number}: no {kind} has this tag")
+    return found

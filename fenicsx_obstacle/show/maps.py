@@ -1,0 +1,108 @@
+"""Fields over intervals and plane domains: obstacles, maps of the pressure with contour lines of u. One rank."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, rim
+from fenicsx_obstacle.show.figures import over, power
+from fenicsx_obstacle.show.render import INK
+
+OUT_OF_CONTACT = "#D9E7F4"  # what `render.FREE` looks like on white: outside of the domain the page stays white
+
+
+def hatch_obstacles(axis: Any, x: np.ndarray, fields: Mapping[str, np.ndarray], limits: tuple[float, float]) -> None:
+    """Fill what lies behind the obstacles over an interval, as far as it is near u.
+
+    Args:
+        axis: Axes of matplotlib.
+        x: Coordinates of the nodes, from left to right.
+        fields: Values at these nodes; the obstacles among them are drawn.
+        limits: Least and greatest value of u.
+    """
+    margin = 0.15 * (limits[1] - limits[0] or 1.0)
+    low, high = limits[0] - margin, limits[1] + margin
+    for side, outside in (("lower", low), ("upper", high)):
+        if side in fields:
+            edge = np.clip(fields[side], low, high)
+            axis.fill_between(x, edge, outside, color="0.88", hatch="////", edgecolor="0.7", linewidth=0)
+            seen = np.where(edge == fields[side], edge, np.nan)
+            axis.plot(x, seen, color="0.35", linewidth=1, label=f"{side} obstacle")
+    axis.set(xlim=(x[0], x[-1]), ylim=(low, high))
+
+
+def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
+    """Draw the pressure and contour lines of u.
+
+    The pressure is linear between the nodes, as the contact pressure is; it is cut at the free boundary.
+
+    Args:
+        axis: Axes of matplotlib.
+        patch: Triangles in the plane, with levels.
+        scale: Colours of the pressure.
+        u: Name of u, for matplotlib.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    shape, values = triangles(patch), patch.fields["u"]
+    levels = [patch.fields[name] for name in LEVELS.values() if name in patch.fields]
+    draw_domain(axis, patch)
+    if levels:
+        axis.tripcolor(shape, patch.fields["pressure"], shading="gouraud", cmap=scale.cmap, norm=scale.norm, zorder=1)
+        apart = np.min(levels, axis=0)
+        if np.any(apart > 0):
+            axis.tricontourf(shape, apart, levels=[0, np.inf], colors=[OUT_OF_CONTACT], zorder=1.1)
+    elif patch.fields["contact"].any():
+        _press_the_rim(axis, patch, scale)
+    ticks = MaxNLocator(8).tick_values(values.min(), values.max())
+    if np.ptp(values) > 0:
+        axis.tricontour(shape, values, levels=ticks, colors="0.45", linewidths=0.6, linestyles="solid", zorder=2)
+    draw_lines(axis, free_boundary(patch))
+    for direction in (axis.xaxis, axis.yaxis):
+        direction.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axis.set(xlabel="x", ylabel="y", frame_on=False)
+    axis.tick_params(labelsize=8)
+    exponent = power(values.min(), values.max())
+    axis.set_title(f"grey lines: {over(u, exponent)}, every {(ticks[1] - ticks[0]) / 10.0**exponent:g}", fontsize=9)
+
+
+def draw_domain(axis: Any, patch: Patch) -> None:
+    """The domain in one colour, with all its boundaries as thin lines, and its frame."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import ListedColormap
+
+    axis.tripcolor(triangles(patch), np.zeros(len(patch.cells)), cmap=ListedColormap([OUT_OF_CONTACT]), zorder=0)
+    edges = patch.points[:, :2][rim(patch.cells)]
+    axis.add_collection(LineCollection(edges, colors="0.2", linewidths=0.9, zorder=3, capstyle="round"))
+    low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
+    room = 0.01 * max(high - low)  # for the line around the domain
+    axis.set(aspect="equal", xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+
+
+def draw_lines(axis: Any, lines: Sequence[Patch]) -> None:
+    """Draw free boundaries in the plane."""
+    from matplotlib.collections import LineCollection
+
+    for line in lines:
+        pieces = line.points[:, :2][line.cells]
+        axis.add_collection(LineCollection(pieces, colors=INK, linewidths=1.6, zorder=4))
+
+
+def triangles(patch: Patch) -> Any:
+    """A plane patch as a triangulation of matplotlib."""
+    from matplotlib.tri import Triangulation
+
+    return Triangulation(*patch.points[:, :2].T, patch.cells)
+
+
+def _press_the_rim(axis: Any, patch: Patch, scale: Any) -> None:
+    """The pressure of obstacles on the boundary, as a wide line along it."""
+    from matplotlib.collections import LineCollection
+
+    edges = rim(patch.cells)
+    line = LineCollection(patch.points[:, :2][edges], cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
+    line.set_array(patch.fields["pressure"][edges].mean(axis=1))
+    axis.add_collection(line)

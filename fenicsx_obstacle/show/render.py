@@ -1,0 +1,193 @@
+"""Views in space drawn by pyvista, in a process of its own: VTK may crash where there is no display.
+
+`python -m fenicsx_obstacle.show.render FOLDER` is that process; `rendered` starts it. Nothing else imports pyvista.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PATIENCE = 120.0  # seconds
+PIXELS = 1500  # width of a picture
+AZIMUTH, ELEVATION = -58.0, 32.0  # degrees, of the eye
+FREE, OBSTACLE, INK, EDGE = "#97C0E4", "#8A8178", "#111111", "#66788A"
+CLEAR = 0.42  # opacity of u out of contact: a wall in front must not hide the contact behind it
+UPPER = 0.4  # opacity of an upper obstacle
+_MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
+_WORKER = [sys.executable, "-m", "fenicsx_obstacle.show.render"]
+
+
+@dataclass(frozen=True)
+class View:
+    """What a view in space shows.
+
+    Attributes:
+        kind: `graph` of u over a plane mesh, `surface` in space, or `solid`, cut open.
+        shown: The field in colours; where it is the pressure, only in contact.
+        colours: Name of a colormap.
+        limits: Values at its ends.
+        lower: Lower corner of the box, in the units of the data.
+        upper: Upper corner.
+        scale: From data to the picture, for each axis.
+    """
+
+    kind: str
+    shown: str
+    colours: str
+    limits: tuple[float, float]
+    lower: list[float]
+    upper: list[float]
+    scale: list[float]
+
+    @property
+    def half(self) -> float:
+        """Half the side of the picture, a square: the box fits into it from everywhere."""
+        return float(np.linalg.norm((np.array(self.upper) - self.lower) * self.scale)) / 2
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Of the box, in the units of the data."""
+        return (np.array(self.lower) + self.upper) / 2
+
+
+def axes_of_view() -> np.ndarray:
+    """Unit vectors to the right, up and towards the eye, as rows."""
+    a, e = np.radians([AZIMUTH, ELEVATION])
+    right, up = [-np.sin(a), np.cos(a), 0.0], [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)]
+    return np.array([right, up, np.cross(right, up)])
+
+
+def rendered(arrays: Mapping[str, np.ndarray], views: Sequence[View]) -> tuple[list[np.ndarray], str]:
+    """Pictures of some views by pyvista (one rank).
+
+    Args:
+        arrays: Points, cells and nodal fields.
+        views: What to draw.
+
+    Returns:
+        The pictures with their alpha channels, or none; and who drew them, or why not.
+    """
+    if find_spec("pyvista") is None:
+        return [], "pyvista is not installed"
+    from matplotlib.image import imread
+
+    with tempfile.TemporaryDirectory(prefix="obstacle-") as name:
+        folder = Path(name)
+        np.savez(folder / "arrays.npz", **arrays)
+        (folder / "views.json").write_text(json.dumps([asdict(view) for view in views]))
+        pictures = [folder / f"{number}.png" for number in range(len(views))]
+        # VTK must not take itself for a rank of our MPI
+        env = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
+        try:
+            done = subprocess.run([*_WORKER, name], env=env, timeout=PATIENCE, capture_output=True, check=False)
+        except subprocess.TimeoutExpired:
+            return [], f"pyvista took more than {PATIENCE:.0f} s"
+        except OSError as error:
+            return [], f"pyvista could not be started: {error.strerror}"
+        if done.returncode < 0:
+            return [], f"pyvista crashed ({signal.Signals(-done.returncode).name})"
+        if done.returncode > 0 or not all(picture.exists() for picture in pictures):
+            last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+            return [], f"pyvista failed ({''.join(last) or f'exit status {done.returncode}'})"
+        return [imread(picture) for picture in pictures], "pyvista"
+
+
+def draw(folder: Path) -> None:
+    """Draw what `rendered` has written; runs in the process of its own."""
+    import pyvista
+
+    arrays = dict(np.load(folder / "arrays.npz"))
+    for number, given in enumerate(json.loads((folder / "views.json").read_text())):
+        view = View(**given)
+        plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
+        plotter.enable_depth_peeling()
+        _add(plotter, _grid(arrays, view), view)
+        camera, (_, up, eye) = plotter.camera, axes_of_view()
+        camera.parallel_projection = True
+        camera.focal_point = view.centre * view.scale
+        camera.position, camera.up = camera.focal_point + 5 * eye, up
+        camera.parallel_scale = view.half
+        camera.clipping_range = (0.1, 10)
+        plotter.enable_anti_aliasing("ssaa")
+        plotter.screenshot(folder / f"{number}.png", transparent_background=True)
+
+
+def _grid(arrays: Mapping[str, np.ndarray], view: View) -> Any:
+    import pyvista
+
+    cells = arrays["cells"]
+    kind = pyvista.CellType.TRIANGLE if cells.shape[1] == 3 else pyvista.CellType.TETRA
+    grid = pyvista.UnstructuredGrid({kind: cells}, arrays["points"] * view.scale)
+    for name in arrays.keys() - {"points", "cells"}:
+        grid[name] = arrays[name]
+    return grid
+
+
+def _add(plotter: Any, grid: Any, view: View) -> None:
+    """Everything that is seen: the obstacles, u cut along the free boundary, its edges, the free boundary."""
+    levels = {side: f"level {side}" for side in ("lower", "upper") if f"level {side}" in grid.point_data}
+    shell = body = grid
+    if view.kind == "graph":
+        shell = body = grid.warp_by_scalar("seen", factor=view.scale[2])
+        for side, level in levels.items():
+            _add_obstacle(plotter, grid, view, side, level)
+    elif view.kind == "solid":
+        # beside the nodes: a cut through a layer of them is full of triangles without area
+        plane = (0.0, view.lower[1] * view.scale[1] + 1e-4, 0.0)
+        shell = grid.extract_surface().clip(normal="-y", origin=plane)
+        body = shell + grid.slice(normal="y", origin=plane)
+    scale = {"scalars": view.shown, "cmap": view.colours, "clim": view.limits, "show_scalar_bar": False}
+    smooth, apart = view.kind != "solid", body
+    for level in levels.values():
+        _paint(plotter, apart.clip_scalar(scalars=level, value=0.0), smooth_shading=smooth, **scale)
+        apart = apart.clip_scalar(scalars=level, value=0.0, invert=False)
+    pressed = view.shown == "pressure" and (levels or view.kind == "graph")
+    opacity = CLEAR if view.kind == "graph" else 1.0
+    _paint(plotter, apart, smooth_shading=smooth, **({"color": FREE, "opacity": opacity} if pressed else scale))
+    edges = shell.extract_surface().extract_feature_edges(
+        boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
+    )
+    if levels or not pressed:
+        _draw_lines(plotter, edges, 0.0015, color=EDGE)
+    else:  # obstacles on the boundary alone
+        _draw_lines(plotter, edges, 0.01, **scale)
+    for level in levels.values():
+        line = body.extract_surface().contour(isosurfaces=[0.0], scalars=level)
+        _draw_lines(plotter, line, 0.0035, color=INK)
+
+
+def _add_obstacle(plotter: Any, grid: Any, view: View, side: str, level: str) -> None:
+    """An obstacle within the box, without the part that u covers in contact."""
+    surface, lower = grid.warp_by_scalar(side, factor=view.scale[2]), side == "lower"
+    for scalars, value, below in ((side, view.lower[2], False), (side, view.upper[2], True), (level, 0.0, False)):
+        surface = surface.clip_scalar(scalars=scalars, value=value, invert=below)
+    # a little behind u: where both are equal the eye would see one through the other in patches
+    offset = 4e-3 * (view.upper[2] - view.lower[2]) * view.scale[2]
+    surface.points[:, 2] += -offset if lower else offset
+    _paint(plotter, surface, color=OBSTACLE, opacity=1.0 if lower else UPPER, smooth_shading=True)
+
+
+def _draw_lines(plotter: Any, lines: Any, radius: float, **look: Any) -> None:
+    if lines.n_points:
+        plotter.add_mesh(lines.strip().tube(radius=radius), lighting=False, **look)
+
+
+def _paint(plotter: Any, mesh: Any, **look: Any) -> None:
+    if mesh.n_cells:
+        plotter.add_mesh(mesh.extract_surface(), ambient=0.5, diffuse=0.55, specular=0.08, specular_power=20, **look)
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]))

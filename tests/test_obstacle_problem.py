@@ -1,0 +1,392 @@
+"""ObstacleProblem on the caller's own mesh, form, tags and Functions: the same solution as every other way in."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, membrane
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from petsc4py import PETSc
+
+from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, penalty, releases, solve
+from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.problems.own_form import OfForm
+from fenicsx_obstacle.releases import NEW, vec
+
+TRIANGLE, QUADRILATERAL = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
+ELEMENTS = [(TRIANGLE, 1, "P1"), (TRIANGLE, 2, "P2"), (QUADRILATERAL, 1, "Q1"), (QUADRILATERAL, 2, "Q2")]
+
+
+def held(V):
+    """u = 0 on the boundary, and its Function."""
+    mesh = V.mesh
+    mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+    facets = dmesh.exterior_facet_indices(mesh.topology)
+    zero = fem.Function(V)
+    return fem.dirichletbc(zero, fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)), zero
+
+
+class Membrane:
+    """tension = mu, load f = 8 below g = 0.3 on a unit square."""
+
+    def __init__(self, cells=16, cell=TRIANGLE, degree=1, comm=COMM):
+        self.mesh = dmesh.create_rectangle(comm, [np.zeros(2), np.ones(2)], [cells, cells], cell)
+        self.V = releases.functionspace(self.mesh, "Lagrange", degree)
+        self.u, self.v = fem.Function(self.V), ufl.TestFunction(self.V)
+        self.bc, self.edge = held(self.V)
+        self.mu, self.f, self.g = (fem.Constant(self.mesh, PETSc.ScalarType(x)) for x in (1.0, 8.0, 0.3))
+        self.F = self.mu * ufl.inner(ufl.grad(self.u), ufl.grad(self.v)) * ufl.dx - self.f * self.v * ufl.dx
+
+    def problem(self, **more):
+        return ObstacleProblem(self.F, self.u, **{"bcs": [self.bc], "upper": self.g, **more})
+
+
+def same(one, other):
+    """Whether two values agree to 1e-9."""
+    return np.isclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("cell", "degree", "element"), ELEMENTS)
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_the_same_as_the_scene(cell, degree, element, method):
+    """A cold start with the same eps: u, pressure, forces and Newton counts are those of a scene."""
+    own = Membrane(cell=cell, degree=degree)
+    found = own.problem().solve(eps=1e-6, method=method)
+    scene = membrane(mesh={"shape": "rectangle", "cells": 16}, load=8, upper=0.3)
+    answer = solve(scene, element=element, eps=1e-6, method=method, start="cold")
+    assert found.iterations == answer.iterations
+    assert same(found.force.upper, answer.force.upper) and found.force.lower is None
+    assert same(found.area, answer.area) and same(found.energy, answer.energy)
+    points = np.random.default_rng(1).uniform(0.01, 0.99, (40, 2))
+    for of in ("u", "pressure", "gap"):
+        assert np.allclose(found.at(points, of), answer.at(points, of), rtol=1e-9, atol=1e-9), of
+
+
+def test_the_same_as_one_added_line():
+    """F += penalty(u, v, ...) in plain DOLFINx, Newton's method by hand: the same u to 1e-9."""
+    own, eps = Membrane(), 1e-4
+    found = own.problem().solve(eps=eps)
+    exact = found.u.x.array.copy()
+    u = own.u
+    u.x.array[:] = 0.0
+    F = own.F + penalty(u, own.v, upper=own.g, eps=eps)
+    form, derivative = fem.form(F), fem.form(ufl.derivative(F, u))
+    ksp = PETSc.KSP().create(COMM)
+    ksp.setType("cg")
+    ksp.pc.setType("jacobi")
+    ksp.setTolerances(rtol=1e-13)
+    for _ in range(found.iterations + 2):
+        A = fem.petsc.assemble_matrix(derivative, [own.bc])
+        A.assemble()
+        b = fem.petsc.create_vector(own.V if NEW else form)
+        fem.petsc.assemble_vector(b, form)
+        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        b.array[fixed_here(own)] = 0.0
+        ksp.setOperators(A)
+        step = b.duplicate()
+        ksp.solve(b, step)
+        vec(u).axpy(-1.0, step)
+        u.x.scatter_forward()
+        for owner in (A, b, step):
+            owner.destroy()
+    ksp.destroy()
+    assert largest(COMM, np.abs(u.x.array - exact)) < 1e-9
+
+
+def fixed_here(own):
+    dofs = own.bc.dof_indices()[0]
+    return dofs[dofs < own.V.dofmap.index_map.size_local]
+
+
+@pytest.mark.parametrize("shape", ["interval", "tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_other_dimensions(shape, degree):
+    """Intervals, tetrahedra and hexahedra: u <= g, p <= 0, forces balance; P2 on tetrahedra has no rule (3.6)."""
+    if shape == "interval":
+        mesh = dmesh.create_interval(COMM, 20, [0.0, 1.0])
+    else:
+        mesh = dmesh.create_box(COMM, [np.zeros(3), np.ones(3)], [5, 5, 5], getattr(dmesh.CellType, shape))
+    V = releases.functionspace(mesh, "Lagrange", degree)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - 30 * v * ufl.dx
+    bc, _ = held(V)
+    if (shape, degree) == ("tetrahedron", 2):
+        with pytest.raises(InputError, match=r"no rule at the nodes of degree 2 on a tetrahedron has positive weights"):
+            ObstacleProblem(F, u, bcs=[bc], upper=0.3)
+        return
+    problem = ObstacleProblem(F, u, bcs=[bc], upper=0.3)
+    found = problem.solve(method="vi")
+    assert largest(COMM, found.u.x.array) <= 0.3 + 1e-12
+    assert largest(COMM, found.pressure.x.array) <= 0 and found.area > 0.01
+    supports = COMM.allreduce(float(problem.b.array_r[fixed_dofs(bc, V)].sum()))
+    assert np.isclose(30 - found.force.upper, -supports, rtol=1e-8)
+
+
+def fixed_dofs(bc, V):
+    dofs = bc.dof_indices()[0]
+    return dofs[dofs < V.dofmap.index_map.size_local]
+
+
+def test_a_loop_over_loads_is_a_loop():
+    """Constants, Functions, boundary values and obstacles that change are taken anew: the same as new problems."""
+    own = Membrane()
+    g = fem.Function(own.V)
+    g.x.array[:] = 0.3
+    problem = own.problem(upper=g, lower=lambda x: -0.1 + 0 * x[0])
+    solutions = []
+    for load, height, edge, mu in ((8, 0.3, 0, 1), (20, 0.2, 0, 1), (-9, 0.2, 0.05, 1), (-9, 0.2, 0.05, 3)):
+        own.f.value, g.x.array[:], own.edge.x.array[:], own.mu.value = load, height, edge, mu
+        found = problem.solve(eps=1e-7)
+        u = found.u.x.array.copy()
+        own.u.x.array[:] = 0
+        alone = own.problem(upper=height, lower=-0.1).solve(eps=1e-7)
+        assert largest(COMM, np.abs(alone.u.x.array - u)) < 1e-8
+        assert np.isclose(found.force.upper, alone.force.upper, rtol=1e-7)
+        assert np.isclose(found.force.lower, alone.force.lower, rtol=1e-7)
+        solutions.append((found, found.force))
+    assert all(found.force == force for found, force in solutions)  # an older solution keeps its figures
+    assert largest(COMM, np.abs(solutions[0][0].upper.x.array - 0.3)) == 0  # and its obstacle
+
+
+def test_the_matrix_is_kept(monkeypatch):
+    """It is assembled anew only where coefficients in it have other values; starts are warm."""
+    own, count = Membrane(), []
+    problem = own.problem()
+    first = problem.solve(eps=1e-7).iterations
+    plain = fem.petsc.assemble_matrix
+    monkeypatch.setattr(fem.petsc, "assemble_matrix", lambda *a, **k: (count.append(1), plain(*a, **k))[1])
+    assert first > 2 and problem.solve(eps=1e-7).iterations <= 1 and not count
+    own.f.value = 9.0
+    problem.solve(eps=1e-7)
+    assert not count
+    own.mu.value = 2.0
+    problem.solve(eps=1e-7)
+    assert len(count) == 1
+
+
+def test_drift_that_begins_later():
+    """An equation that stops being symmetric is solved as such."""
+    own = Membrane()
+    drift = fem.Constant(own.mesh, PETSc.ScalarType(0.0))
+    own.F += drift * own.u.dx(0) * own.v * ufl.dx
+    problem = own.problem()
+    at_rest = problem.solve(eps=1e-7)
+    assert at_rest.energy is not None
+    drift.value = 10.0
+    moved = problem.solve(eps=1e-7)
+    assert moved.energy is None
+    own.u.x.array[:] = 0
+    assert np.isclose(own.problem().solve(eps=1e-7).force.upper, moved.force.upper, rtol=1e-7)
+
+
+def test_what_is_linear_is_found_out():
+    """Derivatives free of u, and no condition with u in it; symmetric where the matrix is."""
+    own = Membrane(4)
+    u, v, grad, inner, dx = own.u, own.v, ufl.grad, ufl.inner, ufl.dx
+    w = fem.Function(own.V)
+    w.x.array[:] = np.arange(len(w.x.array))
+    a = inner(grad(u), grad(v)) * dx
+    linear = [a, a + w**2 * u * v * dx, a - ufl.conditional(ufl.gt(w, 1), 1.0, 2.0) * v * dx, (1 + abs(w)) * u * v * dx]
+    bent = [
+        a + u**3 * v * dx, ufl.sqrt(1 + inner(grad(u), grad(u))) * v * dx, a + abs(u) * v * dx,
+        a + ufl.sign(u) * v * dx, a + ufl.conditional(ufl.gt(u, 0), 1.0, 0.0) * v * dx,
+        a + ufl.max_value(u, 0) * v * dx,
+    ]  # fmt: skip
+    assert all(OfForm(F=F, u=u).affine and OfForm(F=F, u=u).symmetric for F in linear)
+    assert not any(OfForm(F=F, u=u).affine for F in bent)
+    skew = OfForm(F=a + u.dx(0) * v * dx, u=u)
+    assert skew.affine and not skew.symmetric
+
+
+def test_jacobian_of_ones_own():
+    """A derivative that leaves out a small term: more steps, the same solution."""
+    own = Membrane()
+    own.F += 0.5 * own.u**3 * own.v * ufl.dx
+    exact = own.problem().solve(eps=1e-6)
+    u, steps = own.u.x.array.copy(), exact.iterations
+    own.u.x.array[:] = 0
+    J = ufl.inner(ufl.grad(ufl.TrialFunction(own.V)), ufl.grad(own.v)) * ufl.dx
+    found = own.problem(J=J).solve(eps=1e-6)
+    assert found.iterations > steps
+    assert largest(COMM, np.abs(found.u.x.array - u)) < 1e-7
+
+
+def test_contact_on_a_part_of_the_boundary():
+    """measure = ds(3): Signorini's obstacle, as in a scene with an obstacle in [[boundary]]."""
+    own = Membrane()
+    mesh = own.mesh
+    right = dmesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[0], 1))
+    left = dmesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[0], 0))
+    tags = dmesh.meshtags(mesh, 1, np.sort(right).astype(np.int32), np.full(len(right), 3, np.int32))
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    bc = fem.dirichletbc(PETSc.ScalarType(0), fem.locate_dofs_topological(own.V, 1, left), own.V)
+    found = own.problem(bcs=[bc], upper=0.5, measure=ds(3)).solve(eps=1e-8)
+    sides = [{"on": "left", "value": 0}, {"on": "right", "upper": 0.5}]
+    scene = membrane(mesh={"shape": "rectangle", "cells": 16}, load=8, boundary=sides)
+    answer = solve(scene, eps=1e-8, start="cold")
+    assert same(found.force.upper, answer.force.upper) and same(found.area, answer.area)
+    assert np.allclose(found.at((1, 0.5)), answer.at((1, 0.5)), rtol=1e-9)
+    assert np.allclose(found.at((1, 0.5), "pressure"), answer.at((1, 0.5), "pressure"), rtol=1e-9)
+    with pytest.raises(InputError, match="no facet is tagged 7"):
+        own.problem(measure=ds(7))
+    with pytest.raises(InputError, match="expected ds or dS"):
+        own.problem(measure=ufl.dx)
+
+
+def test_options_belong_to_the_problem():
+    """Two problems with a prefix each; the database is as before afterwards; a limit of steps is kept."""
+    one, other = Membrane(), Membrane()
+    before = PETSc.Options().getAll()
+    hasty = one.problem(petsc_options_prefix="hasty_", petsc_options={"snes_max_it": 1, "ksp_rtol": 1e-2})
+    with pytest.raises(NotConverged):
+        hasty.solve(eps=1e-9)
+    assert largest(COMM, np.abs(one.u.x.array)) == 0  # u is what it was
+    assert other.problem(petsc_options_prefix="other_").solve(eps=1e-9).iterations > 1
+    direct = other.problem(petsc_options={"ksp_type": "preonly", "pc_type": "cholesky" if COMM.size == 1 else "lu",
+                                          "pc_factor_mat_solver_type": "mumps"})  # fmt: skip
+    other.u.x.array[:] = 0
+    found = direct.solve(eps=1e-9)
+    assert found.record["krylov_iterations"] == found.iterations
+    assert PETSc.Options().getAll() == before
+
+
+def test_steps_are_told():
+    """The monitor sees the start as number 0 and every Newton step."""
+    told = []
+    found = Membrane().problem().solve(eps=1e-7, monitor=lambda number, step: told.append((number, step)))
+    assert [number for number, _ in told] == list(range(len(told))) and len(told) >= found.iterations + 1
+    assert told[-1][1].unbalanced <= 1e-10 * told[-1][1].forces
+
+
+def test_eps_by_itself():
+    """eps = "auto" is one number, in proportion to h^2 over the tension, and needs no knowledge of F."""
+    values = {}
+    for cells, mu in ((8, 1.0), (16, 1.0), (16, 50.0)):
+        own = Membrane(cells)
+        own.mu.value, own.f.value = mu, 8 * mu
+        values[cells, mu] = own.problem().solve().eps
+    assert np.isclose(values[8, 1.0] / values[16, 1.0], 4, rtol=1e-6)
+    assert np.isclose(values[16, 1.0] / values[16, 50.0], 50, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("cell", "degree", "element"), ELEMENTS)
+def test_saved_and_read(folder, cell, degree, element):
+    """The folder of a Solution: fields, figures and history come back, without any scene."""
+    found = Membrane(8, cell, degree).problem().solve()
+    found.save(folder)
+    back = Solution.read(folder)
+    assert back.force == found.force and back.history == found.history and back.eps == found.eps
+    assert back.level.pair.name == element
+    line, again = (one.along((0, 0.5), (1, 0.5), n=33) for one in (found, back))
+    for name in ("u", "pressure", "gap", "slope"):
+        assert np.allclose(getattr(line, name), getattr(again, name), atol=1e-12), name
+    assert line.points.shape == (33, 2) and line.slope.shape == (33, 2) and np.isclose(line.s[-1], 1)
+
+
+def test_along_a_line():
+    """u, gap, pressure and slope of a known solution in 1D: u = x(1 - x) under g = 3/16 touches (1/4, 3/4)."""
+    mesh = dmesh.create_interval(COMM, 64, [0.0, 1.0])
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    # u'' = -f, tangent to g at a: f a^2/2 = g
+    f, a = 6.0, 0.25
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - f * v * ufl.dx
+    line = ObstacleProblem(F, u, bcs=[held(V)[0]], upper=f * a**2 / 2).solve(method="vi").along([0], [1], n=129)
+    exact = np.where(line.s < a, f * line.s * (a - line.s / 2), f * a**2 / 2)
+    left = line.s <= 0.5
+    assert np.abs(line.u - exact)[left].max() < f / 8 / 64**2 * 1.01
+    assert np.abs(line.gap - (f * a**2 / 2 - line.u)).max() < 1e-14
+    inner = (line.s > 0.3) & (line.s < 0.7)
+    assert np.allclose(line.pressure[inner], -f) and np.abs(line.slope[inner]).max() < 1e-10
+    assert np.abs(line.slope[left, 0] - np.maximum(f * (a - line.s[left]), 0)).max() < f / 64
+
+
+def test_made_of_effects():
+    """`scene.problem()`: the solution of the scene from a cold start, with its bound; forms have none."""
+    scene = membrane(mesh={"shape": "rectangle", "cells": 16}, load=8, upper=0.3)
+    problem = scene.problem(COMM)
+    found, answer = problem.solve(bound=True), solve(scene, bound=True, start="cold")
+    assert same(found.eps, answer.eps) and found.iterations == answer.iterations
+    assert same(found.energy, answer.energy) and same(found.bound.total, answer.bound.total)
+    assert found.record["bound"]["words"] == "certified"
+    assert problem.solve(bound=True).iterations == 0
+    with pytest.raises(InputError, match="bound=True needs tension and load as data, which a form hides"):
+        Membrane(4).problem().solve(bound=True)
+
+
+BLOCKED = """
+import sys
+sys.modules["fenicsx_obstacle.scenes"] = None
+import numpy as np, ufl
+from dolfinx import fem, mesh as dmesh
+from mpi4py import MPI
+from fenicsx_obstacle import ObstacleProblem, Solution, releases
+mesh = dmesh.create_unit_square(MPI.COMM_SELF, 8, 8)
+V = releases.functionspace(mesh, "Lagrange", 1)
+u, v = fem.Function(V), ufl.TestFunction(V)
+mesh.topology.create_connectivity(1, 2)
+dofs = fem.locate_dofs_topological(V, 1, dmesh.exterior_facet_indices(mesh.topology))
+F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - 8 * v * ufl.dx
+found = ObstacleProblem(F, u, bcs=[fem.dirichletbc(fem.Function(V), dofs)], upper=0.3).solve()
+found.save(sys.argv[1])
+back = Solution.read(sys.argv[1])
+assert back.force == found.force
+back.plot(sys.argv[1] + "/picture.png")
+print(back.summary())
+assert not [name for name in sys.modules if name.startswith("fenicsx_obstacle.scenes.")]
+"""
+
+
+@pytest.mark.serial
+def test_without_scenes(tmp_path):
+    """Built, solved, saved, read and drawn where the package has no scenes."""
+    done = subprocess.run([sys.executable, "-c", BLOCKED, str(tmp_path)], capture_output=True, text=True, timeout=150)
+    assert done.returncode == 0, done.stderr
+    assert "Newton step" in done.stdout and (tmp_path / "picture.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"upper": None}, "ObstacleProblem: give an obstacle, lower= or upper="),
+        ({"upper": "0.3"}, "ObstacleProblem: upper = '0.3': expected a number"),
+        ({"bcs": [3]}, r"ObstacleProblem: bcs\[0\] = 3: expected what dolfinx.fem.dirichletbc returns"),
+        ({"lower": 0.4}, "lower"),
+        ({"J": 1}, "ObstacleProblem: J = 1: expected a UFL form, a bilinear form"),
+        ({"energy": 1}, "ObstacleProblem: energy = 1: expected a UFL form, a functional of u"),
+    ],
+)
+def test_mistakes(given, words):
+    with pytest.raises(InputError, match=words):
+        Membrane(4).problem(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"eps": 0}, "eps = 0: must be positive"),
+        ({"eps": "h"}, "eps = 'h': expected a number, a Constant or 'auto'"),
+        ({"method": "newton"}, "method = 'newton': expected penalty, successive or vi"),
+        ({"rtol": 2.0}, "rtol = 2: expected a number between 0 and 1"),
+        ({"eps": 1e-40}, "below the floor of round-off"),
+    ],
+)
+def test_mistakes_in_a_solve(given, words):
+    with pytest.raises(InputError, match=words):
+        Membrane(4).problem().solve(**given)
+
+
+def test_meshes_that_are_none():
+    """Quadrilaterals that are not convex and curved cells are rejected with their place or their degree."""
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.2, 0.2]])  # the last corner is pushed in
+    cells = np.array([[0, 1, 2, 3]] if COMM.rank == 0 else np.empty((0, 4)), dtype=np.int64)
+    mesh = releases.create_mesh(COMM, cells, points if COMM.rank == 0 else points[:0], "quadrilateral")
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    with pytest.raises(
+        InputError, match=r"a quadrilateral at \(0.3, 0.3, 0\) has no area at a corner, or is not convex"
+    ):
+        ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)

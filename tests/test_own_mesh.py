@@ -1,0 +1,149 @@
+"""Scenes on the caller's own mesh: MeshTags, names, and data that are Functions, Constants, UFL or callables."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, membrane
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from petsc4py import PETSc
+
+from fenicsx_obstacle import Answer, InputError, Scene, releases, solve
+
+STIFF = 3.0
+
+
+class Own:
+    """A unit square: left and right sides tagged 1 and 2, cells left and right of x = 1/2 tagged 5 and 6."""
+
+    def __init__(self, cells=16):
+        self.mesh = mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [cells, cells])
+        mesh.topology.create_connectivity(1, 2)
+        sides = [dmesh.locate_entities_boundary(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 1)]
+        facets, order = np.concatenate(sides), np.argsort(np.concatenate(sides))
+        values = np.repeat([1, 2], [len(side) for side in sides])[order]
+        self.facet_tags = dmesh.meshtags(mesh, 1, facets[order].astype(np.int32), values.astype(np.int32))
+        left = dmesh.locate_entities(mesh, 2, lambda x: x[0] <= 0.5 + 1e-12)
+        local = mesh.topology.index_map(2).size_local + mesh.topology.index_map(2).num_ghosts
+        tags = np.full(local, 6, dtype=np.int32)
+        tags[left] = 5
+        self.cell_tags = dmesh.meshtags(mesh, 2, np.arange(local, dtype=np.int32), tags)
+        W = releases.functionspace(mesh, "DG", 0)
+        self.mu = fem.Function(W, name="mu")
+        self.mu.x.array[releases.cell_dofs(W)[:, 0]] = np.where(tags == 5, 1.0, STIFF)
+
+    def scene(self, **more):
+        given = {
+            "mesh": self.mesh, "facet_tags": self.facet_tags, "cell_tags": self.cell_tags, "tension": 1, "load": -8,
+            "facet_names": {"rim": 1, "far": 2}, "cell_names": {"soft": 5, "hard": 6}, "lower": -0.2,
+            "boundary": [{"on": "rim", "value": 0}],
+        }  # fmt: skip
+        return Scene(**{**given, **more})
+
+
+def numbers(scene, **options):
+    """Figures that say whether two solutions are the same."""
+    record = solve(scene, eps=1e-6, **options).record
+    return [record["energy"], record["contact"]["area"], record["contact"]["lower"]["force"]]
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_the_same_by_names_and_by_functions(element):
+    """A tension by materials, by a Function in cells, by UFL and by a formula; parts by names: the same figures."""
+    own = Own()
+    x = ufl.SpatialCoordinate(own.mesh)
+    ways = [
+        own.scene(tension={"soft": 1, "hard": STIFF}),
+        own.scene(tension=own.mu),
+        own.scene(tension={"soft": fem.Constant(own.mesh, PETSc.ScalarType(1.0)), "hard": lambda x: STIFF + 0 * x[0]}),
+        own.scene(tension=ufl.conditional(ufl.lt(x[0], 0.5), 1.0, STIFF)),
+        own.scene(tension=f"where(x < 1/2, 1, {STIFF})", load=lambda x: -8 + 0 * x[0], lower=lambda x: -0.2 + 0 * x[0]),
+        membrane(
+            mesh={"shape": "rectangle", "cells": 16}, tension=f"where(x < 1/2, 1, {STIFF})", load=-8, lower=-0.2,
+            boundary=[{"on": "left", "value": 0}],
+        ),
+    ]  # fmt: skip
+    first, *others = (numbers(scene, element=element, start="cold") for scene in ways)
+    for found in others:
+        assert np.allclose(found, first, rtol=1e-9)
+
+
+def test_names_are_the_tags_by_default():
+    own = Own(8)
+    by_number = own.scene(
+        facet_names=None, cell_names=None, tension={"5": 1, "6": 2}, boundary=[{"on": "1", "value": 0}]
+    )
+    assert np.allclose(numbers(by_number), numbers(own.scene(tension={"soft": 1, "hard": 2})), rtol=1e-12)
+    both = own.scene(facet_names={"sides": [1, 2]}, boundary=[{"on": "sides", "value": 0}])
+    apart = own.scene(boundary=[{"on": ["rim", "far"], "value": 0}])
+    assert np.allclose(numbers(both), numbers(apart), rtol=1e-12)
+
+
+def test_a_certified_tolerance():
+    """A Function as tension, a formula as obstacle, named parts: 1 % on adaptive meshes, certified, for P1 and P2."""
+    own = Own(8)
+    scene = own.scene(tension=own.mu, lower="-0.2 - 0.1*x^2", boundary=[{"on": ["rim", "far"], "value": 0}])
+    for element, tolerance in (("P1", 0.05), ("P2", 0.01)):
+        answer = solve(scene, tol=tolerance, element=element)
+        bound = answer.record["bound"]
+        assert bound["words"] == "certified on the polygon of the mesh" and bound["relative"] <= tolerance
+        assert answer.record["cells_total"] > 128
+    # what is no polynomial of the mesh stays sampled
+    curved = own.scene(tension=own.mu, lower=lambda x: -0.2 - 0.1 * np.sin(x[0]))
+    assert solve(curved, bound=True).record["bound"]["words"].endswith("for the sampled obstacle")
+
+
+def test_time_with_callables():
+    """f(x, t) and the formula in t: the same course."""
+    own = Own(8)
+    time = {"end": 1, "steps": 4}
+    one = solve(own.scene(load=lambda x, t: -8 * t + 0 * x[0], time=time))
+    other = solve(own.scene(load="-8*t", time=time))
+    assert np.allclose(one.course.column("force_lower"), other.course.column("force_lower"), rtol=1e-12)
+
+
+def test_changed_and_saved(folder):
+    """`change` keeps objects and tags; a saved answer is read, and says what its file has not."""
+    own = Own(8)
+    scene = own.scene(tension=own.mu).change({"solve.eps": 1e-6, "obstacle.lower": -0.1})
+    answer = solve(scene)
+    same = solve(own.scene(tension=f"where(x < 1/2, 1, {STIFF})", lower=-0.1), eps=1e-6)
+    assert np.isclose(answer.energy, same.energy, rtol=1e-9)
+    answer.save(folder)
+    read = Answer.read(folder)
+    assert read.force == answer.force
+    with pytest.raises(InputError, match="tension was given in Python and is not in the file"):
+        solve(read.scene.change({"boundary": [{"value": 0}]}))
+    assert np.isclose(solve(read.scene.change({"boundary": [{"value": 0}], "effects.tension": 1})).area, 0.5, atol=0.5)
+
+
+def exact(x, y):
+    return np.sin(np.pi * x) * np.sin(np.pi * y)
+
+
+def test_exact_solution_as_ufl():
+    """Errors against a UFL expression are those against the formula."""
+    own, pi = Own(), np.pi
+    x = ufl.SpatialCoordinate(own.mesh)
+    given = {"load": "2*pi^2*sin(pi*x)*sin(pi*y)", "lower": -10, "boundary": [{"value": 0}]}
+    ours = solve(own.scene(exact=ufl.sin(pi * x[0]) * ufl.sin(pi * x[1]), **given)).record["errors"]
+    text = solve(own.scene(exact="sin(pi*x)*sin(pi*y)", **given)).record["errors"]
+    assert np.isclose(ours["energy"], text["energy"], rtol=1e-6) and np.isclose(ours["l2"], text["l2"], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"facet_names": {"rim": 9}}, "facet_names: 'rim' = 9: no facet has this tag"),
+        ({"facet_tags": 3}, "facet_tags = 3: expected MeshTags of dimension 1"),
+        ({"facet_tags": None}, "facet_names needs facet_tags"),
+        ({"cell_names": ["soft"]}, r"cell_names = \['soft'\]: expected a dict"),
+        ({"mesh": {"shape": "disk"}}, "tags and names of parts go with a DOLFINx mesh"),
+        ({"tension": {"soft": 1}}, "hard"),
+        ({"boundary": [{"on": "edge", "value": 0}]}, "no part named 'edge'"),
+        ({"lower": lambda x: x}, "lower: the callable takes x of shape"),
+    ],
+)
+def test_mistakes(given, words):
+    with pytest.raises(InputError, match=words):
+        solve(Own(4).scene(**given))
