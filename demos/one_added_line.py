@@ -4,11 +4,13 @@ Everything below is DOLFINx and PETSc as you know them, except the line marked w
 Run it with mpirun -n 2 .venv/bin/python demos/one_added_line.py once ./obstacle has set up .venv.
 """
 
+from mpi4py import MPI  # first: where pip has installed dolfinx, MPI must be loaded before it
+
+# isort: split
 import dolfinx.fem.petsc  # noqa: F401  (not imported by dolfinx.fem in newer releases)
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import contact_pressure, penalty
@@ -69,7 +71,7 @@ def newton(F, u, bc, rtol):
     snes.setJacobian(jacobian, A)
     snes.setTolerances(rtol=rtol)
     snes.getKSP().setType("cg")
-    snes.getKSP().getPC().setType("hypre")
+    snes.getKSP().getPC().setType("gamg")
     snes.getKSP().setTolerances(rtol=1e-10)
     snes.solve(None, x)
     u.x.array[:owned] = x.array_r

@@ -1,6 +1,6 @@
 """Obstacle problems on FEniCSx and PETSc: Kikuchi's penalty finite element method with its contact pressure.
 
-Names are loaded when they are first used: importing the package costs nothing.
+Names are loaded when they are first used: importing the package costs nothing but MPI, where pip has installed DOLFINx.
 """
 
 from __future__ import annotations
@@ -11,14 +11,18 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any
 
-# compiled for one another, so that pip must not bring them
+# compiled for one another: pip brings them together or not at all
 _COMPILED = ("dolfinx", "ufl", "petsc4py", "mpi4py", "h5py")
 if _missing := [name for name in _COMPILED if find_spec(name) is None]:
     raise ImportError(
         f"fenicsx_obstacle needs FEniCSx, PETSc and MPI, and {sys.executable} does not find {', '.join(_missing)}. "
-        "pip does not install them: on Debian take apt-get install python3-dolfinx python3-h5py and an environment "
-        "made by /usr/bin/python3 -m venv --system-site-packages; elsewhere fenics-dolfinx and h5py of conda-forge"
+        "On Debian take apt-get install python3-dolfinx python3-h5py and an environment made by "
+        "/usr/bin/python3 -m venv --system-site-packages; elsewhere fenics-dolfinx and h5py of conda-forge, or "
+        "pip install 'fenicsx_obstacle[dolfinx]' (Linux on x86_64, Python 3.12 or newer)"
     )
+
+if find_spec("dolfinx_solver") is not None:  # DOLFINx as pip installs it, which this must load
+    import_module("dolfinx_solver")
 
 _HOME = {
     "Answer": "answers.answer",

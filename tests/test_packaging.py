@@ -62,7 +62,10 @@ def test_missing_libraries_are_named():
 def test_an_unknown_release_of_dolfinx_is_a_warning(tmp_path):
     """One that was not tried, with the spellings of one that was: the answer comes, and a line before it."""
     other = {(0, 5): "0.6.0", (0, 9): "0.8.0"}.get(releases.VERSION, "0.12.0.dev0")
-    code = f"import dolfinx; dolfinx.__version__ = {other!r}; from fenicsx_obstacle.__main__ import main; main()"
+    code = (
+        f"from mpi4py import MPI; import dolfinx; dolfinx.__version__ = {other!r}\n"
+        "from fenicsx_obstacle.__main__ import main; main()"
+    )
     command = [sys.executable, "-c", code, "solve", "ball", "--cells", "16"]
     done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, cwd=tmp_path, timeout=150, check=False)
     assert done.returncode == 0, done.stderr

@@ -231,7 +231,7 @@ class DualNorm:
         self._ksp = PETSc.KSP().create(level.comm)
         self._ksp.setOperators(self._H)
         self._ksp.setType("cg")
-        self._ksp.getPC().setType("hypre")
+        self._ksp.getPC().setType(releases.AMG)
         self._ksp.setTolerances(rtol=1e-9, atol=0.0)
 
     def error(self, pressure: fem.Function, eps: float | None) -> float:

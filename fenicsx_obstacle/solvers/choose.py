@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
@@ -16,6 +17,7 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.augmented import solve_augmented
+from fenicsx_obstacle.solvers.linear import LARGEST
 from fenicsx_obstacle.solvers.newton import penalty_pressure, smallest_eps, solve_penalty
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
@@ -32,8 +34,10 @@ BENT = (
     "a line search on the energy, full steps where round-off hides descent; obstacles that harden should both fail",
 )
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
-LINEAR_SOLVER = "conjugate gradients with algebraic multigrid (hypre BoomerAMG)"
-GENERAL_SOLVER = "GMRES with algebraic multigrid (hypre BoomerAMG), because the equation is not symmetric"
+WITHOUT_HYPRE = f"GAMG, and up to {LARGEST} unknowns MUMPS in its place, because this PETSc has no hypre"
+AMG = "hypre BoomerAMG" if releases.AMG == "hypre" else WITHOUT_HYPRE
+LINEAR_SOLVER = f"conjugate gradients with algebraic multigrid ({AMG})"
+GENERAL_SOLVER = f"GMRES with algebraic multigrid ({AMG}), because the equation is not symmetric"
 DIRECT_SOLVER = "a direct solver (MUMPS), because contact couples the nodes of a cell"
 AUGMENTED = "penalty solves with augmented obstacles g + eps p: the quadratic program with u <= g at the points of I"
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from petsc4py import PETSc
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.solvers.multigrid import SMOOTHER
 
 IN_LIBRARY = 76  # PETSC_ERR_LIB
@@ -18,7 +19,7 @@ LINEAR = {
     "ksp_rtol": 1e-10,
     "ksp_atol": 0.0,  # PETSc's 1e-50 is a force or an energy in somebody's units
     "ksp_max_it": 500,
-    "pc_type": "hypre",
+    "pc_type": releases.AMG,
     "pc_hypre_type": "boomeramg",
 }
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
@@ -29,6 +30,14 @@ INEXACT = {
     "ksp_max_it": 500,
     **SMOOTHER,
 }
+
+
+def direct_first(unknowns: int) -> bool:
+    """Whether systems of so many unknowns are solved directly before anything else is tried.
+
+    So it is without hypre: GAMG ends far from the solution where springs of contact are stiff, or drift is strong.
+    """
+    return releases.AMG != "hypre" and unknowns <= LARGEST
 
 
 def attempt(solve: Callable[[], object], *used: PETSc.Object) -> bool:

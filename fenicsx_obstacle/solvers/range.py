@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -13,7 +15,7 @@ from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults
+from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
 
 NEAR = 1e-8  # of the values of the data: not beyond them
@@ -166,7 +168,8 @@ def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float
 
 def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:
     """Solve A x = b; whether that was possible (collective)."""
-    for options in (GENERAL, DIRECT) if problem.level.dofs <= LARGEST else (GENERAL,):
+    ways: list[Mapping[str, Any]] = [GENERAL, DIRECT] if problem.level.dofs <= LARGEST else [GENERAL]
+    for options in reversed(ways) if direct_first(problem.level.dofs) else ways:
         ksp = PETSc.KSP().create(problem.level.comm)
         ksp.setOperators(problem.A)
         ksp.setOptionsPrefix("sensitivity_")

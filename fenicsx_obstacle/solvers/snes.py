@@ -15,7 +15,17 @@ from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.solvers.inexact import Inexact
-from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, INEXACT, LARGEST, LINEAR, attempt, defaults, user_has_set
+from fenicsx_obstacle.solvers.linear import (
+    DIRECT,
+    GENERAL,
+    INEXACT,
+    LARGEST,
+    LINEAR,
+    attempt,
+    defaults,
+    direct_first,
+    user_has_set,
+)
 from fenicsx_obstacle.solvers.meaning import determined, stiffness_of
 from fenicsx_obstacle.solvers.multigrid import Multigrid, OnInactive
 from fenicsx_obstacle.solvers.range import complaint
@@ -81,10 +91,11 @@ def run(
     """
     start = time.perf_counter()
     prefix = problem.options_of(name)
-    if direct or user_has_set(f"{prefix}pc_type"):
+    chosen = user_has_set(f"{prefix}pc_type")
+    if direct or chosen:
         multigrid = None
     linear: Mapping[str, Any] = LINEAR if problem.symmetric else GENERAL
-    if direct or not problem.level.pair.nodal:
+    if direct or not problem.level.pair.nodal or (not chosen and direct_first(problem.level.dofs)):
         linear = DIRECT  # stiff springs that couple nodes defeat algebraic multigrid
     database = {**options, **(linear if multigrid is None else INEXACT)}
     snes = PETSc.SNES().create(problem.level.comm)

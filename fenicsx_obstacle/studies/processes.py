@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import click
@@ -59,10 +60,16 @@ def end_all() -> None:
 
 def launch(ranks: int, *arguments: str) -> list[str]:
     """The command that runs Python with these arguments on so many ranks."""
+    return [*(mpirun(ranks) if ranks > 1 else []), sys.executable, *arguments]
+
+
+def mpirun(ranks: int) -> list[str]:
+    """The command that starts another one on so many ranks."""
+    hydra = Path(sys.executable).with_name("mpiexec.hydra")  # MPICH's, in an environment into which pip has put it
+    if hydra.exists():
+        return [str(hydra), "-n", str(ranks)]
     # without the banner of Open MPI 4; 5 and 6 take no -q
-    quiet = ["--mca", "orte_execute_quiet", "1"]
-    mpirun = ["mpirun", *quiet, "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
-    return [*mpirun, sys.executable, *arguments]
+    return ["mpirun", "--mca", "orte_execute_quiet", "1", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"]
 
 
 def tell(record: Mapping[str, Any]) -> None:
