@@ -167,7 +167,7 @@ class Seen:
 def seen(patch, kind, shown, monkeypatch):
     """What pyvista draws of a patch, and its view."""
     found = []
-    monkeypatch.setattr("fenicsx_obstacle.show.space.rendered", lambda *given: found.append(given) or ([], "nobody"))
+    monkeypatch.setattr(render, "rendered", lambda *given: found.append(given) or ([], "nobody"))
     page = blank(6, 5)
     scale = _pressures(patch.fields[shown])
     draw_views(page, list(page.add_gridspec(1, 1)), patch, {shown: scale}, kind, "u")

@@ -139,9 +139,11 @@ class Load:
         if value.uniform:
             self.moments = solver
             return
-        comm = data.level.comm
-        sides = [largest(comm, triangles.x[..., k]) - smallest(comm, triangles.x[..., k]) for k in range(2)]
-        division = replace(LOAD[data.level.pair.degree], length=min(sides) / np.pi)  # about Friedrichs' constant
+        comm, degree = data.level.comm, data.level.pair.degree
+        division = LOAD[degree]
+        if degree == 1:
+            sides = [largest(comm, triangles.x[..., k]) - smallest(comm, triangles.x[..., k]) for k in range(2)]
+            division = replace(division, length=min(sides) / np.pi)  # about Friedrichs' constant
         self.pieces = in_cells(triangles, value, division)
         self._integrate(self.pieces)
         self.missing = self.moments - solver

@@ -25,6 +25,7 @@ from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1
+SMALL = 0.02  # of the load times Poincare's constant, in the norm: cells that have no more of it are not divided
 UNRESOLVED = 0.25  # of ||f - mean f||^2: cells are divided if more of it is beyond linear functions
 PARTS = 2**14  # of cells, in all
 DEEPEST = 4
@@ -96,7 +97,12 @@ class Oscillation:
             self._add_second(load.pieces.groups, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
         rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
-        parts = total(triangles.data.level.comm, len(rough))
+        comm = triangles.data.level.comm
+        parts = total(comm, len(rough))
+        if degree == 0:  # the error of P1 is of the size of the load times h
+            of_load = total(comm, self.poincare**2 * (area * mean**2 + load.oscillation**2))
+            if total(comm, self.norm[rough] ** 2) <= SMALL**2 * of_load:
+                return
         depth = next((d for d in range(DEEPEST, 0, -1) if parts * 4**d <= PARTS), 0)
         if depth > 0 and len(rough) > 0 and value.parts is None:
             values = mean[:, None] + (linear if degree > 0 else 0.0 * linear)

@@ -20,9 +20,8 @@ from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.triangles import Triangles, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
 
-AS_THEY_ARE = Division(0, degree=2)
 # where u may touch; what counts is the distance to the nodal interpolant
-SHARPER = (AS_THEY_ARE, Division(4, 2e-3, 1e-3, 2))
+SHARPER = (Division(0, 2e-3, degree=2), Division(4, 2e-3, 1e-3, 2))
 BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state,
 FEW = 20_000  # while there are so few parts: on fine meshes they matter less
 ROUND_OFF = 1e-14  # of the heights
@@ -73,17 +72,14 @@ class Peaks:
         self.cover_energy, self.cover_volume = np.zeros(cells), np.zeros(cells)
         self.sampled = self._of_samples = total(comm, int(known.sampled)) > 0
 
-    def _take(self, cells: np.ndarray, pieces: Pieces, *, sharp: bool) -> None:
-        """Heights, sharp or rough ones, and means in some cells; above the interpolant, and in all."""
+    def _take(self, cells: np.ndarray, pieces: Pieces) -> None:
+        """Heights and means in some cells; above the interpolant, and in all."""
         nodal = self.nodal[self.triangles.dofs[cells]]
         highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
         for group in pieces.groups:
             coefficient, room = self._above(group, nodal)
             known = np.isfinite(group.rest)
-            highest_there = polynomials.row_max(coefficient)
-            if sharp:
-                highest_there = polynomials.largest(coefficient, 3, max(group.degree, 1))
-            top = highest_there + np.where(known, group.rest, 0.0)
+            top = polynomials.largest(coefficient, 3, max(group.degree, 1)) + np.where(known, group.rest, 0.0)
             side = group.upper if self.sign > 0 else -group.lower
             top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
             group.raise_to(highest, np.where(top <= room, 0.0, top + room))
@@ -116,8 +112,9 @@ class Peaks:
         for done, division in enumerate(SHARPER):
             near = self._near(u)
             new = np.flatnonzero(near & (self._done == done))
-            self._take(new, in_cells(self.triangles, self._field, division, new), sharp=division is SHARPER[-1])
-            self._done[new] = done + 1
+            pieces = in_cells(self.triangles, self._field, division, new)
+            self._take(new, pieces)
+            self._done[new] = np.where(pieces.rough, done + 1, len(SHARPER))
         given = np.zeros(len(u), dtype=bool)
         given[self.triangles.data.fixed[0]] = True
         # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 NEAR = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
 ENOUGH = 1e-4  # of h/length max|f|: likewise
+THIN = 2e-3  # likewise, of the datum on parts that a condition cuts, times the root of their share
 APART = 3.0  # so many times further than a condition may change from a line, it is decided
 NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it
 EXACT = 5e-13  # of its size: round-off, which conditions do not see
@@ -175,7 +176,9 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
             found.sampled |= enclosed is None
             enclosed = enclosed or _Samples(here, *where)
             known.append(_Near(enclosed, parts[block], division, continuous=datum.continuous))
-        open_ = _together([near.open(division.rough) for near in known])
+        open_ = _together(
+            [near.open(division, parts[block]) for block, near in zip(blocks(len(parts.rows)), known, strict=True)]
+        )
         found.rough[parts.rows[open_]] = True
         infinite = _together([~near.finite for near in known])
         large = (parts.share > division.share) | _together([near.whole for near in known])
@@ -393,10 +396,13 @@ class _Near:
         self.upper[chosen] = np.minimum(self.upper[chosen], polynomials.row_max(coefficients) + room)
         self._found.append((degree, chosen, coefficients))
 
-    def open(self, rough: float) -> np.ndarray:
+    def open(self, division: Division, parts: Parts) -> np.ndarray:
         """Which parts are to be divided if they may be."""
         size = np.maximum(np.abs(self.lower), np.abs(self.upper))
-        far = ~self.whole | (self.rest > rough * (self.upper - self.lower))
+        far = ~self.whole | (self.rest > division.rough * (self.upper - self.lower))
+        if np.isfinite(division.length) and parts.inside is not None:
+            h = np.sqrt(np.abs(_cross(parts.x)) / parts.share)  # of the simplex, about
+            far &= division.length * np.sqrt(parts.share) * self.rest > THIN * h * size
         return ~self.finite | (far & (self.rest > NEGLIGIBLE * size))
 
     def divided(self, parts: Parts, chosen: np.ndarray) -> Parts:

@@ -128,7 +128,7 @@ class _Forms:
 
     @staticmethod
     def _pairwise(one: Form, other: Form, rule: intervals.Rule) -> Form:
-        slopes = [rule(a, b) for a, b in zip(one.slopes, other.slopes, strict=True)]
+        slopes = [rule(a, b) for a, b in _pairs(one, other)]
         return Form(rule(one.value, other.value), (slopes[0], slopes[1]))
 
     def _name(self, name: str) -> Form:
@@ -156,21 +156,18 @@ class _Forms:
         a, b = self._walk.number(formula, left), self._walk.number(formula, right)
         match sign:
             case "+":
-                return self._pairwise(one, other, add)
+                return self._pairwise(one, other, _sum)
             case "-":
-                return self._pairwise(one, other, lambda p, q: add(p, negative(q)))
+                return self._pairwise(one, other, lambda p, q: _sum(p, negative(q)))
             case "*":
                 # f g - C_f C_g = (f - C_f) g + C_f (g - C_g)
-                slopes = [
-                    add(multiply(p, b), multiply(one.value, q)) for p, q in zip(one.slopes, other.slopes, strict=True)
-                ]
+                slopes = [_sum(_product(p, b), _product(one.value, q)) for p, q in _pairs(one, other)]
                 return Form(multiply(one.value, other.value), (slopes[0], slopes[1]))
             case "/":
                 # f/g - C_f/C_g = (f - C_f)/g - C_f (g - C_g)/(g C_g)
                 factor = divide(one.value, multiply(b, other.value))
                 slopes = [
-                    add(divide(p, b), negative(multiply(factor, q)))
-                    for p, q in zip(one.slopes, other.slopes, strict=True)
+                    _sum(_product(p, divide(ONE, b)), negative(_product(factor, q))) for p, q in _pairs(one, other)
                 ]
                 return Form(divide(one.value, other.value), (slopes[0], slopes[1]))
         if not b.is_number:
@@ -205,9 +202,7 @@ class _Forms:
     def _extreme(name: str, one: Form, other: Form, above: np.ndarray, below: np.ndarray) -> Form:
         """max(f + a, g + b) - max(f, g) is between a and b."""
         first, second = (below, above) if name == "min" else (above, below)
-        slopes = [
-            intervals.chosen(first | ~second, second, p, q) for p, q in zip(one.slopes, other.slopes, strict=True)
-        ]
+        slopes = [intervals.chosen(first | ~second, second, p, q) for p, q in _pairs(one, other)]
         return Form(intervals.extreme(name, one.value, other.value, above, below), (slopes[0], slopes[1]))
 
     @staticmethod
@@ -222,9 +217,7 @@ class _Forms:
             value = intervals.atan2(one.value, other.value)
         else:
             return Form(found, (ZERO, ZERO))
-        slopes = [
-            add(multiply(weights[0], p), multiply(weights[1], q)) for p, q in zip(one.slopes, other.slopes, strict=True)
-        ]
+        slopes = [_sum(_product(weights[0], p), _product(weights[1], q)) for p, q in _pairs(one, other)]
         return Form(value, (slopes[0], slopes[1]))
 
 
@@ -235,7 +228,29 @@ def _point(values: np.ndarray) -> Enclosure:
 
 def _through(inner: Form, value: Enclosure, outer: Enclosure) -> Form:
     """Of a function with a derivative within given bounds."""
-    return Form(value, (multiply(outer, inner.slopes[0]), multiply(outer, inner.slopes[1])))
+    return Form(value, (_product(outer, inner.slopes[0]), _product(outer, inner.slopes[1])))
+
+
+def _pairs(one: Form, other: Form) -> list[tuple[Enclosure, Enclosure]]:
+    return list(zip(one.slopes, other.slopes, strict=True))
+
+
+def _sum(a: Enclosure, b: Enclosure) -> Enclosure:
+    """Nothing is computed where one of them is the number 0."""
+    if _is_zero(a):
+        return b
+    return a if _is_zero(b) else add(a, b)
+
+
+def _product(a: Enclosure, b: Enclosure) -> Enclosure:
+    """Nothing is computed where one of them is the number 0, and the other is defined."""
+    if (_is_zero(a) and b.defined.all()) or (_is_zero(b) and a.defined.all()):
+        return ZERO
+    return multiply(a, b)
+
+
+def _is_zero(a: Enclosure) -> bool:
+    return a.is_number and not a.lower and bool(a.defined)
 
 
 def _one_less(a: Enclosure) -> Enclosure:

@@ -169,9 +169,10 @@ class TreeWalk:
 
     def _axis(self, formula: Formula, node: ast.expr) -> str:
         """The coordinate that a node is, up to its sign and a number; otherwise empty."""
+        if self.number(formula, node).slopes is not slopes.COORDINATE:  # nor shifted
+            return ""
         needs = self.cells.vocabulary.needs(formula.part(node)) & set(COORDINATES)
-        shifted = self.number(formula, node).slopes is slopes.COORDINATE
-        return needs.pop() if shifted and len(needs) == 1 and needs <= set("xyz") else ""
+        return needs.pop() if len(needs) == 1 and needs <= set("xyz") else ""
 
     def _floor(self, a: Enclosure) -> Enclosure:
         """Decided where it is one number inside the cell."""
@@ -307,7 +308,9 @@ class TreeWalk:
         return replace(a, lower=low, upper=high)
 
     def _can_sample(self, formula: Formula, node: ast.expr) -> bool:
-        return self.cells.distance is not None or "distance" not in self.cells.vocabulary.needs(formula.part(node))
+        needs = self.cells.vocabulary.needs
+        unknown = self.cells.distance is None and "distance" in needs(formula)
+        return not (unknown and "distance" in needs(formula.part(node)))
 
 
 def _size(enclosures: list[Enclosure]) -> np.ndarray:

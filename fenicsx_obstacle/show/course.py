@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,14 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.course import Course, Frame
-from fenicsx_obstacle.show.boundary import SIDES, Patch
-from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, figure, heading, plain, save, write_gif
+from fenicsx_obstacle.show.boundary import Patch
+from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, blank, figure, heading, plain, save, write_gif
 from fenicsx_obstacle.show.maps import hatch_obstacles, triangles
 from fenicsx_obstacle.words import title_of
 
 HISTORY, ANIMATION = "history.png", "answer.gif"
 COUNTS = ("step", "t", "dt", "newton", "krylov")
+USUAL = ("energy", "kinetic", "contact_area", "force_lower", "force_upper", "penetration")
 SHOWN = 6  # moments in the picture of the fields
 PER_SECOND = 10  # frames of the animation
 
@@ -36,20 +37,22 @@ def draw_course(answer: Answer, arrays: Arrays, path: Path) -> str:
     """
     course, name = _course(answer), plain(_moments(answer).name)
     columns = [column for column in _columns(course) if np.isfinite(course.column(column)).any()]
-    fields = _fields_of(answer, arrays)
-    rows = -(-len(columns) // 3)
-    page = _page(fields is not None, rows, len(columns))
-    if fields is not None:
-        fields(page)
-    t = course.column("t")
+    fields = bool(course.frames) and _drawable(arrays)
+    heights = [3.4] * fields + [2.1] * -(-len(columns) // 3)  # fields in one row, then three figures in each
+    page = blank(10.0, sum(heights) + 0.5)
+    grid = page.add_gridspec(len(heights), 6, height_ratios=heights)
+    if fields:
+        chosen = np.unique(np.linspace(0, len(course.frames) - 1, SHOWN).round().astype(int))
+        draw = _lines if arrays["cells"].shape[1] == 2 else _maps
+        draw(page, grid, answer, arrays, [course.frames[k] for k in chosen])
     for number, column in enumerate(columns):
-        axis = page.panels[number]
-        values = course.column(column)
-        axis.plot(t, values, color=COLOURS[number % len(COLOURS)], linewidth=1.6)
-        axis.set(title=plain(column.replace("_", " ")), xlabel=name)
-        axis.title.set_fontsize(9)
-    page.sheet.suptitle(heading(title_of(answer.scene.tables.title, answer.scene.name)), fontsize=12)
-    save(page.sheet, path)
+        row, place = divmod(number, 3)
+        axis = page.add_subplot(grid[fields + row, 2 * place : 2 * place + 2])
+        axis.plot(course.column("t"), course.column(column), color=COLOURS[number % len(COLOURS)], linewidth=1.6)
+        axis.set_xlabel(name)
+        axis.set_title(plain(column.replace("_", " ")), fontsize=9)
+    page.suptitle(heading(title_of(answer.scene.tables.title, answer.scene.name)), fontsize=12)
+    save(page, path)
     return f"{path}: {', '.join(column.replace('_', ' ') for column in columns)} over {_moments(answer).name}"
 
 
@@ -66,8 +69,7 @@ def animate(answer: Answer, arrays: Arrays, path: Path) -> str:
 
 def moving(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
     """A figure of the fields, and what draws one moment into it (one rank)."""
-    course, dim = _course(answer), arrays["cells"].shape[1] - 1
-    page, draw = (_moving_line if dim == 1 else _moving_map)(answer, course, arrays)
+    page, draw = (_moving_line if arrays["cells"].shape[1] == 2 else _moving_map)(answer, arrays)
 
     def draw_moment(frame: Frame) -> None:
         draw(frame)
@@ -87,24 +89,6 @@ def _drawable(arrays: Arrays) -> bool:
     return dim == int(arrays["gdim"]) and dim < 3
 
 
-class _page:
-    """Panels of a sheet: one wide row for fields, then three columns of figures."""
-
-    def __init__(self, fields: bool, rows: int, count: int):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        heights = [3.4] * fields + [2.1] * rows
-        self.sheet = Figure(figsize=(10.0, sum(heights) + 0.5), dpi=150, constrained_layout=True)
-        FigureCanvasAgg(self.sheet)
-        grid = self.sheet.add_gridspec(len(heights), 6, height_ratios=heights)
-        self.grid = grid
-        self.panels = [
-            self.sheet.add_subplot(grid[fields + number // 3, 2 * (number % 3) : 2 * (number % 3) + 2])
-            for number in range(count)
-        ]
-
-
 def _course(answer: Answer) -> Course:
     assert answer.course is not None
     return answer.course
@@ -118,61 +102,49 @@ def _moments(answer: Answer) -> Any:
 def _columns(course: Course) -> list[str]:
     """Names of the figures: those of [report] first."""
     names = list(dict.fromkeys(name for row in course.rows for name in row if name not in COUNTS))
-    usual = ("energy", "kinetic", "contact_area", "force_lower", "force_upper", "penetration")
-    return [name for name in names if name not in usual] + [name for name in names if name in usual[:-1]]
+    return [name for name in names if name not in USUAL] + [name for name in names if name in USUAL[:-1]]
 
 
-def _fields_of(answer: Answer, arrays: Arrays) -> Callable[[Any], None] | None:
-    """What draws the fields at some moments: lines and a map of contact, or maps; None without frames."""
-    frames, size = _course(answer).frames, arrays["cells"].shape[1]
-    if not frames or not _drawable(arrays):
-        return None
-    chosen = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, SHOWN).round().astype(int))]
-    draw = _lines if size == 2 else _maps
-    return lambda page: draw(page, answer, arrays, chosen)
-
-
-def _lines(page: Any, answer: Answer, arrays: Arrays, chosen: list[Frame]) -> None:
+def _lines(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequence[Frame]) -> None:
     """u over the interval at some moments; beside it, where it was in contact at all of them."""
-    left, right = (page.sheet.add_subplot(page.grid[0, place]) for place in (slice(0, 3), slice(3, 6)))
-    order = np.argsort(arrays["points"][:, 0])
-    x, name = arrays["points"][order, 0], plain(_moments(answer).name)
-    import matplotlib
+    from matplotlib import colormaps
 
-    fields = {side: chosen[-1].fields[side][order] for side in SIDES if side in chosen[-1].fields}
-    hatch_obstacles(left, x, fields, _range(chosen, "u"))
-    shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(chosen)))
-    for frame, shade in zip(chosen, shades, strict=True):
-        left.plot(x, frame.fields["u"][order], color=shade, linewidth=1.6, label=f"{frame.t:.3g}")
+    left, right = page.add_subplot(grid[0, :3]), page.add_subplot(grid[0, 3:])
+    x, order = _from_left(arrays)
+    name = plain(_moments(answer).name)
+    hatch_obstacles(left, x, _ordered(chosen[-1], order), _range(chosen, "u"))
+    for frame, shade in zip(chosen, np.linspace(0.0, 0.9, len(chosen)), strict=True):
+        left.plot(x, frame.fields["u"][order], color=colormaps["viridis"](shade), linewidth=1.6, label=f"{frame.t:.3g}")
     left.set(xlabel="x", ylabel=plain(answer.scene.tables.u))
-    left.legend(fontsize=7, title=name, title_fontsize=7)
+    moments = left.lines[-len(chosen) :]  # beside the panel: within it they would cover some of its lines
+    left.legend(handles=moments, fontsize=7, title=name, title_fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
     frames = _course(answer).frames[1:]
     touching = np.array([frame.fields["contact"][order] > 0.5 for frame in frames])
-    pressed = np.where(touching, 1.0, np.nan)
-    times = np.array([frame.t for frame in frames])
     if touching.any():
+        times = np.array([frame.t for frame in frames])
+        pressed = np.where(touching, 1.0, np.nan)
         right.pcolormesh(x, times, pressed, cmap="autumn", vmin=0, vmax=4, shading="nearest")
-        right.set(xlabel="x", ylabel=name, title="in contact", xlim=(x[0], x[-1]))
-        right.title.set_fontsize(9)
+        right.set(xlabel="x", ylabel=name, xlim=(x[0], x[-1]))
+        right.set_title("in contact", fontsize=9)
     else:
         right.set_axis_off()
         right.text(0.5, 0.5, "no contact at these moments", ha="center", transform=right.transAxes)
 
 
-def _maps(page: Any, answer: Answer, arrays: Arrays, chosen: list[Frame]) -> None:
+def _maps(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequence[Frame]) -> None:
     """u from above at some moments, contact outlined."""
-    low, high = _range(chosen, "u")
-    shown = chosen[-3:] if len(chosen) < SHOWN else [chosen[k] for k in (1, 3, 5)]
+    limits = _range(chosen, "u")
+    shown = chosen[-3:] if len(chosen) < SHOWN else chosen[1::2]
     for number, frame in enumerate(shown):
-        axis = page.sheet.add_subplot(page.grid[0, 2 * number : 2 * number + 2])
-        colours = _map(axis, answer, arrays, frame, low, high)
+        axis = page.add_subplot(grid[0, 2 * number : 2 * number + 2])
+        colours = _map(axis, arrays, frame, limits)
         axis.set_title(f"{plain(_moments(answer).name)} = {frame.t:.3g}", fontsize=9)
-    page.sheet.colorbar(colours, ax=axis, label=plain(answer.scene.tables.u), shrink=0.8)
+    page.colorbar(colours, ax=axis, label=plain(answer.scene.tables.u), shrink=0.8)
 
 
-def _map(axis: Any, answer: Answer, arrays: Arrays, frame: Frame, low: float, high: float) -> Any:
+def _map(axis: Any, arrays: Arrays, frame: Frame, limits: tuple[float, float]) -> Any:
     """u in colours, the edge of contact as a line."""
-    surface = triangles(Patch(arrays["points"], arrays["cells"], {}))
+    surface, (low, high) = triangles(Patch(arrays["points"], arrays["cells"], {})), limits
     colours = axis.tripcolor(surface, frame.fields["u"], shading="gouraud", vmin=low, vmax=high, cmap="viridis")
     contact = frame.fields["contact"]
     if 0 < contact.sum() < len(contact):
@@ -181,40 +153,47 @@ def _map(axis: Any, answer: Answer, arrays: Arrays, frame: Frame, low: float, hi
     return colours
 
 
-def _range(frames: Any, name: str) -> tuple[float, float]:
-    values = [frame.fields[name] for frame in frames]
-    return float(min(v.min() for v in values)), float(max(v.max() for v in values))
-
-
-def _moving_line(answer: Answer, course: Course, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
+def _moving_line(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
     page, (top, bottom) = figure(6.4, 4.6, rows=2, sharex=True)
-    order = np.argsort(arrays["points"][:, 0])
-    x = arrays["points"][order, 0]
-    limits = _range(course.frames, "u")
-    pressures = _range(course.frames[1:] or course.frames, "pressure")
+    frames, (x, order) = _course(answer).frames, _from_left(arrays)
+    limits, (least, most) = _range(frames, "u"), _range(frames[1:] or frames, "pressure")
 
     def draw(frame: Frame) -> None:
         top.clear()
         bottom.clear()
-        fields = {name: values[order] for name, values in frame.fields.items()}
+        fields = _ordered(frame, order)
         hatch_obstacles(top, x, fields, limits)
         top.plot(x, fields["u"], color=BLUE, linewidth=2)
         top.set_ylabel(plain(answer.scene.tables.u))
         bottom.fill_between(x, fields["pressure"], color=VERMILION, alpha=0.4, linewidth=0)
-        bottom.set(ylim=(pressures[0], pressures[1] or 1.0), xlabel="x", ylabel="contact pressure p")
+        bottom.set(ylim=(least, most or 1.0), xlabel="x", ylabel="contact pressure p")
 
     return page, draw
 
 
-def _moving_map(answer: Answer, course: Course, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
+def _moving_map(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
     page, axis = figure(5.6, 4.8)
-    low, high = _range(course.frames, "u")
-    bar: list[Any] = []
+    limits, bar = _range(_course(answer).frames, "u"), list[Any]()
 
     def draw(frame: Frame) -> None:
         axis.clear()
-        colours = _map(axis, answer, arrays, frame, low, high)
+        colours = _map(axis, arrays, frame, limits)
         if not bar:
             bar.append(page.colorbar(colours, ax=axis, label=plain(answer.scene.tables.u)))
 
     return page, draw
+
+
+def _from_left(arrays: Arrays) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates of the nodes of an interval from left to right, and their numbers."""
+    order = np.argsort(arrays["points"][:, 0])
+    return arrays["points"][order, 0], order
+
+
+def _ordered(frame: Frame, order: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: values[order] for name, values in frame.fields.items()}
+
+
+def _range(frames: Sequence[Frame], name: str) -> tuple[float, float]:
+    values = [frame.fields[name] for frame in frames]
+    return float(min(v.min() for v in values)), float(max(v.max() for v in values))

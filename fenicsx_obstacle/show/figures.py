@@ -6,7 +6,7 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -17,6 +17,7 @@ from fenicsx_obstacle.words import one_line
 
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
 BLUE, VERMILION, *_ = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+INK = "#111111"  # of free boundaries
 MARKERS = ("o", "s", "^", "D")
 KINDS = (".png", ".pdf", ".svg")
 LABEL, LINE = 60, 64  # characters of a label, and of each line of a title
@@ -45,6 +46,17 @@ def figure(
     """A figure and its axes, sizes in inches; `widths` of the columns are in proportion."""
     page = blank(width, height)
     return page, page.subplots(rows, columns, sharex=sharex, gridspec_kw={"width_ratios": widths})
+
+
+def legend_below(page: Any, swatches: Mapping[str, Mapping[str, Any]], line: str) -> None:
+    """A legend below all panels: the look of each colour by its label, and the name of the black line, or none."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [Patch(**look, label=label) for label, look in swatches.items()]
+    handles += [Line2D([], [], color=INK, label=line)] if line else []
+    page.legend(handles=handles, loc="lower center", ncol=len(handles), fontsize=8, frameon=False)
+    page.get_layout_engine().set(rect=(0, 0.06, 1, 0.94))
 
 
 def style(number: int, dashed: int = 1) -> dict[str, Any]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 
 from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, rim
-from fenicsx_obstacle.show.figures import over, power
-from fenicsx_obstacle.show.render import INK
+from fenicsx_obstacle.show.figures import INK, over, power
 
 OUT_OF_CONTACT = "#D9E7F4"  # what `render.FREE` looks like on white: outside of the domain the page stays white
 
@@ -29,8 +29,8 @@ def hatch_obstacles(axis: Any, x: np.ndarray, fields: Mapping[str, np.ndarray], 
         if side in fields:
             edge = np.clip(fields[side], low, high)
             axis.fill_between(x, edge, outside, color="0.88", hatch="////", edgecolor="0.7", linewidth=0)
-            seen = np.where(edge == fields[side], edge, np.nan)
-            axis.plot(x, seen, color="0.35", linewidth=1, label=f"{side} obstacle")
+            if np.any(near := edge == fields[side]):
+                axis.plot(x, np.where(near, edge, np.nan), color="0.35", linewidth=1, label=f"{side} obstacle")
     axis.set(xlim=(x[0], x[-1]), ylim=(low, high))
 
 
@@ -66,7 +66,8 @@ def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
     axis.set(xlabel="x", ylabel="y", frame_on=False)
     axis.tick_params(labelsize=8)
     exponent = power(values.min(), values.max())
-    axis.set_title(f"grey lines: {over(u, exponent)}, every {(ticks[1] - ticks[0]) / 10.0**exponent:g}", fontsize=9)
+    title = f"grey lines: {over(u, exponent)}, every {(ticks[1] - ticks[0]) / 10.0**exponent:g}"
+    axis.set_title(fill(title, 48), fontsize=9)
 
 
 def draw_domain(axis: Any, patch: Patch) -> None:

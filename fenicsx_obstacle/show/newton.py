@@ -15,9 +15,8 @@ from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of, with_levels
-from fenicsx_obstacle.show.figures import BLUE, figure, heading, write_gif
+from fenicsx_obstacle.show.figures import BLUE, figure, heading, legend_below, write_gif
 from fenicsx_obstacle.show.maps import draw_domain, draw_lines, triangles
-from fenicsx_obstacle.show.render import INK
 from fenicsx_obstacle.words import counted, title_of
 
 PER_SECOND = 2  # steps
@@ -56,7 +55,8 @@ def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iter
     page, axes = figure(4.9 * len(courses), 5.6, columns=len(courses))
     panels = np.atleast_1d(axes)
     names = [_name(method, course) for method, course in courses.items()]
-    _legend(page, whose if line else "")
+    colours = {"in contact": KEPT, "left in this step": LEFT, "entered": ENTERED}
+    legend_below(page, {label: {"facecolor": colour} for label, colour in colours.items()}, whose if line else "")
     eps = answer.record["eps"]
     title = heading(title_of(answer.scene.tables.title, answer.scene.name))
     page.suptitle(title if eps is None else f"{title}, eps = {eps:.2g}", fontsize=12)
@@ -108,15 +108,3 @@ def _name(method: str, course: Sequence[Iterate]) -> str:
     solver = {"penalty": "Newton", "vi": "SNES VI"}[method]
     levels = len({one.dofs for one in course})
     return f"{solver}, from {counted(levels - 1, 'coarser level')}" if levels > 1 else f"{solver}, cold"
-
-
-def _legend(page: Any, line: str) -> None:
-    """Below the panels; `line` names the free boundary, or is empty."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch as Swatch
-
-    words = {"in contact": KEPT, "left in this step": LEFT, "entered": ENTERED}
-    handles: list[Any] = [Swatch(facecolor=colour, label=label) for label, colour in words.items()]
-    handles += [Line2D([], [], color=INK, label=line)] if line else []
-    page.legend(handles=handles, loc="lower center", ncol=len(handles), fontsize=8, frameon=False)
-    page.get_layout_engine().set(rect=(0, 0.06, 1, 0.94))

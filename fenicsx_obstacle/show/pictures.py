@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
@@ -16,17 +17,19 @@ from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
     BLUE,
+    INK,
     VERMILION,
     blank,
     check_name,
     figure,
     heading,
+    legend_below,
     missing_glyphs,
     plain,
     save,
 )
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles
-from fenicsx_obstacle.show.render import INK, OBSTACLE
+from fenicsx_obstacle.show.render import OBSTACLE, UPPER
 from fenicsx_obstacle.show.space import cut_at, draw_views
 
 if TYPE_CHECKING:
@@ -123,26 +126,27 @@ def _flat(patch: Patch, u: str, p: str) -> tuple[Any, str]:
     """The graph of u in space, and the map of the pressure beside it."""
     across, up, _ = np.ptp(patch.points, axis=0)
     wide = min(0.25 + 0.75 * across / up, 1.0)  # of the map with its scale, in units of its height
-    page = blank(12.0 * (1.25 + wide) / 2.25, 4.8)
+    page = blank(10.4 * (1.25 + wide) / 2.25, 4.5)
     left, right = page.add_gridspec(1, 2, width_ratios=(1.25, wide))
     scale = _pressures(patch.fields["pressure"])
     who = draw_views(page, [left], patch, {"pressure": scale}, "graph", u)
     axis = page.add_subplot(right)
     draw_map(axis, patch, scale, u)
-    page.colorbar(scale, ax=axis, shrink=0.85).set_label(fill(_cut(p, patch), 48), fontsize=8.5)
-    _legend(page.axes[0], patch)
+    page.colorbar(scale, ax=axis, shrink=0.85).set_label(fill(_cut(p, patch), 42), fontsize=8.5)
+    _legend(page, patch, [side for side in SIDES if side in patch.fields])
     return page, who
 
 
 def _in_space(patch: Patch, u: str, p: str, kind: str) -> tuple[Any, str]:
     """A surface in space, or a solid cut open, coloured by u and by the pressure."""
-    page = blank(12.0, 5.2)
+    page = blank(10.4, 4.5)
     scales = {"u": _heights(patch.fields["u"]), "pressure": _pressures(patch.fields["pressure"])}
     who = draw_views(page, list(page.add_gridspec(1, 2)), patch, scales, kind, "z")
     for axis, scale, label in zip(page.axes, scales.values(), (u, _cut(p, patch)), strict=True):
-        page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(label, 48), fontsize=8.5)
+        page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(label, 42), fontsize=8.5)
         if kind == "solid":
             axis.set_title(f"cut open at y = {cut_at(patch):.3g}", fontsize=9)
+    _legend(page, patch, [])
     return page, who
 
 
@@ -151,16 +155,12 @@ def _cut(pressure: str, patch: Patch) -> str:
     return f"{pressure}, cut at the free boundary" if any(side in patch.fields for side in SIDES) else pressure
 
 
-def _legend(axis: Any, patch: Patch) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch as Swatch
-
-    handles: list[Any] = [Swatch(facecolor=OUT_OF_CONTACT, edgecolor="0.2", linewidth=0.5, label="out of contact")]
-    if free_boundary(patch):
-        handles.append(Line2D([], [], color=INK, label="free boundary"))
-    handles += [Swatch(facecolor=OBSTACLE, alpha=1.0 if side == "lower" else 0.4, label=f"{side} obstacle")
-                for side in SIDES if side in patch.fields]  # fmt: skip
-    axis.legend(handles=handles, fontsize=8, loc="upper left", frameon=False, ncols=1)
+def _legend(page: Any, patch: Patch, obstacles: Sequence[str]) -> None:
+    swatches = {"out of contact": {"facecolor": OUT_OF_CONTACT, "edgecolor": "0.2", "linewidth": 0.5}}
+    for side in obstacles:
+        swatches[f"{side} obstacle"] = {"facecolor": OBSTACLE, "alpha": 1.0 if side == "lower" else UPPER}
+    legend_below(page, swatches, "free boundary" if free_boundary(patch) else "")
+    page.get_layout_engine().set(wspace=0.08)  # for the name of the upright axis
 
 
 def _heights(values: np.ndarray) -> Any:

@@ -19,10 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.show.figures import INK
+
 PATIENCE = 120.0  # seconds
 PIXELS = 1500  # width of a picture
 AZIMUTH, ELEVATION = -58.0, 32.0  # degrees, of the eye
-FREE, OBSTACLE, INK, EDGE = "#97C0E4", "#8A8178", "#111111", "#66788A"
+FREE, OBSTACLE, EDGE = "#97C0E4", "#8A8178", "#66788A"
 CLEAR = 0.42  # opacity of u out of contact: a wall in front must not hide the contact behind it
 UPPER = 0.4  # opacity of an upper obstacle
 _MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")

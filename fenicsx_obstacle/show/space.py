@@ -7,24 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.boundary import LEVELS, SIDES, Patch, free_boundary, rim
-from fenicsx_obstacle.show.figures import over, power
-from fenicsx_obstacle.show.render import (
-    AZIMUTH,
-    CLEAR,
-    ELEVATION,
-    FREE,
-    INK,
-    OBSTACLE,
-    UPPER,
-    View,
-    axes_of_view,
-    rendered,
-)  # fmt: skip
+from fenicsx_obstacle.show.figures import INK, over, power
+from fenicsx_obstacle.show.render import View
 
 HEIGHT = 0.42  # of the graph of u, in units of its widest side
 MARGIN = 0.12  # of the box above and below the graph, in units of the range of u
-ZOOM = {"graph": 1.3, "surface": 0.95, "solid": 0.95}  # of the box within its place on the page
+VISIBLE = 0.01  # of the height of the box
+ZOOM = {"graph": 1.2, "surface": 0.95, "solid": 0.95}  # of the box within its place on the page
 LIGHT = np.array([-0.25, -0.45, 0.86])
 
 
@@ -60,9 +51,11 @@ def draw_views(page: Any, places: Sequence[Any], patch: Patch, scales: Mapping[s
         View(kind, name, shown.cmap.name, shown.get_clim(), lower.tolist(), upper.tolist(), scale.tolist())
         for name, shown in scales.items()
     ]
-    pictures, who = rendered(arrays, views)
+    pictures, who = render.rendered(arrays, views)
     for number, (place, view) in enumerate(zip(places, views, strict=True)):
         axis = _box(page, place, view, label)
+        if kind == "graph" and np.abs(patch.points[:, 2] - patch.fields["u"]).max() > VISIBLE * size[2]:
+            axis.set_title("beyond an obstacle, u is drawn on its surface", fontsize=9)
         if pictures:
             _put(axis, view, pictures[number])
         else:
@@ -89,7 +82,7 @@ def _box(page: Any, place: Any, view: View, label: str) -> Any:
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     with rc_context({"grid.color": "0.9", "grid.linewidth": 0.7}):
-        axis = page.add_subplot(place, projection="3d", proj_type="ortho", azim=AZIMUTH, elev=ELEVATION)
+        axis = page.add_subplot(place, projection="3d", proj_type="ortho", azim=render.AZIMUTH, elev=render.ELEVATION)
     axis.computed_zorder = False
     axis.set_box_aspect((np.array(view.upper) - view.lower) * view.scale, zoom=ZOOM[view.kind])
     limits = list(zip(view.lower, view.upper, strict=True))
@@ -115,7 +108,7 @@ def _put(axis: Any, view: View, picture: np.ndarray) -> None:
         return np.array(proj_transform(*point, axis.get_proj())[:2], dtype=float)
 
     middle = projected(view.centre)
-    _, up, _ = axes_of_view()
+    _, up, _ = render.axes_of_view()
     half = np.linalg.norm(projected(view.centre + up * view.half / np.array(view.scale)) - middle)
     (left, bottom), (right, top) = middle - half, middle + half
     axis.imshow(picture, extent=(left, right, bottom, top), aspect="auto", zorder=3, interpolation="antialiased",
@@ -132,14 +125,14 @@ def _paint(axis: Any, patch: Patch, view: View, scale: Any) -> None:
     colours = scale.to_rgba(patch.fields[view.shown][cells].mean(axis=1))
     if view.shown == "pressure":
         apart = ~np.any(patch.fields["contact"][cells] > 0, axis=1)
-        colours[apart] = _rgba(FREE, CLEAR if view.kind == "graph" else 1.0)
+        colours[apart] = _rgba(render.FREE, render.CLEAR if view.kind == "graph" else 1.0)
     parts = [(patch.points[cells], colours)]
     for side in SIDES if view.kind == "graph" else ():
         if side in patch.fields:
             points = np.column_stack([patch.points[:, :2], patch.fields[side]])
             seen = np.any(patch.fields[LEVELS[side]][patch.cells] > 0, axis=1)
             seen &= np.all((points >= view.lower) & (points <= view.upper), axis=1)[patch.cells].all(axis=1)
-            paint = np.tile(_rgba(OBSTACLE, 1.0 if side == "lower" else UPPER), (seen.sum(), 1))
+            paint = np.tile(_rgba(render.OBSTACLE, 1.0 if side == "lower" else render.UPPER), (seen.sum(), 1))
             parts.append((points[patch.cells[seen]], paint))
     corners, colours = (np.concatenate(part) for part in zip(*parts, strict=True))
     flat = corners * view.scale
@@ -147,7 +140,7 @@ def _paint(axis: Any, patch: Patch, view: View, scale: Any) -> None:
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     colours[:, :3] *= 0.62 + 0.38 * np.abs(normals @ LIGHT)[:, None]
     axis.add_collection3d(Poly3DCollection(corners, facecolors=np.clip(colours, 0, 1), edgecolors="none"))
-    axis.text2D(0.02, 0.0, "each triangle in its mean colour", transform=axis.transAxes, fontsize=7.5, color="0.4")
+    axis.text2D(0.0, 0.96, "each triangle in its mean colour", transform=axis.transAxes, fontsize=7.5, color="0.4")
     if view.kind != "solid":
         for line in free_boundary(patch):
             axis.add_collection3d(Line3DCollection(line.points[line.cells], colors=INK, linewidths=1.6, zorder=4))
