@@ -58,6 +58,9 @@ class Small:
         self.load = float(np.abs(self.b).sum())
         self.met: list[tuple[bool, ...]] = []
 
+    def options_of(self, solver: str) -> str:
+        return f"{solver}_"
+
     def cold_start(self) -> np.ndarray:
         return np.zeros(len(self.b))
 
