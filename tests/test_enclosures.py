@@ -130,6 +130,8 @@ def test_definitions_and_poles():
         assert found.finite.all() and np.abs([found.lower, found.upper]).max() < 1e4, text
     for text in ("sqrt(x)", "sin((0 % 0)^2)"):
         assert not enclosed(text, around).defined[0], text
+    found = enclosed("1 % (1e-3 + 0*x)", around)  # 1/1e-3 is 1000 only when rounded
+    assert found.lower[0] <= 0 and found.upper[0] >= 1e-3
 
 
 def test_bernstein_coefficients_bound_polynomials():

@@ -113,6 +113,11 @@ def _all(conditions: list[np.ndarray]) -> np.ndarray:
     return found
 
 
+def widened(a: Enclosure) -> Enclosure:
+    """With room for the round-off of one operation at single points too."""
+    return replace(a, lower=a.lower - _ROUND_OFF * np.abs(a.lower), upper=a.upper + _ROUND_OFF * np.abs(a.upper))
+
+
 def _degree(*parents: Enclosure) -> np.ndarray:
     """Of a function that is no polynomial: of numbers it is a number."""
     return np.where(_all([p.degree == 0 for p in parents]), 0, NO_POLYNOMIAL)
