@@ -108,6 +108,8 @@ class Parts:
         source = np.concatenate([kept, *[rows] * len(found)])
         weights = np.concatenate([np.broadcast_to(np.eye(self.size), (len(kept), self.size, self.size)), *found])
         share = np.concatenate([np.ones(len(kept)), *shares])
+        filled = share > 0  # where a line runs through a corner some have none
+        source, weights, share = source[filled], weights[filled], share[filled]
         parts = self._replaced(source, weights @ self.x[source], weights @ self._inside[source], share)
         return parts, (weights @ values[source][..., None])[..., 0], np.abs(levels[source])
 

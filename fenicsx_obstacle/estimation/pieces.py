@@ -176,9 +176,8 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
             found.sampled |= enclosed is None
             enclosed = enclosed or _Samples(here, *where)
             known.append(_Near(enclosed, parts[block], division, continuous=datum.continuous))
-        open_ = _together(
-            [near.open(division, parts[block]) for block, near in zip(blocks(len(parts.rows)), known, strict=True)]
-        )
+        each = list(zip(blocks(len(parts.rows)), known, strict=True))
+        open_ = _together([near.open(division, parts[block]) for block, near in each])
         found.rough[parts.rows[open_]] = True
         infinite = _together([~near.finite for near in known])
         large = (parts.share > division.share) | _together([near.whole for near in known])
@@ -326,7 +325,7 @@ class _Near:
             rows = np.flatnonzero(exact & (bounds.degree == degree))
             self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
         if (smooth & ~exact).any():
-            self._smooth(smooth & ~exact, bounds, parts.x, division)
+            self._smooth(np.flatnonzero(smooth & ~exact), bounds, parts.x, division)
         others = self.finite & ~exact & (self.upper > self.lower)
         for _, chosen, _ in self._found:
             others[chosen] = False
@@ -340,26 +339,27 @@ class _Near:
                 self.steep[far] = bounds.derivative(1)[far]
 
     def _half(self) -> np.ndarray:
-        return np.where(self.finite, (self.upper - self.lower) / 2, np.inf)
+        return np.subtract(self.upper, self.lower, out=np.full(len(self.lower), np.inf), where=self.finite) / 2
 
-    def _smooth(self, smooth: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
+    def _smooth(self, rows: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
         """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
+        x = x[rows]
         edges = [x[:, i] - x[:, j] for i in range(self._corners) for j in range(i)]
         size = np.sqrt(np.max([edge[:, 0] ** 2 + edge[:, 1] ** 2 for edge in edges], axis=0))
-        height = size if self._corners == 2 else np.abs(_cross(x)) / size
-        good = np.zeros(len(smooth), dtype=bool)
+        height = size if self._corners == 2 else _quotient(np.abs(_cross(x)), size, 0.0)
+        good = np.zeros(len(rows), dtype=bool)
         if division.degree == 2:
-            second, third = bounds.derivative(2), bounds.derivative(3)
-            largest = np.maximum(np.abs(self.lower), np.abs(self.upper))
-            enough = np.maximum(NEAR * size * second, ENOUGH / division.length * largest)
-            good = smooth & (polynomials.REMAINDER[self._corners][2] * size**2 * third <= enough)
-            rows = np.flatnonzero(good)
-            self._near(2, rows, third[rows], size[rows], height[rows])
-        rows = np.flatnonzero(smooth & ~good)
-        if len(rows):
-            there = self._known.some(rows).once() if good.any() else bounds
+            second, third = bounds.derivative(2)[rows], bounds.derivative(3)[rows]
+            largest = np.maximum(np.abs(self.lower), np.abs(self.upper))[rows]
+            near = np.flatnonzero(np.isfinite(second) & np.isfinite(third))
+            enough = np.maximum(NEAR * size[near] * second[near], ENOUGH / division.length * largest[near])
+            good[near] = polynomials.REMAINDER[self._corners][2] * size[near] ** 2 * third[near] <= enough
+            self._near(2, rows[good], third[good], size[good], height[good])
+        far = ~good
+        if far.any():
+            there = self._known.some(rows[far]).once() if good.any() else bounds
             fifth = there.derivative(5) if good.any() else there.derivative(5)[rows]
-            self._near(4, rows, fifth, size[rows], height[rows])
+            self._near(4, rows[far], fifth, size[far], height[far])
 
     def _near(self, degree: int, rows: np.ndarray, bound: np.ndarray, size: np.ndarray, height: np.ndarray) -> None:
         """Let interpolants stand for the datum where they are nearer than the middle of its bounds.
@@ -369,11 +369,11 @@ class _Near:
             rows: Parts.
             bound: There of the derivative of the next order.
             size: Of the longest edge.
-            height: The least one.
+            height: The least one; thin parts may have none, up to round-off.
         """
-        scale = size ** (degree + 1) * bound
+        scale = np.multiply(size ** (degree + 1), bound, out=np.full(len(rows), np.inf), where=np.isfinite(bound))
         rest = polynomials.REMAINDER[self._corners][degree] * scale
-        steep = polynomials.STEEPNESS[self._corners][degree] * scale / height
+        steep = _quotient(polynomials.STEEPNESS[self._corners][degree] * scale, height, np.inf)
         better = rest < self.rest[rows]
         self._interpolate(degree, rows[better], rest[better], steep[better])
 
@@ -399,9 +399,9 @@ class _Near:
     def open(self, division: Division, parts: Parts) -> np.ndarray:
         """Which parts are to be divided if they may be."""
         size = np.maximum(np.abs(self.lower), np.abs(self.upper))
-        far = ~self.whole | (self.rest > division.rough * (self.upper - self.lower))
+        far = ~self.whole | (self.rest > 2 * division.rough * self._half())
         if np.isfinite(division.length) and parts.inside is not None:
-            h = np.sqrt(np.abs(_cross(parts.x)) / parts.share)  # of the simplex, about
+            h = np.sqrt(_quotient(np.abs(_cross(parts.x)), parts.share, 0.0))  # of the simplex, about
             far &= division.length * np.sqrt(parts.share) * self.rest > THIN * h * size
         return ~self.finite | (far & (self.rest > NEGLIGIBLE * size))
 
@@ -424,11 +424,17 @@ class _Near:
             kept = wanted[chosen]
             yield degree, True, chosen[kept], coefficients[kept]
         chosen = np.flatnonzero(rest)
-        middle = np.where(self.finite, (self.lower + self.upper) / 2, 0.0)[chosen]
-        if len(infinite := np.flatnonzero(~self.finite[chosen])):
+        middle, finite = np.zeros(len(chosen)), self.finite[chosen]
+        middle[finite] = (self.lower[chosen[finite]] + self.upper[chosen[finite]]) / 2
+        if len(infinite := np.flatnonzero(~finite)):
             values = self._known.values(0, chosen[infinite])[:, 0]
             middle[infinite] = np.where(np.isfinite(values), values, 0.0)
         yield 0, False, chosen, middle[:, None]
+
+
+def _quotient(a: np.ndarray, b: np.ndarray, otherwise: float) -> np.ndarray:
+    """a/b, and a number where b is 0."""
+    return np.divide(a, b, out=np.full(len(a), otherwise), where=b > 0)
 
 
 def _cross(corners: np.ndarray) -> np.ndarray:
