@@ -153,13 +153,15 @@ def test_xdmf_with_numbered_tags(folder):
 
 
 def test_own_mesh():
-    """A DOLFINx mesh of the caller's own; cells other than simplices are refused."""
+    """A DOLFINx mesh of the caller's own: P1 on triangles, Q1 on quadrilaterals, for which P1 is refused."""
     from dolfinx import mesh as dmesh
 
     answer = solve(Scene(mesh=dmesh.create_unit_square(COMM, 5, 5), tension=1, load=1))
     assert answer.record["cells_total"] == 50
-    with pytest.raises(InputError, match="quadrilateral cells"):
-        solve(Scene(mesh=dmesh.create_unit_square(COMM, 3, 3, cell_type=dmesh.CellType.quadrilateral), tension=1))
+    squares = Scene(mesh=dmesh.create_unit_square(COMM, 3, 3, cell_type=dmesh.CellType.quadrilateral), tension=1)
+    assert solve(squares).record["element"] == "Q1"
+    with pytest.raises(InputError, match="element P1 is for .* not for a quadrilateral"):
+        solve(squares, element="P1")
 
 
 GEO = """

@@ -92,6 +92,11 @@ class OwnMesh:
         own = mesh.topology.index_map(dim).size_local
         return cls(mesh, facets, {name: found[found < own] for name, found in cells.items()})
 
+    @property
+    def cell(self) -> str:
+        """Name of its cells."""
+        return releases.cell_name(self.mesh)
+
     def level(self, source: str) -> Level:
         """The mesh as the finest level of a hierarchy (collective).
 

@@ -286,7 +286,8 @@ class Scene(Vocabulary):
 
     def _pair(self) -> Pair:
         asked, known = self.tables.solve.element, pairs()
-        name = pair_for(self.tables.mesh.cell or "") if asked is None else asked
+        cell = self.tables.mesh.cell if self.own_mesh is None else self.own_mesh.cell
+        name = pair_for(cell or "") if asked is None else asked
         if name not in known:
             raise InputError(f"{self.source}: [solve] element = {name!r} is not known" + nearest(name, known))
         return known[name]
