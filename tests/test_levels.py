@@ -160,7 +160,7 @@ def test_own_mesh():
     assert answer.record["cells_total"] == 50
     squares = Scene(mesh=dmesh.create_unit_square(COMM, 3, 3, cell_type=dmesh.CellType.quadrilateral), tension=1)
     assert solve(squares).record["element"] == "Q1"
-    with pytest.raises(InputError, match="element P1 is for .* not for a quadrilateral"):
+    with pytest.raises(InputError, match=r"element P1 is for .* not for a quadrilateral"):
         solve(squares, element="P1")
 
 
