@@ -17,6 +17,7 @@ from fenicsx_obstacle.scenes import slopes
 from fenicsx_obstacle.scenes.slopes import NONE, Slopes
 
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
+MOST = 2.0**50  # of integers whose quotients are rounded across no integer
 _ROUND_OFF = 8 * np.finfo(float).eps  # relative; mathematical libraries are right to a few units
 _TINY = 1e-300
 MARGIN = 1 + 1e-12  # for round-off in bounds of derivatives, sums and products of positive numbers
@@ -116,6 +117,11 @@ def _all(conditions: list[np.ndarray]) -> np.ndarray:
 def widened(a: Enclosure) -> Enclosure:
     """With room for the round-off of one operation at single points too."""
     return replace(a, lower=a.lower - _ROUND_OFF * np.abs(a.lower), upper=a.upper + _ROUND_OFF * np.abs(a.upper))
+
+
+def whole_numbers(a: Enclosure) -> np.ndarray:
+    """Whether it is one integer, so small that a quotient of two such is rounded across none."""
+    return (a.lower == a.upper) & (np.floor(a.lower) == a.lower) & (np.abs(a.lower) < MOST)
 
 
 def _degree(*parents: Enclosure) -> np.ndarray:

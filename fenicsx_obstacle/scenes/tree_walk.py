@@ -132,8 +132,11 @@ class TreeWalk:
                 return intervals.raised(a if whole else self._argument(formula, left), b)
         if a.is_number and b.is_number and b.lower != 0:
             return intervals.constant(float(np.mod(a.lower, b.lower)))
-        # the remainder is that of the exact quotient, which may be on the other side of an integer
-        turns = self._floor(intervals.widened(intervals.divide(a, b)))
+        # the remainder is that of the exact quotient, which may be on the other side of an integer; not so of integers
+        quotient, exact = intervals.divide(a, b), intervals.whole_numbers(a) & intervals.whole_numbers(b)
+        rough = intervals.widened(quotient)
+        lower, upper = np.where(exact, quotient.lower, rough.lower), np.where(exact, quotient.upper, rough.upper)
+        turns = self._floor(replace(quotient, lower=lower, upper=upper))
         remainder = intervals.add(a, intervals.negative(intervals.multiply(b, turns)))
         least, most = np.minimum(b.lower, 0.0), np.maximum(b.upper, 0.0)
         nonzero = (b.lower > 0) | (b.upper < 0)
