@@ -79,9 +79,21 @@ def _on_parts(corners: int, degree: int) -> np.ndarray:
     parts = np.eye(corners)[None]
     for _ in range(SPLITS):
         parts = halved(parts)
+    found = to_parts(parts, degree)
+    return found.reshape(-1, found.shape[2])
+
+
+def to_parts(parts: np.ndarray, degree: int) -> np.ndarray:
+    """Bernstein coefficients on parts of a simplex from those on all of it, shape (parts, n, n).
+
+    Args:
+        parts: Barycentric coordinates of their corners, shape (parts, corners, corners).
+        degree: Of the polynomials.
+    """
+    corners = parts.shape[1]
     inside = (inner_points(corners, degree) @ parts).reshape(-1, corners)
     values = _basis(inside, degree).reshape(len(parts), -1, len(_exponents(corners, degree)))
-    return (_to_bernstein(corners, degree) @ values).reshape(-1, values.shape[2])
+    return _to_bernstein(corners, degree) @ values
 
 
 def halved(corners: np.ndarray) -> np.ndarray:
@@ -124,6 +136,20 @@ def restricted(coefficients: np.ndarray, start: np.ndarray, end: np.ndarray, deg
 def slopes(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
     """Bernstein coefficients of the derivatives along the barycentric coordinates, shape (simplices, corners, ...)."""
     return degree * coefficients[:, _raised(corners, degree)]
+
+
+def from_chords(parts: np.ndarray, degree: int) -> np.ndarray:
+    """Bernstein coefficients of polynomials less their chords on parts of a simplex, from those on all of it.
+
+    Args:
+        parts: Barycentric coordinates of the corners, shape (parts, corners, corners).
+        degree: Of the polynomials, 1 at least.
+
+    Returns:
+        Shape (parts, n, n).
+    """
+    at_corners = _basis(parts.reshape(-1, parts.shape[2]), degree).reshape(*parts.shape[:2], -1)
+    return to_parts(parts, degree) - _exponents(parts.shape[2], degree) / degree @ at_corners
 
 
 @cache

@@ -107,6 +107,11 @@ class Field:
     continuous: bool = False  # for sure, wherever it is defined
     parts: Mapping[str, Field] | None = None  # one for the cells of each name
 
+    @property
+    def pointwise(self) -> bool:
+        """Whether it has one value at a point, whichever cell it is asked in."""
+        return self.continuous
+
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         """Values at points (local; a Function: within the cells of this rank, not-a-number elsewhere).
 

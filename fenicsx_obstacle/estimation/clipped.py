@@ -44,6 +44,10 @@ class Clipped(Field):
     def continuous(self) -> bool:  # type: ignore[override]
         return self.obstacle.continuous
 
+    @property
+    def pointwise(self) -> bool:
+        return self.obstacle.pointwise
+
     def on(self, level: Any) -> Field:
         return Clipped(self.obstacle.on(level), self.sign, self.limit)
 

@@ -8,8 +8,9 @@ is below the obstacle however small eps is.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -22,15 +23,19 @@ from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
+from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.polynomials import coefficients, inner_points, largest, round_off
+from fenicsx_obstacle.polynomials import coefficients, from_chords, halved, inner_points, largest, round_off, row_size
 
 DENSE = 8  # parts of an edge
 AS_THEY_ARE = Division(0)
 SMALL_ONES = Division(4, 1e-4, 1e-4)  # of the lattice: what counts is the distance of an obstacle to linear functions
+FEW = 1024  # cells at once: what is made of them fits into the cache of a core
+FINE = 0.05  # of what bends: less rest of a polynomial on a small triangle does not matter
+CLOSE = 4  # coefficients of this degree bound quadratic functions well: those of degree 2 are up to twice as high
 POINTS, SMALL = lattice(DENSE), np.array(lattice_cells(DENSE))
 
 
@@ -58,12 +63,55 @@ def _nodes_of(corners: np.ndarray) -> np.ndarray:
     return np.vstack([corners, (corners[[1, 2, 0]] + corners[[2, 0, 1]]) / 2])
 
 
+def _combined(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums of values of shape (parts, n) with weights of shape (parts or 1, points, n): (parts, points)."""
+    return values @ weights[0].T if len(weights) == 1 else np.matmul(weights, values[..., None])[..., 0]
+
+
 def _number(x: float, y: float) -> int:
     """Place in the lattice of the point with these reference coordinates."""
     return int(np.argmin(np.abs(POINTS[:, 1:] - (x, y)).sum(axis=1)))
 
 
+@dataclass(frozen=True, eq=False)
+class Halves:
+    """The parts of a triangle with edges halved some times, which are made of small triangles of the lattice.
+
+    Attributes:
+        corners: Their barycentric coordinates, shape (parts, 3, 3).
+        small: Corners of the small triangles in a part, in its own coordinates, shape (small, 3, 3).
+        holds: Which small triangles of the lattice these are in each part, shape (parts, small).
+        to_nodes: Values of P2 at the nodes of parts from those of the triangle, shape (parts, 6, 6).
+    """
+
+    corners: np.ndarray
+    small: np.ndarray
+    holds: np.ndarray
+    to_nodes: np.ndarray
+
+    @classmethod
+    def of(cls, times: int) -> Halves:
+        """Parts of edges halved so many times; those of one part follow each other."""
+        corners = np.eye(3)[None]
+        for _ in range(times):
+            corners = halved(corners)
+        small = lattice(DENSE >> times)[lattice_cells(DENSE >> times)]
+        middles = (small.mean(axis=1) @ corners)[..., None, :]  # of the small triangles in each part
+        holds = np.abs(middles - POINTS[SMALL].mean(axis=1)).sum(axis=3).argmin(axis=2)
+        nodes = np.array([_nodes_of(part) for part in corners])
+        to_nodes = quadratics(nodes.reshape(-1, 3)).T.reshape(-1, 6, 6)
+        return cls(corners, small, holds, to_nodes)
+
+
+@cache
+def _above_chords(times: int, degree: int) -> np.ndarray:
+    """`from_chords` of the small triangles of a part, edges being halved so many times, shape (n, small, n)."""
+    return np.ascontiguousarray(from_chords(HALVES[times].small, degree).transpose(1, 0, 2))
+
+
 SLOPES, MEANS = _slopes(), _means()
+HALVES = [Halves.of(times) for times in range(3)]
+SINGLE = Halves.of(3).holds[:, 0]
 NODES = [_number(*x) for x in ((0, 0), (1, 0), (0, 1), (0.5, 0.5), (0, 0.5), (0.5, 0))]  # those of P2 in the lattice
 # the functions of P2 at the nodes of the small triangles, shape (6, small, 6)
 OF_SMALL = quadratics((_nodes_of(np.eye(3)) @ POINTS[SMALL]).reshape(-1, 3)).reshape(6, len(SMALL), 6)
@@ -85,6 +133,13 @@ class Between:
     mean: np.ndarray
     size: np.ndarray
 
+    def with_(self, other: Between) -> Between:
+        """In these cells and others."""
+        return Between(
+            np.hstack([self.needed, other.needed]), np.vstack([self.touches, other.touches]),
+            np.vstack([self.mean, other.mean]), np.vstack([self.size, other.size]),
+        )  # fmt: skip
+
 
 class LatticeObstacle:
     """One obstacle on a lattice of the cells that u may touch; heights count away from it: times -1 for an upper one.
@@ -97,7 +152,7 @@ class LatticeObstacle:
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
         sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or u may touch it and
-            it may jump, or beside nodes where u is given.
+            it may have two values at a point, or beside nodes where u is given.
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
@@ -142,20 +197,23 @@ class LatticeObstacle:
         triangles, level = self.triangles, self.triangles.data.level
         touches = self._may_touch(u, rim)
         near = np.flatnonzero(touches)
-        needed, between = np.zeros((2, len(touches))), self._between(u, near, self._gap(u, near, rim), rim)
+        needed, gap = np.zeros((2, len(touches))), self._gap(u, near, rim)
+        between = self._between(u, near, gap, rim, touches[near], pressing[near])
         needed[:, near] = between.needed
         given = with_ghosts(level.V, 1.0 - self._fans.free) > 0
         beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
-        jumps = not self._field.continuous and len(near) > 0
-        self.sampled = self._of_samples or total(level.comm, np.count_nonzero(beside) + jumps) > 0
+        cells_differ = not self._field.pointwise and len(near) > 0
+        self.sampled = self._of_samples or total(level.comm, np.count_nonzero(beside) + cells_differ) > 0
         M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
         # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
-        cells = np.flatnonzero((M + N + around)[triangles.dofs].any(axis=1))
-        gap = self._gap(u, cells, rim)
+        others = np.flatnonzero((M + N + around)[triangles.dofs].any(axis=1) & ~touches)
+        beside_gap = self._gap(u, others, rim)
+        between = between.with_(self._between(u, others, beside_gap, rim, touches[others], pressing[others]))
+        cells, gap = np.concatenate([near, others]), np.vstack([gap, beside_gap])
         of_M, of_N = (values[triangles.dofs[cells]] @ POINTS.T for values in (M, N))
         raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
-        return cells, gap, raised, self._between(u, cells, gap, rim)
+        return cells, gap, raised, between
 
     def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Where u is given on the lattice of some cells, from where it is at the vertices."""
@@ -172,30 +230,37 @@ class LatticeObstacle:
         """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
         middles = 2 * u[:, 3:] - (u[:, :3].sum(axis=1, keepdims=True) - u[:, :3]) / 2
         lowest = (self.sign * np.hstack([u[:, :3], middles])).min(axis=1, initial=np.inf)  # of Bernstein coefficients
-        new = np.flatnonzero((self._top + rim.dip >= lowest) & ~self._enclosed)
-        self._pieces.append((new, in_cells(self.triangles, self._field, AS_THEY_ARE, new)))
-        self._enclosed[new] = True
         found = np.zeros(len(u), dtype=bool)
-        for cells, pieces in self._pieces:
-            for group in pieces.groups:
-                rows = cells[group.rows]
-                degree, coefficient, room = self._difference(group, u[rows])
-                touches = largest(coefficient, 3, degree) + group.rest + rim.dip[rows] > room
-                np.logical_or.at(found, rows, touches)
+        for rows, group in self._known(np.flatnonzero(self._top + rim.dip >= lowest)):
+            degree, coefficient, room = self._difference(group, u[rows])
+            touches = largest(coefficient, 3, degree) + group.rest + rim.dip[rows] > room
+            np.logical_or.at(found, rows, touches)
         return found
 
-    def _difference(self, group: Group, u: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    def _known(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
+        """What is near the obstacle in some cells at least, and the cells of its parts (collective where the obstacle
+        needs the distance)."""
+        new = cells[~self._enclosed[cells]]
+        self._pieces.append((new, in_cells(self.triangles, self._field, AS_THEY_ARE, new)))
+        self._enclosed[new] = True
+        for owner, pieces in self._pieces:
+            for group in pieces.groups:
+                yield owner[group.rows], group
+
+    def _difference(self, group: Group, u: np.ndarray, degree: int = 2) -> tuple[int, np.ndarray, np.ndarray]:
         """Degree and Bernstein coefficients of obstacle - u on parts, from u at the nodes of the simplex of each; their
-        round-off."""
-        degree = max(group.degree, 2)
+        round-off. The degree is at least the one that is named."""
+        degree = max(group.degree, degree)
         reference = inner_points(3, degree)
         inside = group.points(reference)
         at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
-        values = self.sign * (group.values(reference) - np.matmul(at_nodes, u[..., None])[..., 0])
+        values = self.sign * (group.values(reference) - _combined(at_nodes, u))
         room = round_off(np.abs(u).max(axis=1, initial=0.0)[:, None] + np.abs(values), 3, degree)
         return degree, coefficients(values, 3, degree), room
 
-    def _between(self, u: np.ndarray, cells: np.ndarray, gap: np.ndarray, rim: Rim) -> Between:
+    def _between(
+        self, u: np.ndarray, cells: np.ndarray, gap: np.ndarray, rim: Rim, may_touch: np.ndarray, pressing: np.ndarray
+    ) -> Between:
         """Look between the points of the lattice.
 
         Args:
@@ -203,30 +268,88 @@ class LatticeObstacle:
             cells: Some of them.
             gap: There on the lattice.
             rim: What boundary values add to u.
+            may_touch: Whether the obstacle may be above u in these cells.
+            pressing: Whether they have a multiplier.
         """
-        triangles, count = self.triangles, len(SMALL)
-        owner = np.repeat(cells, count)
-        corners = (POINTS[SMALL] @ triangles.x[cells][:, None]).reshape(-1, 3, 2)
-        pieces = pieces_of(triangles.data, self._field, corners, owner, SMALL_ONES)
-        small = np.einsum("jsi,cj->csi", OF_SMALL, u[cells]).reshape(-1, 6)
-        linear = -gap[:, SMALL].reshape(-1, 3)
-        below, beyond, mean, size = (np.zeros(len(owner)) for _ in range(4))
-        for group in pieces.groups:
-            degree, coefficient, room = self._difference(group, small[group.rows])
-            rest = np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * rim.dip[owner[group.rows]]
-            chord = np.matmul(group.points(inner_points(3, degree)), linear[group.rows][..., None])[..., 0]
-            bend = coefficient - coefficients(chord, 3, degree)
-            high = largest(bend, 3, degree) + rest
-            highest = largest(coefficient, 3, degree) + rest
-            touches = highest > room
-            np.maximum.at(below, group.rows, np.where(touches & (high > room), high + room, 0.0))
-            np.maximum.at(beyond, group.rows, np.where(touches, highest + room, 0.0))
-            mean += np.bincount(group.rows, group.share * (rest + room - bend.mean(axis=1)), len(mean))
-            np.maximum.at(size, group.rows, np.abs(bend).max(axis=1, initial=0.0) + rest + room)
-        M, N = (height.reshape(-1, count).max(axis=1, initial=0.0) for height in (below, beyond))
+        highest = -gap[:, SMALL].min(axis=2)  # at the corners of small triangles
+        bend, mean, size = (np.zeros((len(cells), len(SMALL))) for _ in range(3))
+        at = np.flatnonzero(may_touch | pressing)
+        part = np.zeros(len(at), dtype=np.int64)
+        for times, half in enumerate(HALVES):
+            rough = np.ones(len(at), dtype=bool)
+            nodes = np.matmul(half.to_nodes[part], u[cells[at], :, None])[..., 0]
+            corners = half.corners[part] @ self.triangles.x[cells[at]]
+            groups = self._whole(cells[at]) if times == 0 else self._on_parts(corners, cells[at])
+            for rows, group in groups:
+                degree, coefficient, room = self._difference(group, nodes[rows], CLOSE)
+                known = 2 * group.rest[:, None]  # 2: of the chord too
+                rest = known + 2 * (rim.dip[cells[at[rows]]] + room)[:, None]
+                to_small = _above_chords(times, degree)
+                above = (coefficient @ to_small.reshape(-1, to_small.shape[2]).T).reshape(len(rows), len(to_small), -1)
+                most, least = above.max(axis=1), above.min(axis=1)
+                place = at[rows, None], half.holds[part[rows]]
+                bend[place], mean[place] = most + rest, rest - above.mean(axis=1)
+                size[place] = np.maximum(most, -least) + rest
+                matters = pressing[at[rows], None] | (highest[place] + bend[place] > 0)
+                rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * room[:, None]))).any(axis=1)
+            at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
+        small = SINGLE[part]
+        bend[at, small], mean[at, small], size[at, small] = self._bends_anew(u, cells[at], small, gap[at], rim)
+        touches = may_touch[:, None] & (highest + bend > 0)
+        M = np.where(touches, np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
+        N = np.where(touches, highest + bend, 0.0).max(axis=1, initial=0.0)
         with_M = M <= 2 * N  # what M adds falls as u - obstacle grows
         needed = np.array([np.where(with_M, M, 0.0), np.where(with_M, 0.0, N)])
-        return Between(needed, (beyond > 0).reshape(-1, count), mean.reshape(-1, count), size.reshape(-1, count))
+        return Between(needed, touches, mean, size)
+
+    def _bends_anew(
+        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, gap: np.ndarray, rim: Rim
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Enclose the obstacle on small triangles (collective where it needs the distance).
+
+        Args:
+            u: Values of P2 at the nodes of all cells.
+            cells: The cell that each lies in.
+            small: Which it is there.
+            gap: On the lattice of that cell.
+            rim: What boundary values add to u.
+
+        Returns:
+            How far obstacle - u is above its chord at most; a bound of the mean of the chord above it; and of the
+            absolute value of that.
+        """
+        corners = POINTS[SMALL[small]] @ self.triangles.x[cells]
+        nodes = np.einsum("jsi,sj->si", OF_SMALL[:, small], u[cells])
+        linear = -np.take_along_axis(gap, SMALL[small], axis=1)
+        bend, mean, size = np.full(len(cells), -np.inf), np.zeros(len(cells)), np.zeros(len(cells))
+        for group in pieces_of(self.triangles.data, self._field, corners, cells, SMALL_ONES).groups:
+            degree, coefficient, room = self._difference(group, nodes[group.rows])
+            chord = _combined(group.points(inner_points(3, degree)), linear[group.rows])
+            above = coefficient - coefficients(chord, 3, degree)
+            rest = np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * rim.dip[cells[group.rows]] + room
+            group.raise_to(bend, largest(above, 3, degree) + rest)
+            group.raise_to(size, row_size(above) + rest)
+            mean += np.bincount(group.rows, group.share * (rest - above.mean(axis=1)), len(mean))
+        return bend, mean, size
+
+    def _whole(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
+        """Polynomials near the obstacle in whole cells, and the places of these among some cells (collective where the
+        obstacle needs the distance)."""
+        place = np.full(len(self._enclosed), -1)
+        place[cells] = np.arange(len(cells))
+        for rows, group in self._known(cells):
+            if group.corners is None:
+                chosen = np.flatnonzero((place[rows] >= 0) & np.isfinite(group.rest))
+                for block in blocks(len(chosen), FEW):
+                    yield place[rows[chosen[block]]], group[chosen[block]]
+
+    def _on_parts(self, corners: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
+        """Likewise on triangles in cells."""
+        for group in pieces_of(self.triangles.data, self._field, corners, cells, AS_THEY_ARE).groups:
+            if group.corners is None:
+                chosen = np.flatnonzero(np.isfinite(group.rest))
+                for block in blocks(len(chosen), FEW):
+                    yield group.rows[chosen[block]], group[chosen[block]]
 
     def _gap(self, u: np.ndarray, cells: np.ndarray, rim: Rim) -> np.ndarray:
         """How far u with the boundary values is from the obstacle on the lattice."""

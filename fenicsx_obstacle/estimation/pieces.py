@@ -166,6 +166,8 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
     if datum.uniform:
         found.number(here.at(np.zeros((3, 1)), names)[0])
         return found.pieces()
+    if not len(corners):
+        return found.pieces()  # a formula would be walked through for nothing
     parts = Parts.whole(corners, cells)
     last = max(DEEPEST, division.depth)
     for split in range(last + 1):

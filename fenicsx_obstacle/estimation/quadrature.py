@@ -27,7 +27,7 @@ def gauss(points: int) -> tuple[np.ndarray, np.ndarray]:
     return (x + 1) / 2, weights / 2
 
 
-def blocks(count: int) -> Iterator[slice]:
-    """Slices of at most AT_ONCE cells."""
-    for start in range(0, count, AT_ONCE):
-        yield slice(start, min(start + AT_ONCE, count))
+def blocks(count: int, at_once: int = AT_ONCE) -> Iterator[slice]:
+    """Slices of at most so many cells."""
+    for start in range(0, count, at_once):
+        yield slice(start, min(start + at_once, count))

@@ -81,7 +81,10 @@ class Triangles:
         found = np.empty((len(cells), where.shape[-2]))
         for block in blocks(len(cells)):
             x = np.zeros((3, (block.stop - block.start) * where.shape[-2]))
-            inside = (where if where.ndim == 2 else where[block]) @ self.x[cells[block]]
+            w = where[None] if where.ndim == 2 else where[block]
+            corners = self.x[cells[block]]
+            # term by term: two cells have the same point of their edge to the last digit, which a datum that jumps sees
+            inside = sum(w[..., k, None] * corners[:, None, k] for k in range(3))
             x[:2] = inside.reshape(-1, 2).T
             found[block] = here.at(x, names, np.repeat(cells[block], where.shape[-2])).reshape(-1, where.shape[-2])
         return found

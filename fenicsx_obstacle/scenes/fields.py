@@ -59,6 +59,10 @@ class FormulaField(Field):
         used = [self.formula, *(one for key, one in self.vocabulary.define.items() if key in self.needs)]
         return "theta" not in self.needs and not any(formula.may_jump for formula in used)
 
+    @property
+    def pointwise(self) -> bool:
+        return True
+
     def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
         """Refuse names that mean nothing.
 
