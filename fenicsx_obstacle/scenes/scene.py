@@ -178,6 +178,7 @@ class Scene(Vocabulary):
         """The scene of a mesh of the caller's own, with that mesh in a file."""
         new = Scene.__new__(Scene)
         raw = {**msgspec.to_builtins(self.tables), "mesh": {"file": file}}
+        raw["solve"]["element"] = self.pair.name  # which the cells of the mesh may have chosen
         new._fill(raw, self.source, self.folder, None, self.objects)
         return new
 
