@@ -28,7 +28,16 @@ from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.polynomials import coefficients, from_chords, halved, inner_points, largest, round_off, row_size
+from fenicsx_obstacle.polynomials import (
+    coefficients,
+    from_chords,
+    halved,
+    inner_points,
+    largest,
+    round_off,
+    row_size,
+    to_parts,
+)
 
 DENSE = 8  # parts of an edge
 AS_THEY_ARE = Division(0)
@@ -111,8 +120,16 @@ class Halves:
 
 @cache
 def _above_chords(times: int, degree: int) -> np.ndarray:
-    """`from_chords` of the small triangles of a part, edges being halved so many times, shape (n, small, n)."""
-    return np.ascontiguousarray(from_chords(HALVES[times].small, degree).transpose(1, 0, 2))
+    """Bernstein coefficients of what polynomials on a part are above their chords on its small triangles.
+
+    They are those on the halves of small triangles, which are nearer to the values, shape (4 n, small, n).
+
+    Args:
+        times: How often the edges were halved for the part.
+        degree: Of the polynomials.
+    """
+    above = to_parts(halved(np.eye(3)[None]), degree)[:, None] @ from_chords(HALVES[times].small, degree)
+    return np.ascontiguousarray(above.swapaxes(1, 2)).reshape(-1, *above.shape[1::2])
 
 
 SLOPES, MEANS = _slopes(), _means()
