@@ -23,10 +23,10 @@ def draw(file: Path) -> None:
     floors = [room.strip() for layer in contract["layers"] for room in layer.split(":")]
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True)
     texts = [fill(", ".join(_modules(room)), 92) for room in floors]
-    heights = [1.0 + 0.42 * (text.count("\n") + 1) for text in texts]
-    figure, axes = plt.subplots(figsize=(12, 0.36 * sum(heights) + 1.3))
+    u_values = [1.0 + 0.42 * (text.count("\n") + 1) for text in texts]
+    figure, axes = plt.subplots(figsize=(12, 0.36 * sum(u_values) + 1.3))
     top = 0.0
-    for row, (room, text, height) in enumerate(zip(floors, texts, heights, strict=True)):
+    for row, (room, text, height) in enumerate(zip(floors, texts, u_values, strict=True)):
         axes.add_patch(plt.Rectangle((0, -top - height), WIDTH, height * 0.94, facecolor="#eef3f8", edgecolor="#345"))
         axes.text(0.1, -top - 0.2, room, va="top", weight="bold", fontsize=10)
         axes.text(1.75, -top - 0.22, _purpose(room), va="top", fontsize=8)

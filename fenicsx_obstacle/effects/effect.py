@@ -145,7 +145,7 @@ class Effect:
     unit: ClassVar[str] = ""
     holds: ClassVar[bool] = False  # keeps u from floating away where it is given nowhere
     note: ClassVar[str] = ""  # what `explain` says besides
-    leans: ClassVar[bool] = False  # its test functions are upwinded where there is drift
+    upwinded: ClassVar[bool] = False  # its test functions are upwinded where there is drift
     radial: ClassVar[bool] = False  # gives all integrals the weight x
     elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
     order: ClassVar[int] = 0  # of its derivative in time
@@ -239,7 +239,7 @@ class Effect:
         """The derivative of `terms` with respect to u, a bilinear form, where it is not UFL's own."""
         return None
 
-    def heights(self, data: Sampler) -> list[Any]:
+    def u_values(self, data: Sampler) -> list[Any]:
         """Local nodal values of u at which its part of a(u, v) is zero, where that is not so for all constants."""
         return [0.0] if self.holds else []
 
@@ -255,7 +255,7 @@ class Effect:
         """Smallest and largest local value of its part of f, for maximum principles; None where it obeys none.
 
         (0, 0) says that its part of a(., .) lets constants be compared with solutions: it contains gradients of u, or
-        draws u towards `heights`.
+        draws u towards `u_values`.
         """
         return None
 
@@ -306,11 +306,11 @@ class Effect:
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
     """a(u, v) - f(v): the sum of what the effects say."""
     elastic = next((effect for effect in effects if effect.elastic), None)
-    leaning = v
+    upwinded_test = v
     for effect in effects:
         if elastic is not None and (lean := effect.lean(v, elastic, data)) is not None:
-            leaning = leaning + lean
-    forms = (effect.terms(u, leaning if effect.leans else v, data) for effect in effects)
+            upwinded_test = upwinded_test + lean
+    forms = (effect.terms(u, upwinded_test if effect.upwinded else v, data) for effect in effects)
     return sum(form for form in forms if form is not None)
 
 
