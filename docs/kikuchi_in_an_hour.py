@@ -118,13 +118,13 @@ b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 b.array[ends[ends < len(b.array)]] = 0
 assert b.norm() < 1e-9
 
-x, _, u_values, pressures = everywhere(V, answer.u, answer.pressure)
+x, _, heights, pressures = everywhere(V, answer.u, answer.pressure)
 assert pressures.max() <= 0
-assert np.isclose(u_values.max() - c, eps * np.abs(pressures).max())  # penetration is eps |p|
-say(f"largest pressure {-pressures.min():.4f}, penetration {u_values.max() - c:.4f}")
+assert np.isclose(heights.max() - c, eps * np.abs(pressures).max())  # penetration is eps |p|
+say(f"largest pressure {-pressures.min():.4f}, penetration {heights.max() - c:.4f}")
 
 page, (left, right) = plt.subplots(1, 2)
-left.plot(x, u_values, ".-", label="u")
+left.plot(x, heights, ".-", label="u")
 left.axhline(c, color="0.5", label="g")
 right.plot(x, pressures, ".-", label=r"$p_\epsilon$, $\epsilon = 10^{-3}$")
 right.step([0, a, 1 - a, 1], [0, -f, 0, 0], "k:", where="post", label="p, exact")
@@ -149,22 +149,22 @@ keep(page, "1_string")
 # %%
 rows = study(string, vary={"eps": [10.0**-k for k in range(2, 11)]}, cells=256)
 values = [row["eps"] for row in rows]
-u_values, pressures = ([row[f"to_vi.{key}"] for row in rows] for key in ("energy", "pressure_l2"))
+heights, pressures = ([row[f"to_vi.{key}"] for row in rows] for key in ("energy", "pressure_l2"))
 say("  eps   |u_eps-u_h|_a  order   |p_eps-p_h|_0  order")
-seen = [(np.nan, np.nan), *zip(orders(values, u_values), orders(values, pressures), strict=True)]
-for row, e, d, (order_e, order_d) in zip(rows, u_values, pressures, seen, strict=True):
+seen = [(np.nan, np.nan), *zip(orders(values, heights), orders(values, pressures), strict=True)]
+for row, e, d, (order_e, order_d) in zip(rows, heights, pressures, seen, strict=True):
     say(f"{row['eps']:.0e}  {e:13.3e}  {order_e:5.2f}   {d:13.3e}  {order_d:5.2f}".replace("nan", "   "))
     assert row["to_vi.max"] <= row["eps"] * row["to_vi.pressure_max"] * (1 + 1e-6)
-for errors, order in ((u_values, 3 / 4), (pressures, 1 / 4)):
+for errors, order in ((heights, 3 / 4), (pressures, 1 / 4)):
     assert np.allclose(orders(values, errors)[-3:], 1, atol=0.05)  # (5.5)
     assert np.isclose(orders(values[:3:2], errors[:3:2])[0], order, atol=0.1)  # between eps = 1e-2 and 1e-4
 
 page, axes = plt.subplots(figsize=(6, 3.6))
-axes.loglog(values, u_values, "o-", label=r"$\|u_\epsilon-u_h\|_a$")
+axes.loglog(values, heights, "o-", label=r"$\|u_\epsilon-u_h\|_a$")
 axes.loglog(values, pressures, "s-", label=r"$\|p_\epsilon-p_h\|_0$")
-axes.loglog(values[3:], 0.1 * u_values[-1] * np.array(values[3:]) / values[-1], "k:", label="order 1")
+axes.loglog(values[3:], 0.1 * heights[-1] * np.array(values[3:]) / values[-1], "k:", label="order 1")
 axes.axvline(256.0**-2, color="0.7")
-axes.annotate("$h^2$", (256.0**-2, u_values[-1]))
+axes.annotate("$h^2$", (256.0**-2, heights[-1]))
 axes.set_xlabel(r"$\epsilon$")
 axes.legend()
 keep(page, "2_eps")
@@ -372,8 +372,8 @@ say("  eps   (a-alpha)/eps^(1/2)  |u_eps-u|_a/eps^(3/4)  |p_eps-p|_0/eps^(1/4)  
 for eps, marker in ((1e-3, "o"), (1e-4, "s"), (1e-5, "^")):
     alpha, u, p = penalised(eps)
     answer = solve(string, cells=1024, eps=eps)
-    x, _, u_values, pressures = everywhere(answer.level.V, answer.u, answer.pressure)
-    off = np.abs(u_values - u(x)).max()
+    x, _, heights, pressures = everywhere(answer.level.V, answer.u, answer.pressure)
+    off = np.abs(heights - u(x)).max()
     assert off < 1024.0**-2  # of order h^2
 
     e, d = np.gradient(u(t) - exact, t), p(t) + f * (t > a)

@@ -95,7 +95,7 @@ def test_the_flux_is_in_balance():
         problem, element = context.problem, context.estimator.element
         triangles, equilibration = element.triangles, element.equilibration
         lower, upper = problem.gaps()
-        flux = equilibration.flux(problem.u_values().x.array, lower <= 0, upper <= 0)
+        flux = equilibration.flux(problem.solution().x.array, lower <= 0, upper <= 0)
         pressure = (flux.lower - flux.upper + flux.rest[triangles.dofs]).mean(axis=1)
         load = equilibration.load.moments.sum(axis=1) / triangles.area  # f_0
         scale = largest(COMM, np.abs(load)) + largest(COMM, np.abs(pressure))

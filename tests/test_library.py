@@ -52,7 +52,7 @@ def membrane(level, *, tension=1.0, load=-8.0, lower=-0.1, upper=None, boundary=
 
 
 def u_values(problem):
-    return problem.u_values().x.array[: problem.level.owned]
+    return problem.solution().x.array[: problem.level.owned]
 
 
 def norm(problem, values):

@@ -62,7 +62,7 @@ def test_the_flux_is_in_balance(perturb):
         with closing(SolverContext(quadratic(name, **{"mesh.perturb": perturb}))) as context:
             context.answer(bound=True)
             element, problem = context.estimator.element, context.problem
-            flux = element.equilibration.flux(problem.u_values().x.array, *touching(problem))
+            flux = element.equilibration.flux(problem.solution().x.array, *touching(problem))
             triangles = element.triangles
             load = element.equilibration.load.moments.sum(axis=(1, 2))
             others = (flux.lower - flux.upper + flux.rest).mean(axis=1) * triangles.area

@@ -90,7 +90,7 @@ def test_forces_keep_their_sum(element):
     context.answer()
     problem, found = context.problem, context.estimator.element
     triangles = found.triangles
-    state = problem.u_values().x.array, *touching(problem)
+    state = problem.solution().x.array, *touching(problem)
     nodal = found.equilibration.flux(*state).lower
     far = np.linspace(0, 1, len(triangles.area))  # of each cell, in no order
     moved = found.equilibration.flux(*state, (far, None)).lower

@@ -51,7 +51,7 @@ def iterates(scene: Scene, level: Level) -> list[Iterate]:
 
     def monitor(problem: Problem, step: Step, active: np.ndarray) -> None:
         contact = in_q(problem.level, (active != 0).astype(float))
-        shown = Answer(problem.level, problem.u_values(), contact, contact, None, None, (), {}, scene=scene)
+        shown = Answer(problem.level, problem.solution(), contact, contact, None, None, (), {}, scene=scene)
         arrays = gather(shown)
         dofs = problem.level.dofs
         before = found[-1] if found and found[-1].dofs == dofs else None

@@ -205,7 +205,7 @@ class Problem:
             self.above.x.array[:] = upper - self.reference.x.array
         self.forms.set_reference()
 
-    def u_values(self) -> fem.Function:
+    def solution(self) -> fem.Function:
         """u = w + r."""
         u = fem.Function(self.level.V, name="u")
         u.x.array[:] = self.w.x.array + self.reference.x.array

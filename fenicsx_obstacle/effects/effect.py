@@ -239,7 +239,7 @@ class Effect:
         """The derivative of `terms` with respect to u, a bilinear form, where it is not UFL's own."""
         return None
 
-    def u_values(self, data: Sampler) -> list[Any]:
+    def heights(self, data: Sampler) -> list[Any]:
         """Local nodal values of u at which its part of a(u, v) is zero, where that is not so for all constants."""
         return [0.0] if self.holds else []
 
@@ -255,7 +255,7 @@ class Effect:
         """Smallest and largest local value of its part of f, for maximum principles; None where it obeys none.
 
         (0, 0) says that its part of a(., .) lets constants be compared with solutions: it contains gradients of u, or
-        draws u towards `u_values`.
+        draws u towards `heights`.
         """
         return None
 

@@ -78,7 +78,7 @@ class DirichletData:
         self._heights = max(largest(comm, np.abs(values[data.fixed[0]])), 0.0)
         jumps, self._sampled = Jumps(data, self._heights), 0
         self.unbounded: np.ndarray | None = None
-        u_values = [values[data.fixed[0]]]
+        heights = [values[data.fixed[0]]]
         self.cells, self.opposite, self._number = (np.empty(0, dtype=int) for _ in range(3))
         self._differences: list[_Difference] = []
         for number, value in self._given:
@@ -90,13 +90,13 @@ class DirichletData:
                 continue
             pieces = pieces_of(data, value, edges.corners, beside, EDGES)
             self._sampled += pieces.sampled
-            u_values += [pieces.lower, pieces.upper]
+            heights += [pieces.lower, pieces.upper]
             if not pieces.finite.all():
                 place = edges.at(np.flatnonzero(~pieces.finite)[:1], np.full(1, 0.5))[0]
                 self.unbounded = np.append(place, 0.0)
             self._take(pieces.groups, beside, opposite, number, ends)
         jumps.reject()
-        self.least, self.most = (fold(comm, np.concatenate(u_values)) for fold in (smallest, largest))
+        self.least, self.most = (fold(comm, np.concatenate(heights)) for fold in (smallest, largest))
         self.sampled = total(comm, self._sampled) > 0
         # one cone keeps between its ends, two in a corner may together leave them
         self.twice = total(comm, np.count_nonzero(np.bincount(self.cells) > 1)) > 0

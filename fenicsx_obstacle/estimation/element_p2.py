@@ -293,11 +293,11 @@ class LatticeObstacle:
         on_side = self._fans.held[cells] @ (POINTS.T == 0)
         return on_side | (given[self.triangles.dofs[cells]] @ (POINTS.T == 1))
 
-    def _at_vertices(self, u_values: np.ndarray) -> np.ndarray:
+    def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
         """The largest height in the cells around each owned vertex (collective)."""
-        if total(self.triangles.data.level.comm, np.count_nonzero(u_values)) == 0:
+        if total(self.triangles.data.level.comm, np.count_nonzero(heights)) == 0:
             return np.zeros(self._fans.owned)
-        return self._fans.largest(self._fans.gather(np.repeat(u_values[:, None], 3, axis=1))[0])
+        return self._fans.largest(self._fans.gather(np.repeat(heights[:, None], 3, axis=1))[0])
 
     def _may_touch(self, u: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
         """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""

@@ -166,7 +166,7 @@ class ObstacleProblem:
         self = cls.__new__(cls)
         u = fem.Function(level.V, name="u")
         self._set_up(Data(model, level), u, None, petsc_options_prefix, petsc_options, (None, None))
-        u.x.array[:] = self._problem.u_values().x.array
+        u.x.array[:] = self._problem.solution().x.array
         return self
 
     def _set_up(

@@ -127,13 +127,13 @@ def over_h_and_eps(rows: Rows) -> Any:
     sides = np.array(sorted({row["h"] for row in places}))
     # each mesh has values of eps of its own: they go with the largest tension that its cells see
     columns = [sorted((row for row in places if row["h"] == h), key=lambda row: row["eps"]) for h in sides]
-    u_values = [_edges(np.array([row["eps"] for row in column])) for column in columns]
-    edges = _edges(sides), np.sort(np.concatenate(u_values))
+    heights = [_edges(np.array([row["eps"] for row in column])) for column in columns]
+    edges = _edges(sides), np.sort(np.concatenate(heights))
     for axes, norm in zip(panels, shown, strict=False):
         found = [np.array([_of_size(row, norm) for row in column]) for column in columns]
         every = np.concatenate(found)
         scale = LogNorm(np.nanmin(every), np.nanmax(every))
-        for k, (height, part) in enumerate(zip(u_values, found, strict=True)):
+        for k, (height, part) in enumerate(zip(heights, found, strict=True)):
             boxes = np.ma.masked_invalid(part[:, None])
             drawn = axes.pcolormesh(edges[0][k : k + 2], height, boxes, norm=scale, cmap="viridis_r")
         page.colorbar(drawn, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)

@@ -38,9 +38,9 @@ def draw_course(answer: Answer, arrays: Arrays, path: Path) -> str:
     time_history, name = _course(answer), plain(_moments(answer).name)
     columns = [column for column in _columns(time_history) if np.isfinite(time_history.column(column)).any()]
     fields = bool(time_history.frames) and _drawable(arrays)
-    u_values = [3.4] * fields + [2.1] * -(-len(columns) // 3)  # fields in one row, then three figures in each
-    page = blank(10.0, sum(u_values) + 0.5)
-    grid = page.add_gridspec(len(u_values), 6, height_ratios=u_values)
+    heights = [3.4] * fields + [2.1] * -(-len(columns) // 3)  # fields in one row, then three figures in each
+    page = blank(10.0, sum(heights) + 0.5)
+    grid = page.add_gridspec(len(heights), 6, height_ratios=heights)
     if fields:
         chosen = np.unique(np.linspace(0, len(time_history.frames) - 1, SHOWN).round().astype(int))
         draw = _lines if arrays["cells"].shape[1] == 2 else _maps

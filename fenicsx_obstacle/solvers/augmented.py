@@ -46,7 +46,7 @@ def solve_augmented(problem: Problem, *, monitor: StepMonitor | None = None) -> 
         multiplier.x.array[:own] = penalty_pressure(problem)
         multiplier.x.scatter_forward()
         outcome = joined(outcome, solve_penalty(problem, eps, monitor=monitor))
-        u_values = problem.u_values().x.array
+        u_values = problem.solution().x.array
         span = largest(comm, u_values) - smallest(comm, u_values)
         change = largest(comm, np.abs(penalty_pressure(problem) - multiplier.x.array[:own]))
         if eps * change <= CLOSE * span:

@@ -26,13 +26,13 @@ def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
     """
     comm, own = problem.level.comm, problem.level.owned
     dofs, values = problem.data.fixed
-    given = [np.atleast_1d(u_values) for effect in problem.model.effects for u_values in effect.u_values(problem.data)]
+    given = [np.atleast_1d(heights) for effect in problem.model.effects for heights in effect.heights(problem.data)]
     given.append(values.x.array[dofs])
     if problem.constrained:
         for obstacle, side in zip(problem.obstacles(), (-1, 1), strict=True):
             held = problem.active_dofs(active == side)
-            u_values = np.broadcast_to(obstacle, len(values.x.array))[:own][held]
-            given.append(u_values[np.isfinite(u_values)])
+            heights = np.broadcast_to(obstacle, len(values.x.array))[:own][held]
+            given.append(heights[np.isfinite(heights)])
     known = np.concatenate(given)
     return smallest(comm, known), largest(comm, known)
 
@@ -46,8 +46,8 @@ def forces_of_data(problem: Problem) -> float:
     flat = problem.cold_start()
     r[:] = 0.0
     sums = [problem.load]
-    for u_values, rows in ((0.0, ~problem.fixed), (flat - smallest(comm, flat), slice(None))):
-        w[:] = u_values
+    for heights, rows in ((0.0, ~problem.fixed), (flat - smallest(comm, flat), slice(None))):
+        w[:] = heights
         forms.set_reference()
         forms.elastic(problem.elastic)
         sums.append(total(comm, np.abs(problem.elastic.array_r[rows])))
@@ -91,7 +91,7 @@ def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unba
     if forces == 0:  # no state but that of the data is in balance, and round-off is all that is left
         return True
     largest_given = 0.0 if low > high else max(abs(low), abs(high))
-    u_values = (
+    heights = (
         ROUNDOFF_MARGIN * EPSILON * total(comm, stiffness * np.minimum(np.abs(w), largest_given))
     )  # round-off of the data
-    return beyond <= LIMIT * max(forces, u_values) and unbalanced <= max(LIMIT * forces, u_values)
+    return beyond <= LIMIT * max(forces, heights) and unbalanced <= max(LIMIT * forces, heights)

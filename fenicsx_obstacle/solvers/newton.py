@@ -78,7 +78,7 @@ def solve_penalty(
     limited = user_has_set(problem.options_of("penalty") + "snes_max_it")  # a limit is kept
     if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, how, multigrid), problem, eps, tolerance)
-    start = problem.u_values().x.array
+    start = problem.solution().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
     if not outcome.converged:
         problem.set_reference(start)

@@ -49,7 +49,7 @@ def solve_vi(
     limited = user_has_set(problem.options_of("vi") + "snes_max_it")  # a limit is kept
     if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, multigrid, how), problem, None, tolerance)
-    start = problem.u_values().x.array
+    start = problem.solution().x.array
     outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})
     if not outcome.converged:
         problem.set_reference(start)

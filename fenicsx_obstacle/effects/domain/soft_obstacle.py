@@ -63,7 +63,7 @@ class SoftObstacle(Effect):
         above, below = self._excess(u, data)
         return 0.5 * data.cellwise(self.value, least=0.0) * (above**2 + below**2) * data.dI
 
-    def u_values(self, data: Sampler) -> list[Any]:
+    def heights(self, data: Sampler) -> list[Any]:
         return [values for values in self.sides(data) if values is not None]
 
     def sides(self, data: Sampler) -> tuple[Any, Any]:

@@ -81,7 +81,7 @@ def _equilibrium(s: Solved) -> Finding:
     """(3.4) with v = 1: load, contact and edge reactions of the whole membrane; the load is integrated anew."""
     g = s.ground
     problem, data = g.problem, g.problem.data
-    one, u = fem.Constant(problem.level.mesh, PETSc.ScalarType(1.0)), problem.u_values()
+    one, u = fem.Constant(problem.level.mesh, PETSc.ScalarType(1.0)), problem.solution()
     u.x.array[: problem.level.owned] = s.w + s.r
     u.x.scatter_forward()
     net = 0.0  # a(u, 1) - f(1)

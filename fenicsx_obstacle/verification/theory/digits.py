@@ -67,7 +67,7 @@ def _pressures(problem: Problem) -> dict[str, np.ndarray]:
     """p_eps of the present state in three forms, at owned dofs; the last residual must be the one of this state."""
     own, eps = problem.level.owned, float(problem.eps.value)
     p = penalty_pressure(problem)
-    u, upper = problem.u_values().x.array[:own], np.broadcast_to(problem.obstacles()[1], len(problem.w.x.array))[:own]
+    u, upper = problem.solution().x.array[:own], np.broadcast_to(problem.obstacles()[1], len(problem.w.x.array))[:own]
     return {
         GAP: p,
         RESIDUAL: np.where(p != 0, problem.elastic.array_r / problem.weights, 0.0),
