@@ -19,7 +19,7 @@ from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.gmsh_model import Arrays
 from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
-from fenicsx_obstacle.discrete.soundness import refuse_unsound
+from fenicsx_obstacle.discrete.soundness import validate_mesh
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
@@ -49,7 +49,7 @@ def read(path: Path, comm: MPI.Comm) -> MeshFile:
     """The mesh of a file, with its named parts (collective).
 
     Raises:
-        InputError: If the file is missing, broken, or has cells other than straight simplices.
+        InputError: If the file is missing, broken, or has curved cells, or from Gmsh other cells than simplices.
     """
     on_root(comm, _check, path)
     return _gmsh(path, comm) if path.suffix in (".msh", ".geo") else _xdmf(path, comm)
@@ -124,9 +124,10 @@ def _grids(path: Path) -> tuple[str, list[str], Groups]:
     points, cells = (_array(path, grids[0].find(f"{part}/DataItem"), part) for part in ("Geometry", "Topology"))
     topology = grids[0].find("Topology")
     kind = "" if topology is None else topology.get("TopologyType", "")
+    # cells other than simplices are checked with the mesh
     if cells.shape[1] in (2, 3, 4) and cells.dtype.kind in "iu" and kind.lower() != "quadrilateral":
         try:
-            refuse_unsound(points, cells)
+            validate_mesh(points, cells)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
     tags = [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]

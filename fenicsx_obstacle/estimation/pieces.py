@@ -18,13 +18,13 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.quadrature import blocks
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
 
-NEAR = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
-ENOUGH = 1e-4  # of h/length max|f|: likewise
+NEGLIGIBLE_CURVATURE = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
+NEGLIGIBLE_REMAINDER = 1e-4  # of h/length max|f|: likewise
 THIN = 2e-3  # likewise, of the datum on parts that a condition cuts, times the root of their share
 APART = 3.0  # so many times further than a condition may change from a line, it is decided
 NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it
@@ -104,6 +104,29 @@ class Group:
         reference = polynomials.inner_points(corners, degree)
         there = np.matmul(self.points(reference), linear[self.rows][..., None])[..., 0]
         return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
+
+    def steepness(self, coefficients: np.ndarray, corners: np.ndarray, more: np.ndarray) -> np.ndarray:
+        """Bound of the mean of |grad(datum - other functions)|^2 on the parts of triangles.
+
+        Args:
+            coefficients: Of Bernstein, of the polynomials less other polynomials.
+            corners: Of the triangles, shape (triangles, 3, 2).
+            more: Bound of the gradient of what is no polynomial.
+        """
+        x = corners[self.rows] if self.corners is None else self.corners @ corners[self.rows]
+        edges = np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)
+        area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])  # twice of it
+        turned = np.stack([-edges[..., 1], edges[..., 0]], axis=2) / area[:, None, None]
+        degree = polynomials.degree_of(coefficients.shape[1])
+        points, weights = rule(2, 2 * (degree - 1))
+        along = polynomials.slopes(coefficients, 3, degree)
+        there = np.stack([polynomials.evaluate(along[:, k], points, degree - 1) for k in range(3)], axis=1)
+        gradient = np.einsum("nkp,nkx->npx", there, turned)
+        mean = np.einsum("npx,npx,p->n", gradient, gradient, weights)
+        longest = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
+        known = np.isfinite(self.steep)  # of samples it is not
+        unknown = np.where(known, self.steep, (self.upper - self.lower) * longest / area)
+        return (np.sqrt(mean) + more + np.where(np.isfinite(unknown), unknown, 0.0)) ** 2
 
     def lower_to(self, least: np.ndarray, values: np.ndarray) -> None:
         """Let each simplex have no more than the least of the values on its parts."""
@@ -354,7 +377,9 @@ class _Near:
             second, third = bounds.derivative(2)[rows], bounds.derivative(3)[rows]
             largest = np.maximum(np.abs(self.lower), np.abs(self.upper))[rows]
             near = np.flatnonzero(np.isfinite(second) & np.isfinite(third))
-            enough = np.maximum(NEAR * size[near] * second[near], ENOUGH / division.length * largest[near])
+            enough = np.maximum(
+                NEGLIGIBLE_CURVATURE * size[near] * second[near], NEGLIGIBLE_REMAINDER / division.length * largest[near]
+            )
             good[near] = polynomials.REMAINDER[self._corners][2] * size[near] ** 2 * third[near] <= enough
             self._near(2, rows[good], third[good], size[good], height[good])
         far = ~good

@@ -41,7 +41,7 @@ def save(solution: Solution, folder: Path) -> None:
     """
     arrays, element = gather(solution), element_of(solution)
     level = solution.level
-    comm, nests = level.comm, level.pair.nests
+    comm, nests = level.comm, level.pair.nested_hierarchy
     # cut cells are none of the mesh: its parts go with the true ones
     parts = parts_of(level, _cells(level) if nests else solution.cut.nodes)
     parts = {f"parts/{name}": values for name, values in parts.items()}
@@ -122,7 +122,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     name = record.get("element", "P1")
     if name not in pairs():
         raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
-    pair = pairs()[name] if element or pairs()[name].nests else P1
+    pair = pairs()[name] if element or pairs()[name].nested_hierarchy else P1
     try:
         level = mesh_of(arrays, element, parts, record["h"], comm, pair)
         fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)

@@ -47,7 +47,7 @@ def solve_nested(
         multigrid = grid if isinstance(grid, Multigrid) else None
         problem = grid.problem if isinstance(grid, Multigrid) else grid
         if before is None:
-            problem.refer(problem.cold_start())
+            problem.set_reference(problem.cold_start())
         else:
             begin_from(problem, before)
             if problem.constrained and multigrid is not None:
@@ -73,10 +73,10 @@ def begin_from(problem: Problem, coarse: Problem) -> None:
     the middle of a curved obstacle's edge would start far off.
     """
     ends, own = problem.level.ends, problem.level.owned
-    heights = fem.Function(problem.level.V)
-    heights.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
-    heights.x.scatter_forward()
-    problem.refer(heights.x.array)
+    u_values = fem.Function(problem.level.V)
+    u_values.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
+    u_values.x.scatter_forward()
+    problem.set_reference(u_values.x.array)
     w = problem.w.x.array
     for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
         if ours is None or theirs is None:
