@@ -222,3 +222,15 @@ def test_exact_solution_as_ufl():
 def test_mistakes(given, words):
     with pytest.raises(InputError, match=words):
         solve(Own(4).scene(**given))
+
+
+def test_tags_as_keys_and_data_in_time():
+    """Numbers of tags are keys as their texts are; names come first; a callable of t needs time."""
+    own = Own(cells=8)
+    given = {"mesh": own.mesh, "cell_tags": own.cell_tags, "load": -1, "lower": -0.1}
+    by_number, by_text = (solve(Scene(**given, tension=tension)) for tension in ({5: 1, 6: 20}, {"5": 1, "6": 20}))
+    assert by_number.energy == by_text.energy
+    with pytest.raises(InputError, match=r"cell_names = \{5: 'soft'\}: expected names with their tags"):
+        Scene(**given, tension=1, cell_names={5: "soft"})
+    with pytest.raises(InputError, match="takes x and t, and the scene has no time"):
+        solve(Scene(**{**given, "load": lambda x, t: -t + 0 * x[0]}, tension=1))

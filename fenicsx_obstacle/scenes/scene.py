@@ -324,7 +324,10 @@ class Scene(Vocabulary):
     def field(self, value: float | str, place: str) -> Field:
         """A number, a formula or an object as a datum; `place` is its table and key."""
         if stands_for_an_object(value):
-            return field_of(str(value), self.objects, f"{self.source}: {place}")
+            found = field_of(str(value), self.objects, f"{self.source}: {place}")
+            if found.moves and self.tables.time is None:
+                raise InputError(f"{found.source}: the callable takes x and t, and the scene has no time: give time=")
+            return found
         return FormulaField(self.formula(value, place), self)
 
     def _model(self) -> Model:
