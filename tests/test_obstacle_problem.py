@@ -430,3 +430,15 @@ def test_common_mistakes():
     for wrong, message in (({"lower": lambda x: 0 * x[0]}, "the obstacle = "), ({"lower": 0, "eps": "auto"}, "eps = ")):
         with pytest.raises(InputError, match=f"penalty: {message}.*expected a number"):
             penalty(own.u, own.v, **{"eps": 1e-3, **wrong})
+
+
+def test_an_infinite_obstacle_gets_a_remedy():
+    """PETSc's -inf for 'no obstacle here' is a large number here."""
+    own = Membrane(cells=4)
+    for side, far in (("lower", -1e20), ("upper", 1e20)):
+        g = fem.Function(own.V)
+        g.x.array[:] = np.copysign(np.inf, far)
+        with pytest.raises(InputError, match=f"take {far:.0e} where there is no obstacle".replace("+", "")):
+            ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g})
+        g.x.array[:] = far
+        assert ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g}).solve().area == 0

@@ -345,7 +345,7 @@ class Solution:
         if r["penetration"] > LARGE_PENETRATION * r["u_range"]:
             large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
             share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
-            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or --method vi")
+            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or the method vi")
         lines += self._round_off()
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
