@@ -28,7 +28,7 @@ from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
-from fenicsx_obstacle.solvers.choose import Method, chain, method_of, nested, stepwise
+from fenicsx_obstacle.solvers.choose import Method, chain, hierarchy, method_of, nested, stepwise
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
@@ -161,8 +161,9 @@ class Workbench:
         """
         problem, scene, options = self.problem, self.scene, options or self.options
         estimator = self.estimator if bound else None  # refuses before anything is solved
-        levels_serve = nested(scene.effects, scene.pair, options) and problem.level.coarse is not None
-        grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
+        grids: Sequence[Multigrid | Problem] = []
+        if nested(scene.effects, scene.pair, options):
+            grids = found if len(found := self._hierarchy()) > 1 else []
         at_rest = scene.time is None or scene.time.order == EQUILIBRIA
         if at_rest and stepwise(scene.effects, scene.pair, options) and problem.level.coarse is not None:
             grids = self._chain()
@@ -253,7 +254,7 @@ class Workbench:
         """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""
         if self._grids is None:
             start = time.perf_counter()
-            self._grids = multigrid.chain(chain(self.problem))
+            self._grids = multigrid.chain(hierarchy(self.problem))
             self.setup_seconds += time.perf_counter() - start
         return self._grids
 

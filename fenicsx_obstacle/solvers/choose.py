@@ -11,6 +11,7 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.galerkin import coarse_problems
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -65,7 +66,7 @@ def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> b
 
 
 def chain(problem: Problem) -> list[Problem]:
-    """The problems from the coarsest level to this one (collective); only this one where the others do not serve."""
+    """The problems from the coarsest mesh to this one (collective); only this one where the others do not serve."""
     problems = [problem]
     for level in problem.level.downward[1:]:
         try:
@@ -74,6 +75,16 @@ def chain(problem: Problem) -> list[Problem]:
         except InputError:  # data that only the fine levels resolve
             break
     return problems
+
+
+def hierarchy(problem: Problem) -> list[Problem]:
+    """The problems of all levels, the coarsest first, with algebraic ones below the coarsest mesh (collective).
+
+    Args:
+        problem: That truncated multigrid serves.
+    """
+    problems = chain(problem)
+    return [*coarse_problems(problems[0]), *problems]
 
 
 def penalty_parameter(problem: Problem, options: SolverOptions) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from dolfinx import fem
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
@@ -72,16 +71,16 @@ def begin_from(problem: Problem, coarse: Problem) -> None:
     Where both ends of an edge are in contact its middle is: distances, not heights are interpolated there, or
     the middle of a curved obstacle's edge would start far off.
     """
-    ends, own = problem.level.ends, problem.level.owned
-    heights = fem.Function(problem.level.V)
-    heights.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
-    heights.x.scatter_forward()
-    problem.refer(heights.x.array)
+    transfer, own, theirs_own = problem.transfer, problem.level.owned, coarse.level.owned
+    problem.w.x.array[:own] = transfer.interpolate((coarse.w.x.array + coarse.reference.x.array)[:theirs_own])
+    problem.w.x.scatter_forward()
+    problem.refer(problem.w.x.array.copy())
     w = problem.w.x.array
     for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
         if ours is None or theirs is None:
             continue
-        distance = sign * (coarse.w.x.array - theirs.x.array)
-        touching = np.all(distance[ends] <= 0, axis=1) & ~problem.fixed
-        w[:own][touching] = ours.x.array[:own][touching] + sign * distance[ends[touching]].mean(axis=1)
+        distance = sign * (coarse.w.x.array - theirs.x.array)[:theirs_own]
+        touching = transfer.all_of(distance <= 0) & ~problem.fixed
+        between = transfer.interpolate(np.minimum(distance, 0.0))
+        w[:own][touching] = ours.x.array[:own][touching] + sign * between[touching]
     problem.w.x.scatter_forward()
