@@ -24,6 +24,7 @@ RANGE = (-0.2, 1.2)  # of weights: others are extrapolation
 WIDE = (-0.5, 1.5)  # beyond it weights are not used at all
 COINCIDENT = 1e-6  # of the distance to the farthest candidate: two nodes at one place
 SINGULAR = 1e-8  # of the trace of a covariance: what its eigenvalues are raised by
+NEARLY_NOTHING = 1e-10  # where there is one candidate only; distances are at most 1
 FREE, BOUNDARY, FIXED = 0, 1, 2  # kinds of nodes, in the order in which they are preferred
 
 
@@ -261,16 +262,14 @@ def _fitted(away: np.ndarray, near: np.ndarray, begin: np.ndarray, of: np.ndarra
     """Weights by least squares: near those of `near`, and exact for linear functions as far as candidates allow."""
     dim = len(away)
     share = near / np.add.reduceat(near, begin)[of]
-    parts = [share * x for x in away]
-    mean = [np.add.reduceat(part, begin) for part in parts]
-    moment = {(i, j): np.add.reduceat(parts[i] * away[j], begin) - mean[i] * mean[j]
-              for i in range(dim) for j in range(i, dim)}  # fmt: skip
+    mean = [np.add.reduceat(share * x, begin) for x in away]
+    apart = [x - m[of] for x, m in zip(away, mean, strict=True)]
+    moment = {(i, j): np.add.reduceat(share * apart[i] * apart[j], begin) for i in range(dim) for j in range(i, dim)}
     trace = np.sum([moment[i, i] for i in range(dim)], axis=0)
     for i in range(dim):
-        moment[i, i] += SINGULAR * trace + SINGULAR**2
+        moment[i, i] += SINGULAR * trace + NEARLY_NOTHING
     slope = _solved(moment, mean)
-    height = 1.0 + sum(m * y for m, y in zip(mean, slope, strict=True))
-    return share * (height[of] - sum(x * y[of] for x, y in zip(away, slope, strict=True)))
+    return share * (1.0 - sum(x * y[of] for x, y in zip(apart, slope, strict=True)))
 
 
 def _solved(moment: dict[tuple[int, int], np.ndarray], right: list[np.ndarray]) -> list[np.ndarray]:
