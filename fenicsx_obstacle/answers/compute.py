@@ -173,7 +173,8 @@ class Workbench:
         moment = problem.data.moment
         if scene.time is not None and moment is not None and moment.t > 0:  # an earlier march has left data at its end
             moment.go_back(scene.time)
-            for one in (*(grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]), problem):
+            below = [grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]]
+            for one in (problem, *reversed(below)):
                 one.move(one.cold_start())
         method, course = method_of(problem, options), None
         if watch is not None:

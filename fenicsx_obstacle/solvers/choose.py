@@ -80,11 +80,14 @@ def chain(problem: Problem) -> list[Problem]:
 def hierarchy(problem: Problem) -> list[Problem]:
     """The problems of all levels, the coarsest first, with algebraic ones below the coarsest mesh (collective).
 
+    Without obstacles BoomerAMG is as good, where there is hypre.
+
     Args:
         problem: That truncated multigrid serves.
     """
     problems = chain(problem)
-    return [*coarse_problems(problems[0]), *problems]
+    pays = problem.constrained or releases.AMG != "hypre"
+    return [*(coarse_problems(problems[0]) if pays else []), *problems]
 
 
 def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
