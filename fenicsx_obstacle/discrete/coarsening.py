@@ -203,10 +203,8 @@ def _interpolation(
     rows, theirs = rows[fit], theirs[fit]
     away = np.stack([beyond.extended(x)[theirs] for x in nodes.x[kept].T])
     away -= nodes.x.T[:, rows]
-    if nodes.tangents is None:
-        away = away[: nodes.dim]
-    else:
-        away = np.einsum("nki,in->kn", nodes.tangents[rows], away)
+    flat = nodes.tangents is None
+    away = away[: nodes.dim] if flat else np.einsum("nki,in->kn", nodes.tangents[rows], away)
     weights[fit] = _weights(away, rows)
     P = _matrix(sizes, starts, columns, weights, comm)
     beyond.free()
@@ -249,6 +247,7 @@ def _weights(away: np.ndarray, rows: np.ndarray) -> np.ndarray:
     nothing = np.maximum.reduceat(kept, begin) == 0
     kept[nothing[of]] = np.abs(found[nothing[of]])
     again = _fitted(away, kept, begin, of)
+    again /= np.add.reduceat(again, begin)[of]  # round-off of nearly singular fits
     for low, high, instead in ((*RANGE, np.where(kept > 0, found, 0.0)), (*WIDE, near)):
         bad = (np.minimum.reduceat(again, begin) < low) | (np.maximum.reduceat(again, begin) > high)
         if bad.any():

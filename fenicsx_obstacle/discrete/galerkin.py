@@ -21,7 +21,8 @@ from fenicsx_obstacle.discrete.transfer import Transfer
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.parallel import total
 
-COARSEST = 600  # unknowns that a direct solver takes in no time
+# unknowns, by dimension, that a direct solver takes in no time, and contact crosses in few steps from a cold start
+COARSEST = {1: 30, 2: 600, 3: 600}
 SMALLEST = 1500  # of a mesh for which coarse levels pay
 SLOWEST = 0.7  # of the unknowns may be left by a coarsening
 
@@ -92,7 +93,7 @@ class GalerkinForms(Nodal):
         for owner in (u, force):
             owner.destroy()
         if penalised:
-            value += total(self.data.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
+            value += total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
         return value
 
 
@@ -134,7 +135,7 @@ class GalerkinProblem(Problem):
         self.fixed = nodes.kind == FIXED
         sides = {side: None if getattr(finer.data, side) is None else Values(transfer.P) for side in ("lower", "upper")}
         data: Any = SimpleNamespace(
-            model=self.model, level=level, comm=comm, moment=finer.data.moment, thin=finer.data.thin,
+            model=self.model, level=level, moment=finer.data.moment, thin=finer.data.thin,
             fixed=(np.flatnonzero(self.fixed), Values(transfer.P)), **sides,
         )  # fmt: skip
         self.data = data
@@ -187,7 +188,7 @@ def coarse_problems(problem: Problem) -> list[Problem]:
         return []
     found: list[Problem] = []
     nodes, comm = _nodes(problem), problem.level.comm
-    while problem.level.dofs > COARSEST:
+    while problem.level.dofs > COARSEST[nodes.dim]:
         transfer, nodes = coarsen(problem.nodal.stiffness, nodes, comm)
         coarse = GalerkinProblem(problem, transfer, nodes)
         if coarse.level.dofs > SLOWEST * problem.level.dofs:
@@ -214,7 +215,7 @@ def _nodes(problem: Problem) -> Nodes:
 
 
 def _tangents(level: Level) -> np.ndarray:
-    """Orthonormal bases of the tangent spaces at owned nodes, by the cells around, shape (nodes, dim, 3) (collective)."""
+    """Orthonormal bases of tangent spaces at owned nodes, by the cells around, shape (nodes, dim, 3) (collective)."""
     V, vertices, dim = level.V, corners(level.mesh), level.mesh.topology.dim
     own = level.mesh.topology.index_map(dim).size_local
     dofs, edges = releases.cell_dofs(V)[:own], vertices[:own, 1:] - vertices[:own, :1]
