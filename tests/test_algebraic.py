@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
-import ufl
 from conftest import COMM, slow_except
-from dolfinx import fem
 from dolfinx import mesh as dmesh
-from mpi4py import MPI
 
 from fenicsx_obstacle import Scene, releases, solve
-from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete.galerkin import COARSEST, GalerkinProblem, coarse_problems
-from fenicsx_obstacle.parallel import largest, on_root, total
-from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+from fenicsx_obstacle.parallel import largest, on_root
 
 R = 0.6979651482233736  # of the contact set of the ball
 BALL = {
@@ -50,6 +44,27 @@ def cube(cells, comm=COMM):
 
 def interval(cells):
     return shaken(dmesh.create_interval(COMM, cells, [-1.0, 1.0]), 0.25, 2 / cells)
+
+
+def quadrilaterals(cells):
+    kind = dmesh.CellType.quadrilateral
+    mesh = dmesh.create_rectangle(COMM, [np.full(2, -2.0), np.full(2, 2.0)], [cells, cells], cell_type=kind)
+    return shaken(mesh, 0.15, 4 / cells)
+
+
+def sphere(cells):
+    """Part of a sphere around the north pole, whose rim is four arcs."""
+    flat = square(cells, low=-1.0, high=1.0)
+    cut, nodes = releases.geometry_dofs(flat), flat.geometry.x
+    own = flat.topology.index_map(2).size_local
+    points = nodes / np.sqrt(1 + (nodes**2).sum(axis=1, keepdims=True))
+    points[:, 2] = 1 / np.sqrt(1 + (nodes**2).sum(axis=1))
+    numbers = flat.geometry.input_global_indices
+    everywhere = np.concatenate(COMM.allgather(np.column_stack([numbers, points])))
+    _, first = np.unique(everywhere[:, 0], return_index=True)
+    table = everywhere[first, 1:]
+    mine = np.array_split(np.arange(len(table)), COMM.size)[COMM.rank]
+    return releases.create_mesh(COMM, np.asarray(numbers)[cut[:own]], table[mine], "triangle")
 
 
 def counts(answer):
@@ -113,7 +128,8 @@ SCENES = {
     "held by contact alone": lambda: Scene(mesh=square(48), tension=1, load=-1, lower="0.2*cos(2*x) + 0.1*y", boundary=[]),
     "interval": lambda: Scene(mesh=interval(2000), tension=1, load=-8, lower="-1 - 0.2*x"),
     "cube": lambda: Scene(mesh=cube(13), tension=1, load=-8, lower="-0.4 + 0.1*x*y"),
-    "quadratic": lambda: Scene(mesh=square(48), element="P2", **BALL) if False else Scene(mesh=square(48), **BALL),
+    "quadrilaterals": lambda: Scene(mesh=quadrilaterals(48), **BALL),
+    "surface": lambda: Scene(mesh=sphere(48), tension=1, load=-1, lower="0.9*z - 1.3", boundary=[{"value": "-x^2"}]),
 }  # fmt: skip
 
 

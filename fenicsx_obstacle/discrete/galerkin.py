@@ -69,7 +69,7 @@ class GalerkinForms(Nodal):
         self.fixed = data.fixed[0]
         self._constant, self._minus_load = self.vector(), self.vector()
         self._load()
-        self._D = _weights(finer.weights(), transfer)
+        self._D = _weights(finer.weights(), transfer, thin=data.thin)
 
     def _load(self) -> None:
         self._minus_load.array[:] = self._transfer.restrict(self._finer._minus_load.array_r)
@@ -97,15 +97,21 @@ class GalerkinForms(Nodal):
         return value
 
 
-def _weights(fine: np.ndarray, transfer: Transfer) -> np.ndarray:
-    """D of coarse nodes (collective): each fine weight goes, in positive shares, to those coarse nodes that its node is
-    interpolated from and that have a weight themselves."""
+def _weights(fine: np.ndarray, transfer: Transfer, *, thin: bool) -> np.ndarray:
+    """D of coarse nodes (collective): each fine weight goes, in positive shares, to those that it is interpolated from.
+
+    Args:
+        fine: D of owned nodes of the finer level.
+        transfer: From the coarse level.
+        thin: Whether contact is on a part of the boundary or a curve: then coarse nodes beside it get nothing.
+    """
     starts, columns, values = transfer.P.getValuesCSR()
     size = transfer.P.getSizes()
     shares = PETSc.Mat().createAIJ(size, csr=(starts, columns, np.maximum(values, 0.0)), comm=transfer.P.comm)
     there, sums = shares.createVecs()
-    there.array[:] = transfer.inject(fine) > 0
-    shares.diagonalScale(R=there)
+    if thin:
+        there.array[:] = transfer.inject(fine) > 0
+        shares.diagonalScale(R=there)
     there.set(1.0)
     shares.mult(there, sums)
     sums.array[:] = np.divide(fine, sums.array_r, out=np.zeros(len(fine)), where=sums.array_r > 0)
@@ -121,18 +127,24 @@ class GalerkinProblem(Problem):
 
     Attributes:
         finer: The next finer problem.
-        nodes: The coarse nodes.
     """
 
-    def __init__(self, finer: Problem, transfer: Transfer, nodes: Nodes):
-        """Multiply matrices, and inject the data of the finer problem (collective)."""
-        self.finer, self.nodes, self._up = finer, nodes, transfer
+    def __init__(self, finer: Problem, transfer: Transfer, fixed: np.ndarray, pair: Pair):
+        """Multiply matrices, and inject the data of the finer problem (collective).
+
+        Args:
+            finer: With affine effects and contact at nodes.
+            transfer: To it.
+            fixed: Whether u is given at the owned coarse nodes.
+            pair: With contact at the coarse nodes.
+        """
+        self.finer, self._up = finer, transfer
         self.prefix, self.model, comm = finer.prefix, finer.model, finer.level.comm
-        owned, pair = len(nodes.key), finer.level.pair
+        owned = len(fixed)
         level: Any = GalerkinLevel(comm, owned, int(total(comm, owned)), finer.level.h, pair)
         self.level = level
         self.affine, self.constrained, self.thickness = True, finer.constrained, finer.thickness
-        self.fixed = nodes.kind == FIXED
+        self.fixed = fixed
         sides = {side: None if getattr(finer.data, side) is None else Values(transfer.P) for side in ("lower", "upper")}
         data: Any = SimpleNamespace(
             model=self.model, level=level, moment=finer.data.moment, thin=finer.data.thin,
@@ -182,32 +194,36 @@ class GalerkinProblem(Problem):
 def coarse_problems(problem: Problem) -> list[Problem]:
     """Algebraic levels below a problem with affine effects, the coarsest first (collective).
 
-    There are none for few unknowns, or where contact is not at the vertices.
+    There are none for few unknowns, or where contact is neither at the vertices nor that of P2, which is above P1.
     """
-    if problem.level.dofs < SMALLEST or not problem.level.pair.at_vertices:
+    level, found = problem.level, list[Problem]()
+    if level.pair.stacks:
+        assert level.coarse is not None
+        level = level.coarse
+    if not level.pair.at_vertices or level.dofs < SMALLEST:
         return []
-    found: list[Problem] = []
-    nodes, comm = _nodes(problem), problem.level.comm
+    if level is not problem.level:
+        problem = GalerkinProblem(problem, problem.transfer, problem.transfer.inject(problem.fixed) > 0, level.pair)
+        found.append(problem)
+    nodes = _nodes(problem, level)
     while problem.level.dofs > COARSEST[nodes.dim]:
-        transfer, nodes = coarsen(problem.nodal.stiffness, nodes, comm)
-        coarse = GalerkinProblem(problem, transfer, nodes)
-        if coarse.level.dofs > SLOWEST * problem.level.dofs:
+        transfer, nodes = coarsen(problem.nodal.stiffness, nodes, level.comm)
+        if total(level.comm, len(nodes.key)) > SLOWEST * problem.level.dofs:
             break
         problem.transfer = transfer
-        found.insert(0, coarse)
-        problem = coarse
+        problem = GalerkinProblem(problem, transfer, nodes.kind == FIXED, level.pair)
+        found.insert(0, problem)
     return found
 
 
-def _nodes(problem: Problem) -> Nodes:
-    """The nodes of a mesh (collective)."""
-    level, data = problem.level, problem.data
+def _nodes(problem: Problem, level: Level) -> Nodes:
+    """The nodes of a problem that are the vertices of a mesh (collective)."""
     own, dim, gdim = level.owned, level.mesh.topology.dim, level.mesh.geometry.dim
     x = np.ascontiguousarray(level.points.T[:own])
     kind = np.full(own, FREE, dtype=np.int8)
-    rim = data.dofs_on(level.boundary_facets)
+    rim = fem.locate_dofs_topological(level.V, dim - 1, level.boundary_facets)
     kind[rim[rim < own]] = BOUNDARY
-    if data.thin:
+    if problem.data.thin:
         kind[problem.weights > 0] = BOUNDARY
     kind[problem.fixed] = FIXED
     tangents = None if dim == gdim else _tangents(level)

@@ -17,6 +17,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.galerkin import coarse_problems
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
@@ -294,7 +295,9 @@ class ObstacleProblem:
     def _levels(self) -> list[Multigrid]:
         """Multigrid of all levels, with the data of now (collective)."""
         if self._grids is None:
-            self._grids = multigrid.chain(hierarchy(self._problem))
+            own = self._form is not None  # on the caller's mesh and in the caller's space alone
+            problems = [*coarse_problems(self._problem), self._problem] if own else hierarchy(self._problem)
+            self._grids = multigrid.chain(problems)
         elif self._form is not None:
             for grid in reversed(self._grids[:-1]):
                 grid.problem.renew(stiffness=False)  # which algebraic levels notice themselves

@@ -47,12 +47,12 @@ def nested(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> boo
     """Whether a problem is solved from the coarsest level of its mesh on, where it has more than one.
 
     Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
-    at the nodes of spaces that nest, or of P2, which begins with P1 on the same mesh. (3.4)* is the paper's own
+    at the vertices, or that of P2, which begins with P1 on the same mesh. (3.4)* is the paper's own
     iteration, which starts without contact; `start = "cold"` asks for the same of the other methods. Whatever is not
     nested is solved with `LINEAR_SOLVER`, `GENERAL_SOLVER` or, where the pair is not nodal, `DIRECT_SOLVER`.
     """
     simple = all(effect.affine and effect.symmetric and effect.convex for effect in effects)
-    serves = pair.nests or pair.stacks
+    serves = pair.at_vertices or pair.stacks
     return simple and serves and options.start == "nested" and options.method != "successive"
 
 
