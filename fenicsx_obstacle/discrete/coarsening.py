@@ -203,8 +203,8 @@ def _interpolation(
     rows, theirs = rows[fit], theirs[fit]
     away = np.stack([beyond.extended(x)[theirs] for x in nodes.x[kept].T])
     away -= nodes.x.T[:, rows]
-    flat = nodes.tangents is None
-    away = away[: nodes.dim] if flat else np.einsum("nki,in->kn", nodes.tangents[rows], away)
+    turn = nodes.tangents
+    away = away[: nodes.dim] if turn is None else np.einsum("nki,in->kn", turn[rows], away)
     weights[fit] = _weights(away, rows)
     P = _matrix(sizes, starts, columns, weights, comm)
     beyond.free()

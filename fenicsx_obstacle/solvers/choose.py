@@ -35,6 +35,7 @@ BENT = (
     "a line search on the energy, full steps where round-off hides descent; obstacles that harden should both fail",
 )
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
+ALGEBRAIC = "where the mesh has no coarser one levels are algebraic, with interpolation exact for linear functions"
 WITHOUT_HYPRE = f"GAMG, and up to {LARGEST} unknowns MUMPS in its place, because this PETSc has no hypre"
 AMG = "hypre BoomerAMG" if releases.AMG == "hypre" else WITHOUT_HYPRE
 LINEAR_SOLVER = f"conjugate gradients with algebraic multigrid ({AMG})"
@@ -44,7 +45,7 @@ AUGMENTED = "penalty solves with augmented obstacles g + eps p: the quadratic pr
 
 
 def nested(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> bool:
-    """Whether a problem is solved from the coarsest level of its mesh on, where it has more than one.
+    """Whether a problem is solved from the coarsest level on: that of its mesh, or an algebraic one below it.
 
     Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
     at the vertices, or that of P2, which begins with P1 on the same mesh. (3.4)* is the paper's own
