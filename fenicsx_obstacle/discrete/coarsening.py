@@ -196,16 +196,14 @@ def _interpolation(
     starts, columns, _ = product.getValuesCSR()
     beyond = Ghosts(product, columns, of_rows=False)
     theirs = beyond.local(columns)
-    rows = np.repeat(np.arange(own), np.diff(starts))
+    rows = np.repeat(np.arange(own, dtype=np.int32), np.diff(starts))
     weights = (columns == number[rows]).astype(float)
-    kinds = beyond.extended(nodes.kind[kept].astype(float))
-    fit = ~chosen[rows] & ((nodes.kind[rows] != FIXED) | (kinds[theirs] == FIXED))
+    fixed = beyond.extended((nodes.kind[kept] == FIXED).astype(float)) > 0
+    fit = ~chosen[rows] & ((nodes.kind != FIXED)[rows] | fixed[theirs])
     rows, theirs = rows[fit], theirs[fit]
-    away = np.stack([beyond.extended(x)[theirs] for x in nodes.x[kept].T])
-    away -= nodes.x.T[:, rows]
-    turn = nodes.tangents
-    away = away[: nodes.dim] if turn is None else np.einsum("nki,in->kn", turn[rows], away)
-    weights[fit] = _weights(away, rows)
+    turn, dim = nodes.tangents, nodes.dim if nodes.tangents is None else 3
+    away = np.stack([beyond.extended(x[kept])[theirs] - x[rows] for x in nodes.x.T[:dim]])
+    weights[fit] = _weights(away if turn is None else np.einsum("nki,in->kn", turn[rows], away), rows)
     P = _matrix(sizes, starts, columns, weights, comm)
     beyond.free()
     for owner in (B, product):
@@ -230,31 +228,47 @@ def _weights(away: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """
     if not len(rows):
         return np.empty(0)
-    begin = np.flatnonzero(np.concatenate([[True], rows[1:] != rows[:-1]]))
-    of = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, len(rows))))
+    begin, of = _groups(rows)
     squares = np.einsum("ij,ij->j", away, away)
     farthest = np.maximum.reduceat(squares, begin)
     farthest[farthest == 0] = 1.0
     squares /= farthest[of]
-    away /= np.sqrt(farthest)[of]
+    away *= (1.0 / np.sqrt(farthest))[of]
     apart = squares > COINCIDENT**2
-    near = np.square(np.divide(1.0, squares, out=np.zeros_like(squares), where=apart))
-    lonely = np.maximum.reduceat(near, begin) == 0  # all its candidates are at its place
-    near[lonely[of]] = 1.0
+    near = np.divide(1.0, squares, out=np.zeros_like(squares), where=apart)
+    near *= near
+    if not apart.all():
+        near[(np.maximum.reduceat(near, begin) == 0)[of]] = 1.0  # all candidates are at the place of the node
     found = _fitted(away, near, begin, of)
-    kept = np.abs(found)
-    kept[kept < SMALL] = 0.0
-    nothing = np.maximum.reduceat(kept, begin) == 0
-    kept[nothing[of]] = np.abs(found[nothing[of]])
-    again = _fitted(away, kept, begin, of)
-    again /= np.add.reduceat(again, begin)[of]  # round-off of nearly singular fits
-    for low, high, instead in ((*RANGE, np.where(kept > 0, found, 0.0)), (*WIDE, near)):
-        bad = (np.minimum.reduceat(again, begin) < low) | (np.maximum.reduceat(again, begin) > high)
-        if bad.any():
-            there = np.flatnonzero(bad[of])
+    large = np.abs(found)
+    least = np.minimum(SMALL, np.maximum.reduceat(large, begin))
+    kept = large >= least[of]
+    weights = np.zeros(len(rows))
+    weights[kept] = _fitted_again(np.compress(kept, away, axis=1), found[kept], near[kept], of[kept])
+    return weights
+
+
+def _fitted_again(away: np.ndarray, found: np.ndarray, near: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Weights after candidates with small ones were dropped."""
+    begin, of = _groups(rows)
+    weights = _fitted(away, np.abs(found), begin, of)
+    weights /= np.add.reduceat(weights, begin)[of]  # round-off of nearly singular fits
+    for (low, high), instead in ((RANGE, found), (WIDE, near)):
+        bad = ~((np.minimum.reduceat(weights, begin) >= low) & (np.maximum.reduceat(weights, begin) <= high))
+        there = np.flatnonzero(bad[of])
+        if len(there):
             sums = np.bincount(of[there], instead[there], len(begin))
-            again[there] = instead[there] / sums[of[there]]
-    return again
+            weights[there] = instead[there] / sums[of[there]]
+    return weights
+
+
+def _groups(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where equal rows begin, and the number of the group of each."""
+    new = np.empty(len(rows), dtype=bool)
+    new[0] = True
+    np.not_equal(rows[1:], rows[:-1], out=new[1:])
+    begin = np.flatnonzero(new)
+    return begin, np.repeat(np.arange(len(begin), dtype=np.int32), np.diff(begin, append=len(rows)))
 
 
 def _fitted(away: np.ndarray, near: np.ndarray, begin: np.ndarray, of: np.ndarray) -> np.ndarray:
@@ -263,12 +277,19 @@ def _fitted(away: np.ndarray, near: np.ndarray, begin: np.ndarray, of: np.ndarra
     share = near / np.add.reduceat(near, begin)[of]
     mean = [np.add.reduceat(share * x, begin) for x in away]
     apart = [x - m[of] for x, m in zip(away, mean, strict=True)]
-    moment = {(i, j): np.add.reduceat(share * apart[i] * apart[j], begin) for i in range(dim) for j in range(i, dim)}
+    moment: dict[tuple[int, int], np.ndarray] = {}
+    for i in range(dim):
+        part = share * apart[i]
+        moment |= {(i, j): np.add.reduceat(part * apart[j], begin) for j in range(i, dim)}
     trace = np.sum([moment[i, i] for i in range(dim)], axis=0)
     for i in range(dim):
         moment[i, i] += SINGULAR * trace + NEARLY_NOTHING
-    slope = _solved(moment, mean)
-    return share * (1.0 - sum(x * y[of] for x, y in zip(apart, slope, strict=True)))
+    height = np.ones(len(share))
+    for x, y in zip(apart, _solved(moment, mean), strict=True):
+        x *= y[of]
+        height -= x
+    share *= height
+    return share
 
 
 def _solved(moment: dict[tuple[int, int], np.ndarray], right: list[np.ndarray]) -> list[np.ndarray]:
