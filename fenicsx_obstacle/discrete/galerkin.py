@@ -15,6 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.assembly import Nodal
 from fenicsx_obstacle.discrete.cells import corners
 from fenicsx_obstacle.discrete.coarsening import BOUNDARY, FIXED, FREE, Nodes, coarsen, first_keys
+from fenicsx_obstacle.discrete.kernels import kernels
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.transfer import Transfer
@@ -200,14 +201,14 @@ def coarse_problems(problem: Problem) -> list[Problem]:
     if level.pair.stacks:
         assert level.coarse is not None
         level = level.coarse
-    if not level.pair.at_vertices or level.dofs < SMALLEST:
+    if not level.pair.at_vertices or level.dofs < SMALLEST or (loops := kernels(level.comm)) is None:
         return []
     if level is not problem.level:
         problem = GalerkinProblem(problem, problem.transfer, problem.transfer.inject(problem.fixed) > 0, level.pair)
         found.append(problem)
     nodes = _nodes(problem, level)
     while problem.level.dofs > COARSEST[nodes.dim]:
-        transfer, nodes = coarsen(problem.nodal.stiffness, nodes, level.comm)
+        transfer, nodes = coarsen(problem.nodal.stiffness, nodes, loops, level.comm)
         if total(level.comm, len(nodes.key)) > SLOWEST * problem.level.dofs:
             break
         problem.transfer = transfer
@@ -244,4 +245,4 @@ def _tangents(level: Level) -> np.ndarray:
             part.x.array[:] = np.bincount(dofs.ravel(), values, len(part.x.array))
             releases.add_ghosts(part)
             moments[:, i, j] = moments[:, j, i] = part.x.array[: level.owned]
-    return np.linalg.eigh(moments)[1].transpose(0, 2, 1)[:, 3 - dim :]
+    return np.ascontiguousarray(np.linalg.eigh(moments)[1].transpose(0, 2, 1)[:, 3 - dim :])
