@@ -68,7 +68,8 @@ class ObstacleProblem:
     coefficients in it stay the same.
 
     Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
-    values are taken anew, and the iteration starts from u. So a loop over time steps is a loop.
+    values are taken anew, and the iteration starts from u. So a loop over time steps is a loop. Where F is linear and
+    symmetric, and u is one number or turns out to be a bad start, algebraic coarse levels give a better one.
 
     All methods are collective.
 
@@ -115,7 +116,7 @@ class ObstacleProblem:
             petsc_options_prefix: Of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
             petsc_options: Options without the prefix; they go before those of the command line, and hold for this
                 problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
-                symmetric, else GMRES.
+                symmetric, else GMRES; multigrid on algebraic levels where F is linear and symmetric.
             form_compiler_options: As for dolfinx.fem.form.
             jit_options: As for dolfinx.fem.form.
 
@@ -160,7 +161,7 @@ class ObstacleProblem:
 
         Args:
             model: Effects, obstacles and boundary values, none of which depends on time.
-            level: Mesh and spaces; of a refined one only the finest is used.
+            level: Mesh and spaces; those of the levels below it give a start.
             petsc_options_prefix: As for the class.
             petsc_options: Likewise.
 
@@ -221,7 +222,7 @@ class ObstacleProblem:
         bound: bool = False,
         monitor: Monitor | None = None,
     ) -> Solution:
-        """Solve from u on (collective).
+        """Solve from u on, or from coarse levels (collective).
 
         Args:
             eps: Penalty parameter in units of u/p, a number or a Constant; "auto" takes a hundredth of the median of
