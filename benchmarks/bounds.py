@@ -40,11 +40,11 @@ def main() -> None:
     for name in options.scenes or catalogue.names():
         for cells in values_of(options.cells, "cells"):
             scene = catalogue.read(name).change({"mesh.cells": cells, "solve.element": options.element})
-            with closing(Workbench(scene)) as bench:
-                try:
+            try:
+                with closing(Workbench(scene)) as bench:
                     cost(bench) if options.cost else effectivities(bench, values_of(options.eps, "eps"))
-                except InputError as error:
-                    show(f"{name:20} {error}")
+            except InputError as error:
+                show(f"{name:20} {error}")
 
 
 def effectivities(bench: Workbench, many: list) -> None:

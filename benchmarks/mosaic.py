@@ -12,10 +12,10 @@ import numpy as np
 from fenicsx_obstacle import InputError, NotConverged
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.scenes.hard import Case, cases
 from fenicsx_obstacle.show.boundary import Patch, patch_of
 from fenicsx_obstacle.show.figures import figure
 from fenicsx_obstacle.show.maps import draw_domain, triangles
+from fenicsx_obstacle.verification.hard.cases import Case, cases
 
 COLUMNS = 12
 BANDS = 10  # of heights

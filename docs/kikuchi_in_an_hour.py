@@ -31,9 +31,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene, contact_pressure, penalty, solve, solve_form, study
-from fenicsx_obstacle.estimation.stability import Stability
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.show.figures import COLOURS
+from fenicsx_obstacle.verification.theory.constants import Stability
 
 COMM = MPI.COMM_WORLD
 plt.rcParams.update({"axes.prop_cycle": plt.cycler(color=COLOURS), "figure.constrained_layout.use": True})

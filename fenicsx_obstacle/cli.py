@@ -233,7 +233,7 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
     NO is the number of a theorem, example or equation, such as 3.3 or 5.5; all of them without it.
     """
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.show.theory import show_theory
+    from fenicsx_obstacle.verification.show.theory import show_theory
 
     check_places(output, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else tell
@@ -260,11 +260,11 @@ def hard(
 
     NAME is a scene or a family; all without it. Verdicts: right, refused or FAILED, the last with exit status 3.
     """
-    from fenicsx_obstacle.show.broken import show_broken
-    from fenicsx_obstacle.show.chance import show_random
-    from fenicsx_obstacle.show.faults import show_faults
-    from fenicsx_obstacle.show.hard import show_hard
     from fenicsx_obstacle.show.progress import progress
+    from fenicsx_obstacle.verification.show.broken import show_broken
+    from fenicsx_obstacle.verification.show.chance import show_random
+    from fenicsx_obstacle.verification.show.faults import show_faults
+    from fenicsx_obstacle.verification.show.hard import show_hard
 
     if (name is not None) + broken + faults + (count is not None) > 1 or (
         count is None and (truths or seed is not None)

@@ -121,6 +121,11 @@ def round_off(values: np.ndarray, corners: int, degree: int) -> np.ndarray:
     return 8 * _EPSILON * amplified * row_size(values)
 
 
+def degree_of(count: int) -> int:
+    """Of polynomials on triangles with so many coefficients."""
+    return next(degree for degree in range(count) if (degree + 1) * (degree + 2) == 2 * count)
+
+
 def evaluate(coefficients: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     """Values at barycentric points, shape (simplices, points)."""
     return coefficients @ _basis(points, degree).T

@@ -33,7 +33,7 @@ from fenicsx_obstacle import ObstacleError, Scene, solve
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.catalogue import names
 from fenicsx_obstacle.scenes.catalogue import scene as catalogued
-from fenicsx_obstacle.scenes.hard import cases
+from fenicsx_obstacle.verification.hard.cases import cases
 
 COMM = MPI.COMM_WORLD
 HERE = Path(__file__).parent

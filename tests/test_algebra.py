@@ -6,9 +6,9 @@ import sympy as sp
 from conftest import COMM
 
 from fenicsx_obstacle.forms.pairs import pairs
-from fenicsx_obstacle.studies.theory import algebra
-from fenicsx_obstacle.studies.theory.algebra import SQUARE, TRIANGLE, kite, linear, products
-from fenicsx_obstacle.studies.theory.statement import find
+from fenicsx_obstacle.verification.theory import algebra
+from fenicsx_obstacle.verification.theory.algebra import SQUARE, TRIANGLE, kite, linear, products
+from fenicsx_obstacle.verification.theory.statement import find
 
 x, y, t = sp.symbols("x y t", real=True)
 q0, q1, q2, q3 = q = sp.symbols("q0:4", real=True)

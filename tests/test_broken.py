@@ -13,11 +13,11 @@ from test_cli import CLEAN
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.studies.broken.case import Broken, complaint
-from fenicsx_obstacle.studies.broken.collection import RIGHT, collect, make_meshes
-from fenicsx_obstacle.studies.broken.inside import attempt
-from fenicsx_obstacle.studies.broken.options import RESULT
-from fenicsx_obstacle.studies.broken.run import _alone
+from fenicsx_obstacle.verification.broken.case import Broken, complaint
+from fenicsx_obstacle.verification.broken.collection import RIGHT, collect, make_meshes
+from fenicsx_obstacle.verification.broken.inside import attempt
+from fenicsx_obstacle.verification.broken.options import RESULT
+from fenicsx_obstacle.verification.broken.run import _alone
 
 EVERY = 12
 

@@ -15,7 +15,7 @@ from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
-from fenicsx_obstacle.studies.theory.statement import ROOM, slope
+from fenicsx_obstacle.verification.theory.statement import ROOM, slope
 
 STEP = 3e-4  # of differences
 VARIANTS = {

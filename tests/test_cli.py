@@ -13,7 +13,7 @@ from conftest import DEMOS, slow_except
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.arguments import values_of
-from fenicsx_obstacle.studies.processes import mpirun
+from fenicsx_obstacle.verification.processes import mpirun
 
 pytestmark = pytest.mark.serial
 
@@ -201,7 +201,7 @@ def loads_none_of(modules, *arguments):
 
 
 def test_help_imports_nothing_heavy():
-    heavy = {"dolfinx", "petsc4py", "mpi4py", "numpy", "ufl", "matplotlib"}
+    heavy = {"dolfinx", "petsc4py", "mpi4py", "numpy", "ufl", "matplotlib", "fenicsx_obstacle.verification"}
     if find_spec("dolfinx_solver") is not None:  # DOLFINx as pip installs it must find MPI loaded
         heavy.remove("mpi4py")
     said = loads_none_of(heavy, "--help")
@@ -209,11 +209,26 @@ def test_help_imports_nothing_heavy():
 
 
 def test_a_solve_loads_nothing_to_draw_with(tmp_path):
-    """A scene is solved, saved and summarised in about a second: drawing libraries alone take longer to load."""
-    said = loads_none_of(
-        {"matplotlib", "pyvista", "scipy", "tqdm", "gmsh"}, "solve", DEMOS / "disk.toml", "--output", tmp_path / "out"
-    )
+    """A scene is solved, saved and summarised in about a second: drawing libraries alone take longer to load.
+
+    Nor is anything loaded that checks the program itself.
+    """
+    unwanted = {"matplotlib", "pyvista", "scipy", "tqdm", "gmsh", "fenicsx_obstacle.verification"}
+    said = loads_none_of(unwanted, "solve", DEMOS / "disk.toml", "--output", tmp_path / "out")
     assert "./obstacle plot" in said
+
+
+def test_the_library_loads_no_verification():
+    """All public names, and a solve from Python, without the package that only `theory` and `hard` need."""
+    code = (
+        "import sys, fenicsx_obstacle as f\n"
+        "assert all(hasattr(f, name) for name in f.__all__)\n"
+        "f.solve(f.Scene.read('ball'), cells=8)\n"
+        "assert 'fenicsx_obstacle.problems.solution' in sys.modules\n"
+        "assert 'fenicsx_obstacle.verification' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_one_added_line(tmp_path):

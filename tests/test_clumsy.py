@@ -20,9 +20,9 @@ from fenicsx_obstacle.outlets import tolerance_status
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.show.figures import heading
 from fenicsx_obstacle.show.report import report_answer
-from fenicsx_obstacle.studies.faults.kill import _session
-from fenicsx_obstacle.studies.hard.suite import reason
-from fenicsx_obstacle.studies.processes import DEFAULTS, FIXED, OF_ROOT, clean
+from fenicsx_obstacle.verification.faults.kill import _session
+from fenicsx_obstacle.verification.hard.suite import reason
+from fenicsx_obstacle.verification.processes import DEFAULTS, FIXED, OF_ROOT, clean
 from fenicsx_obstacle.words import one_line
 
 LAUNCHER = DEMOS.parent / "obstacle"

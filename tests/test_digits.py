@@ -2,7 +2,7 @@
 
 from conftest import COMM
 
-from fenicsx_obstacle.studies.theory.digits import EPS, GAP, PLAIN, RESIDUAL, digits
+from fenicsx_obstacle.verification.theory.digits import EPS, GAP, PLAIN, RESIDUAL, digits
 
 
 def test_digits():

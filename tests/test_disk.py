@@ -11,8 +11,8 @@ from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.parallel import write_text
-from fenicsx_obstacle.studies.faults.disk import ALONE, COMMANDS, FULL, _refused, _run
-from fenicsx_obstacle.studies.faults.kill import interrupts
+from fenicsx_obstacle.verification.faults.disk import ALONE, COMMANDS, FULL, _refused, _run
+from fenicsx_obstacle.verification.faults.kill import interrupts
 
 pytestmark = pytest.mark.serial
 

@@ -16,8 +16,8 @@ from fenicsx_obstacle.effects.effect import Effect, _register, find, known, regi
 from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
-from fenicsx_obstacle.studies.hard.units import Units, all_units
 from fenicsx_obstacle.studies.orders import order
+from fenicsx_obstacle.verification.hard.units import Units, all_units
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
 PRESSURE = "10*max(1 - hypot(x - 0.5, y - 0.5)^2/0.0625, 0)"

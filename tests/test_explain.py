@@ -13,9 +13,9 @@ from test_cli import CLEAN
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.effects.effect import known
-from fenicsx_obstacle.scenes.hard import case
 from fenicsx_obstacle.show.explain import explain, explained, integrals
 from fenicsx_obstacle.solvers.choose import nested
+from fenicsx_obstacle.verification.hard.cases import case
 
 SCENES = {
     "pollutant": ("GMRES", "the norm of the residual"),

@@ -13,16 +13,16 @@ from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError, solve
 from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.estimation.invariants import beside_inequality, falling, of_one, same, violated
 from fenicsx_obstacle.estimation.solved import Ground
-from fenicsx_obstacle.scenes.hard import FOLDER, Case, case, cases, named
 from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import smallest_eps
-from fenicsx_obstacle.studies.hard.judge import METHODS, judge, take
-from fenicsx_obstacle.studies.hard.ranks import agree_on, fields_of
-from fenicsx_obstacle.studies.hard.row import FAILED, FLOOR, REFUSED, RIGHT
-from fenicsx_obstacle.studies.hard.suite import rows_of
-from fenicsx_obstacle.studies.hard.units import Units, all_units
+from fenicsx_obstacle.verification.hard.cases import FOLDER, Case, case, cases, named
+from fenicsx_obstacle.verification.hard.invariants import beside_inequality, falling, of_one, same, violated
+from fenicsx_obstacle.verification.hard.judge import METHODS, judge, take
+from fenicsx_obstacle.verification.hard.ranks import agree_on, fields_of
+from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REFUSED, RIGHT
+from fenicsx_obstacle.verification.hard.suite import rows_of
+from fenicsx_obstacle.verification.hard.units import Units, all_units
 
 FEW = (1e-2, 1e-8, 1e-14)
 

@@ -11,13 +11,13 @@ from mpi4py import MPI
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.effects.effect import known
-from fenicsx_obstacle.estimation.invariants import beside_inequality, of_one, same, violated
 from fenicsx_obstacle.estimation.solved import Ground
-from fenicsx_obstacle.scenes.hard import case, cases
-from fenicsx_obstacle.studies.hard.judge import judge, take
-from fenicsx_obstacle.studies.hard.ranks import agree_on, fields_of
-from fenicsx_obstacle.studies.hard.row import RIGHT
-from fenicsx_obstacle.studies.hard.units import Units, all_units
+from fenicsx_obstacle.verification.hard.cases import case, cases
+from fenicsx_obstacle.verification.hard.invariants import beside_inequality, of_one, same, violated
+from fenicsx_obstacle.verification.hard.judge import judge, take
+from fenicsx_obstacle.verification.hard.ranks import agree_on, fields_of
+from fenicsx_obstacle.verification.hard.row import RIGHT
+from fenicsx_obstacle.verification.hard.units import Units, all_units
 
 FEW = (1e-2, 1e-6, 1e-12)
 

@@ -8,10 +8,10 @@ from fenicsx_obstacle import NotConverged, solve
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.scenes.hard import case
 from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import solve_penalty
-from fenicsx_obstacle.studies.theory.iteration import (
+from fenicsx_obstacle.verification.hard.cases import case
+from fenicsx_obstacle.verification.theory.iteration import (
     COLD,
     CYCLE,
     CYCLE_EPS,
@@ -25,7 +25,7 @@ from fenicsx_obstacle.studies.theory.iteration import (
     linear_step,
     nesting,
 )  # fmt: skip
-from fenicsx_obstacle.studies.theory.samples import Small
+from fenicsx_obstacle.verification.theory.samples import Small
 
 SQUARES = {"shape": "rectangle", "cell": "quadrilateral", "cells": 8}
 

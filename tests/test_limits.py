@@ -8,8 +8,8 @@ from fenicsx_obstacle import InputError
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.options import SolverOptions
-from fenicsx_obstacle.studies.theory.limits import approach, extremes
-from fenicsx_obstacle.studies.theory.samples import sample
+from fenicsx_obstacle.verification.theory.limits import approach, extremes
+from fenicsx_obstacle.verification.theory.samples import sample
 
 
 def test_ends_of_the_hypotheses():

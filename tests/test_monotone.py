@@ -4,7 +4,7 @@ import pytest
 from conftest import COMM
 
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.studies.theory.monotone import Line, hat, penalties, ramp
+from fenicsx_obstacle.verification.theory.monotone import Line, hat, penalties, ramp
 
 
 def test_statement():

@@ -32,7 +32,12 @@ def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     (sdist,) = tmp_path.glob("*.tar.gz")
     names = zipfile.ZipFile(wheel).namelist()
-    for name in ("py.typed", "catalogue/ball.toml", "hard/suite.toml", "hard/stretched.geo"):
+    for name in (
+        "py.typed",
+        "catalogue/ball.toml",
+        "verification/hard/scenes/suite.toml",
+        "verification/hard/scenes/stretched.geo",
+    ):
         assert f"fenicsx_obstacle/{name}" in names
     assert any(name.endswith("LICENSE") for name in names)
     listed = run("tar", "-tzf", sdist)

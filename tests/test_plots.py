@@ -12,8 +12,8 @@ from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.show.theory import drawing
-from fenicsx_obstacle.studies.theory.statement import Curve, Found, Panel
+from fenicsx_obstacle.verification.show.theory import drawing
+from fenicsx_obstacle.verification.theory.statement import Curve, Found, Panel
 
 BUMP = {"load": -4, "lower": "-c", "define": {"c": 0.1}}
 

@@ -16,7 +16,7 @@ from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.show import demo as demo_module
 from fenicsx_obstacle.show.report import report_study
-from fenicsx_obstacle.studies.theory.statement import statements
+from fenicsx_obstacle.verification.theory.statement import statements
 
 ROOT = DEMOS.parent
 

@@ -8,13 +8,13 @@ import pytest
 from conftest import COMM
 
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.show.chance import HEADS, table
-from fenicsx_obstacle.studies.hard.draw import SEED, judged, shares, try_all
-from fenicsx_obstacle.studies.hard.families.drifts import Strip
-from fenicsx_obstacle.studies.hard.families.every import TRUTHS
-from fenicsx_obstacle.studies.hard.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION, Family, Judgement
-from fenicsx_obstacle.studies.hard.families.films import Film
-from fenicsx_obstacle.studies.hard.row import FAILED, REFUSED, RIGHT
+from fenicsx_obstacle.verification.hard.draw import SEED, judged, shares, try_all
+from fenicsx_obstacle.verification.hard.families.drifts import Strip
+from fenicsx_obstacle.verification.hard.families.every import TRUTHS
+from fenicsx_obstacle.verification.hard.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION, Family, Judgement
+from fenicsx_obstacle.verification.hard.families.films import Film
+from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT
+from fenicsx_obstacle.verification.show.chance import HEADS, table
 
 COUNT = {1: 50, 2: 20}  # on three ranks 10
 OF_EACH = {1: 3}  # on more ranks 1
@@ -145,7 +145,7 @@ def false(scene, value, judgement, monkeypatch):
         answer.u.x.array[:] *= value
         return answer
 
-    monkeypatch.setattr("fenicsx_obstacle.studies.hard.families.family.solve", solved)
+    monkeypatch.setattr("fenicsx_obstacle.verification.hard.families.family.solve", solved)
     scene.judge(judgement)
     return judgement.wrong
 

@@ -11,22 +11,22 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.adapt import solve
-from fenicsx_obstacle.studies.hard.families.conditions import KINDS as TERMS
-from fenicsx_obstacle.studies.hard.families.conditions import Conditions, Term
-from fenicsx_obstacle.studies.hard.families.curves import CIRCLES, Inclusion, Pole
-from fenicsx_obstacle.studies.hard.families.discs import Rings
-from fenicsx_obstacle.studies.hard.families.drifts import Radial, Strip
-from fenicsx_obstacle.studies.hard.families.elements import Field
-from fenicsx_obstacle.studies.hard.families.files import torsion
-from fenicsx_obstacle.studies.hard.families.films import Film
-from fenicsx_obstacle.studies.hard.families.integrals import Circle, Pieces, energy_error
-from fenicsx_obstacle.studies.hard.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
-from fenicsx_obstacle.studies.hard.families.sectors import Corner, Sectors
-from fenicsx_obstacle.studies.hard.families.smooth import Polynomial
-from fenicsx_obstacle.studies.hard.families.support import Feeble
-from fenicsx_obstacle.studies.hard.families.touching import KINDS as CONTACTS
-from fenicsx_obstacle.studies.hard.families.touching import Touching
-from fenicsx_obstacle.studies.hard.families.varying import Varying
+from fenicsx_obstacle.verification.hard.families.conditions import KINDS as TERMS
+from fenicsx_obstacle.verification.hard.families.conditions import Conditions, Term
+from fenicsx_obstacle.verification.hard.families.curves import CIRCLES, Inclusion, Pole
+from fenicsx_obstacle.verification.hard.families.discs import Rings
+from fenicsx_obstacle.verification.hard.families.drifts import Radial, Strip
+from fenicsx_obstacle.verification.hard.families.elements import Field
+from fenicsx_obstacle.verification.hard.families.files import torsion
+from fenicsx_obstacle.verification.hard.families.films import Film
+from fenicsx_obstacle.verification.hard.families.integrals import Circle, Pieces, energy_error
+from fenicsx_obstacle.verification.hard.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
+from fenicsx_obstacle.verification.hard.families.sectors import Corner, Sectors
+from fenicsx_obstacle.verification.hard.families.smooth import Polynomial
+from fenicsx_obstacle.verification.hard.families.support import Feeble
+from fenicsx_obstacle.verification.hard.families.touching import KINDS as CONTACTS
+from fenicsx_obstacle.verification.hard.families.touching import Touching
+from fenicsx_obstacle.verification.hard.families.varying import Varying
 
 SQUARE = {"shape": "rectangle", "cells": 16, "diagonal": "right", "perturb": 0.0}
 

@@ -10,7 +10,7 @@ from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.compute import Workbench
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import smallest
-from fenicsx_obstacle.studies.hard.silent import Trap, spring, traps
+from fenicsx_obstacle.verification.hard.silent import Trap, spring, traps
 
 TRAPS = {trap.name: trap for trap in traps()}
 

@@ -8,10 +8,10 @@ import pytest
 from conftest import COMM
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.estimation.stability import Stability
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.studies.theory.statement import slope
+from fenicsx_obstacle.verification.theory.constants import Stability
+from fenicsx_obstacle.verification.theory.statement import slope
 
 RIGHT, CROSSED, SQUARES = {}, {"diagonal": "crossed"}, {"cell": "quadrilateral"}
 FAMILIES = {

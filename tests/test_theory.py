@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 from conftest import COMM, slow_except
 
-from fenicsx_obstacle.studies.theory import in_eps, in_h, totals
-from fenicsx_obstacle.studies.theory.ladders import JUMP, VI, Ladder, errors, gap
-from fenicsx_obstacle.studies.theory.statement import find
+from fenicsx_obstacle.verification.theory import in_eps, in_h, totals
+from fenicsx_obstacle.verification.theory.ladders import JUMP, VI, Ladder, errors, gap
+from fenicsx_obstacle.verification.theory.statement import find
 
 HALFPLANE = Ladder("halfplane", "halfplane", JUMP, cells=(16, 32, 64))
 

@@ -15,12 +15,12 @@ WIDTH = 11.2  # of the floors, in their own unit
 
 
 def draw(file: Path) -> None:
-    """Write the drawing as SVG: a floor for each layer of the import contract, the lowest at the bottom."""
+    """Write the drawing as SVG: a floor for each package of the import contract, the lowest layer at the bottom."""
     matplotlib.use("svg")
     from matplotlib import pyplot as plt
 
     contract = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]
-    floors = contract["layers"]
+    floors = [room.strip() for layer in contract["layers"] for room in layer.split(":")]
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True)
     texts = [fill(", ".join(_modules(room)), 92) for room in floors]
     heights = [1.0 + 0.42 * (text.count("\n") + 1) for text in texts]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
@@ -72,6 +73,23 @@ class Answer(Solution):
         if file is None:
             return scene
         return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})
+
+    @cached_property
+    def _tension(self) -> Any:
+        """The tension in UFL; of a read answer that of its scene, at the last moment (first use is collective).
+
+        Raises:
+            InputError: If the scene does not say it, as it was given in Python.
+        """
+        if self.tension is not None:
+            return self.tension
+        from fenicsx_obstacle.discrete.data import Data  # only where it is asked for
+        from fenicsx_obstacle.discrete.motion import Moment
+
+        time = self.record.get("time")
+        data = Data(self.scene.model, self.level, None if time is None else Moment(time["t"], 0.0, 0.0))
+        tension = data.model.elastic.tension_at(self.u, data)
+        return super()._tension if tension is None else tension
 
     @classmethod
     @checked()

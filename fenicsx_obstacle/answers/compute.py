@@ -298,7 +298,10 @@ class Workbench:
         """The fields of an answer, without figures."""
         problem, data = self.problem, self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
-        return Answer(problem.level, state.u, state.pressure, state.touching, *shown, (), {}, scene=self.scene)
+        tension = data.model.elastic.tension_at(state.u, data)
+        return Answer(
+            problem.level, state.u, state.pressure, state.touching, *shown, (), {}, tension=tension, scene=self.scene
+        )
 
 
 def _with_errors(answer: Answer, exact: Exact) -> Answer:

@@ -55,6 +55,9 @@ class Anisotropic(Effect):
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 
+    def tension_at(self, u: Any, data: Sampler) -> Any:
+        return data.matrix(self.value)
+
     def along(self, direction: Any, data: Sampler) -> Any:
         from ufl import inner
 
@@ -69,7 +72,7 @@ class Anisotropic(Effect):
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner
 
-        return inner(data.matrix(self.value) * grad(u), grad(v)) * data.dx
+        return inner(self.tension_at(u, data) * grad(u), grad(v)) * data.dx
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner

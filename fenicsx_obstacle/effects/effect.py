@@ -289,6 +289,11 @@ class Effect:
         """Its tension in a direction, where it is elastic and linear."""
         raise TypeError(f"{type(self).__name__} has no tension of its own")
 
+    def tension_at(self, u: ufl.core.expr.Expr, data: Sampler) -> Any:
+        """Its tension where the solution is u, a number or a matrix, so that its part of a(u, v) is the integral of
+        (tension grad u) . grad v; None where it has none. The flux of a solution is this times grad u."""
+        return None
+
     def stiffness(self, data: Sampler) -> np.ndarray | None:
         """Its tension in local cells where it is elastic, for the scale of eps."""
         return None

@@ -25,6 +25,11 @@ class OfSlope(Effect):
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import grad, inner
+
+        return self.tension_at(u, data) * inner(grad(u), grad(v)) * data.dx
+
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value, positive=True)
 

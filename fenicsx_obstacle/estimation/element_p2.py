@@ -28,11 +28,21 @@ from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.polynomials import coefficients, from_chords, halved, inner_points, largest, round_off, row_size
+from fenicsx_obstacle.polynomials import (
+    coefficients,
+    from_chords,
+    halved,
+    inner_points,
+    largest,
+    round_off,
+    row_size,
+    to_parts,
+)
 
 DENSE = 8  # parts of an edge
 AS_THEY_ARE = Division(0)
 SMALL_ONES = Division(4, 1e-4, 1e-4)  # of the lattice: what counts is the distance of an obstacle to linear functions
+BESIDE = 2  # how often small triangles are divided where the obstacle may be above u, which is given at a corner
 FEW = 1024  # cells at once: what is made of them fits into the cache of a core
 FINE = 0.05  # of what bends: less rest of a polynomial on a small triangle does not matter
 CLOSE = 4  # coefficients of this degree bound quadratic functions well: those of degree 2 are up to twice as high
@@ -66,6 +76,11 @@ def _nodes_of(corners: np.ndarray) -> np.ndarray:
 def _combined(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Sums of values of shape (parts, n) with weights of shape (parts or 1, points, n): (parts, points)."""
     return values @ weights[0].T if len(weights) == 1 else np.matmul(weights, values[..., None])[..., 0]
+
+
+def _halved_values(linear: np.ndarray) -> np.ndarray:
+    """Linear functions at the corners of `halved` parts, shape (parts, 3), from those at the corners."""
+    return np.matmul(halved(np.eye(3)[None]), linear[:, None, :, None]).reshape(-1, 3)
 
 
 def _number(x: float, y: float) -> int:
@@ -105,8 +120,16 @@ class Halves:
 
 @cache
 def _above_chords(times: int, degree: int) -> np.ndarray:
-    """`from_chords` of the small triangles of a part, edges being halved so many times, shape (n, small, n)."""
-    return np.ascontiguousarray(from_chords(HALVES[times].small, degree).transpose(1, 0, 2))
+    """Bernstein coefficients of what polynomials on a part are above their chords on its small triangles.
+
+    They are those on the halves of small triangles, which are nearer to the values, shape (4 n, small, n).
+
+    Args:
+        times: How often the edges were halved for the part.
+        degree: Of the polynomials.
+    """
+    above = to_parts(halved(np.eye(3)[None]), degree)[:, None] @ from_chords(HALVES[times].small, degree)
+    return np.ascontiguousarray(above.swapaxes(1, 2)).reshape(-1, *above.shape[1::2])
 
 
 SLOPES, MEANS = _slopes(), _means()
@@ -152,7 +175,10 @@ class LatticeObstacle:
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
         sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or u may touch it and
-            it may have two values at a point, or beside nodes where u is given.
+            it may have two values at a point; or it is above the state beside the boundary and may jump.
+        cover_energy: ||grad||^2 in each cell of what is added to the state beside nodes where u is given, which cannot
+            be raised: the positive part of obstacle - state, 0 on the boundary.
+        cover_volume: Its integral.
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
@@ -170,6 +196,7 @@ class LatticeObstacle:
         self._top = known.upper if sign > 0 else -known.lower
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # in the cells where u came near
         self._enclosed = np.zeros(len(self._top), dtype=bool)
+        self.cover_energy, self.cover_volume = np.zeros(len(self._top)), np.zeros(len(self._top))
         self.unbounded = ~np.isfinite(self._top)
         self._of_samples = total(triangles.data.level.comm, int(known.sampled)) > 0
         self.sampled = self._of_samples
@@ -202,8 +229,6 @@ class LatticeObstacle:
         needed[:, near] = between.needed
         given = with_ghosts(level.V, 1.0 - self._fans.free) > 0
         beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
-        cells_differ = not self._field.pointwise and len(near) > 0
-        self.sampled = self._of_samples or total(level.comm, np.count_nonzero(beside) + cells_differ) > 0
         M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
         # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
@@ -213,7 +238,53 @@ class LatticeObstacle:
         cells, gap = np.concatenate([near, others]), np.vstack([gap, beside_gap])
         of_M, of_N = (values[triangles.dofs[cells]] @ POINTS.T for values in (M, N))
         raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
+        place, small = np.nonzero(beside)  # near comes first
+        above = self._cover(u, near[place], small, raised[place], rim)
+        cells_differ = not self._field.pointwise and len(near) > 0
+        jumps = not self._field.continuous and above
+        self.sampled = self._of_samples or total(level.comm, int(cells_differ or jumps)) > 0
         return cells, gap, raised, between
+
+    def _cover(self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, raised: np.ndarray, rim: Rim) -> bool:
+        """Bound what is still above the state on small triangles where u is given at a corner (collective where the
+        obstacle needs the distance).
+
+        Args:
+            u: Values of P2 at the nodes of all cells.
+            cells: The cell that each small triangle lies in.
+            small: Which it is there.
+            raised: By what u is raised on the lattice of that cell.
+            rim: What boundary values add to u.
+
+        Returns:
+            Whether there is anything on this rank.
+        """
+        self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
+        inside, lift = POINTS[SMALL[small]], np.take_along_axis(raised, SMALL[small], axis=1)
+        for split in range(BESIDE + 1):
+            corners = inside @ self.triangles.x[cells]
+            at_nodes = quadratics((_nodes_of(np.eye(3)) @ inside).reshape(-1, 3)).T.reshape(-1, 6, 6)
+            nodes = np.matmul(at_nodes, u[cells, :, None])[..., 0]
+            cones, steep = rim.on_parts(cells, inside, self.sign)
+            above, last = np.zeros(len(cells), dtype=bool), split == BESIDE
+            for group in pieces_of(self.triangles.data, self._field, corners, cells, AS_THEY_ARE).groups:
+                rows, reference = group.rows, inner_points(3, max(group.degree, 2))
+                degree, coefficient, room = self._difference(group, nodes[rows])
+                coefficient = coefficient - coefficients(_combined(group.points(reference), lift[rows]), 3, degree)
+                beyond = np.where(np.isfinite(group.rest), group.rest, 0.0) - cones[rows] + room
+                open_ = np.flatnonzero(largest(coefficient, 3, degree) + beyond > 0)
+                rows = rows[open_]
+                above[rows] = True
+                if last:
+                    share = group.share[open_] / len(SMALL) / 4**split
+                    measure = self.triangles.area[cells[rows]] * share
+                    height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
+                    steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
+                    self.cover_volume += np.bincount(cells[rows], measure * height, len(self.cover_volume))
+                    self.cover_energy += np.bincount(cells[rows], measure * steepness, len(self.cover_energy))
+            if not last:
+                cells, inside, lift = np.repeat(cells[above], 4), halved(inside[above]), _halved_values(lift[above])
+        return len(cells) > 0
 
     def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Where u is given on the lattice of some cells, from where it is at the vertices."""
@@ -395,12 +466,13 @@ class ElementP2(Element):
         v[equilibration.nodes] += added[:, NODES]
         rest = area * np.einsum("cj,jk,ck->c", flux.rest, MASS, flux.rest)
         none = np.zeros(len(area))
+        cover = sum((side.cover_energy for side in self.obstacles), none)
         oscillation = (self.oscillation.norm + self.oscillation.poincare * reduced) / np.sqrt(self.tension.least)
         return Terms(
             flux=flux, distance=distance, balanced=(np.sqrt(distance) + oscillation) ** 2,
             admissible_balanced=(np.sqrt(np.maximum(of_v, 0.0)) + oscillation) ** 2,
             oscillation=oscillation, contact=contact,
-            moved=moved, cover=none, raised=none, penetration=self._energy(self._penetration()),
+            moved=moved, cover=self.tension.most * cover, raised=none, penetration=self._energy(self._penetration()),
             rest=rest, solver_rest=rest, energy=self._least_energy(u), admissible=v, crossing=0.0,
         )  # fmt: skip
 
@@ -437,6 +509,7 @@ class ElementP2(Element):
             # and |lambda_+ - mean| being at most its range
             products += (weight.mean(axis=2) * between.mean + np.ptp(weight, axis=2) * between.size).sum(axis=1)
             contact[cells] += area[cells] / len(SMALL) * np.where(weight.any(axis=(1, 2)), products, 0.0)
+            contact += np.maximum(positive.max(axis=1, initial=0.0), 0.0) * side.cover_volume
         return added, contact, reduced
 
     def _energy_on_lattice(self, slopes: np.ndarray, cells: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
-from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.triangles import Triangles, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
@@ -157,7 +156,7 @@ class Peaks:
                 if last:
                     measure = triangles.area[owner[rows]] * group.share[open_] / 4**split
                     height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
-                    steepness = self._steepness(group[open_], coefficient[open_], corners, steep[rows])
+                    steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
                     np.add.at(self.cover_volume, owner[rows], measure * height)
                     np.add.at(self.cover_energy, owner[rows], measure * steepness)
             uncovered = np.count_nonzero(above)
@@ -167,30 +166,6 @@ class Peaks:
             corners, inside = polynomials.halved(corners[above]), polynomials.halved(inside[above])
         jumps = total(comm, uncovered) > 0 and not self._field.continuous
         self.sampled = self._of_samples or jumps
-
-    def _steepness(self, group: Group, coefficient: np.ndarray, corners: np.ndarray, cones: np.ndarray) -> np.ndarray:
-        """Bound of the mean of |grad(obstacle - state - cones)|^2 on parts of triangles.
-
-        Args:
-            group: The parts.
-            coefficient: Of Bernstein, of the difference of polynomials.
-            corners: Of the triangles.
-            cones: Bound of the gradient of the cones.
-        """
-        x = corners[group.rows] if group.corners is None else group.corners @ corners[group.rows]
-        edges = np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)
-        area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])  # twice of it
-        turned = np.stack([-edges[..., 1], edges[..., 0]], axis=2) / area[:, None, None]
-        degree = max(group.degree, 1)
-        points, weights = rule(2, 2 * (degree - 1))
-        along = polynomials.slopes(coefficient, 3, degree)
-        there = np.stack([polynomials.evaluate(along[:, k], points, degree - 1) for k in range(3)], axis=1)
-        gradient = np.einsum("nkp,nkx->npx", there, turned)
-        mean = np.einsum("npx,npx,p->n", gradient, gradient, weights)
-        longest = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
-        known = np.isfinite(group.steep)  # of samples it is not
-        unknown = np.where(known, group.steep, (group.upper - group.lower) * longest / area)
-        return (np.sqrt(mean) + cones + np.where(np.isfinite(unknown), unknown, 0.0)) ** 2
 
     def _at_nodes(self, heights: np.ndarray) -> np.ndarray:
         """The largest value at the corners of cells around each local dof, 0 if that is more (collective)."""

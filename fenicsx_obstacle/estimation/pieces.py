@@ -18,7 +18,7 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.quadrature import blocks
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
@@ -104,6 +104,29 @@ class Group:
         reference = polynomials.inner_points(corners, degree)
         there = np.matmul(self.points(reference), linear[self.rows][..., None])[..., 0]
         return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
+
+    def steepness(self, coefficients: np.ndarray, corners: np.ndarray, more: np.ndarray) -> np.ndarray:
+        """Bound of the mean of |grad(datum - other functions)|^2 on the parts of triangles.
+
+        Args:
+            coefficients: Of Bernstein, of the polynomials less other polynomials.
+            corners: Of the triangles, shape (triangles, 3, 2).
+            more: Bound of the gradient of what is no polynomial.
+        """
+        x = corners[self.rows] if self.corners is None else self.corners @ corners[self.rows]
+        edges = np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)
+        area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])  # twice of it
+        turned = np.stack([-edges[..., 1], edges[..., 0]], axis=2) / area[:, None, None]
+        degree = polynomials.degree_of(coefficients.shape[1])
+        points, weights = rule(2, 2 * (degree - 1))
+        along = polynomials.slopes(coefficients, 3, degree)
+        there = np.stack([polynomials.evaluate(along[:, k], points, degree - 1) for k in range(3)], axis=1)
+        gradient = np.einsum("nkp,nkx->npx", there, turned)
+        mean = np.einsum("npx,npx,p->n", gradient, gradient, weights)
+        longest = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
+        known = np.isfinite(self.steep)  # of samples it is not
+        unknown = np.where(known, self.steep, (self.upper - self.lower) * longest / area)
+        return (np.sqrt(mean) + more + np.where(np.isfinite(unknown), unknown, 0.0)) ** 2
 
     def lower_to(self, least: np.ndarray, values: np.ndarray) -> None:
         """Let each simplex have no more than the least of the values on its parts."""

@@ -81,7 +81,7 @@ def cut(solution: Solution) -> Cut:
     parents, found = kept // len(pieces), np.empty(nodes.shape, dtype=np.int64)
     global_dofs = pieced.V.dofmap.index_map.local_to_global(targets.astype(np.int32).ravel())
     found[parents[:, None], corners] = np.asarray(global_dofs).reshape(targets.shape)
-    return Cut(replace(solution, level=pieced, **fields), found[:, : dofs.shape[1]], parents)
+    return Cut(replace(solution, level=pieced, tension=None, **fields), found[:, : dofs.shape[1]], parents)
 
 
 def _continuous(level: Level, values: np.ndarray) -> np.ndarray:

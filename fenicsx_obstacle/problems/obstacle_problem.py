@@ -255,7 +255,10 @@ class ObstacleProblem:
         shown_sides = (None, None) if self._data.thin else (self._data.lower, self._data.upper)
         kept = [None if side is None else side.copy() for side in shown_sides]
         state = found.state
-        return Solution(level, self.u, state.pressure, state.touching, kept[0], kept[1], history, record, certified)
+        tension = self._data.model.elastic.tension_at(self.u, self._data)
+        return Solution(
+            level, self.u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension
+        )
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -73,6 +74,7 @@ class Profile:
         pressure: Contact pressure, shape (n,).
         gap: Distance to the nearest obstacle, negative where u penetrates it, shape (n,); infinite without one.
         slope: Gradient of u, shape (n, gdim).
+        flux: Tension times slope, in force per length, shape (n, gdim); None where the tension is not known.
     """
 
     points: np.ndarray
@@ -81,6 +83,7 @@ class Profile:
     pressure: np.ndarray
     gap: np.ndarray
     slope: np.ndarray
+    flux: np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,7 @@ class Solution:
         history: The steps of the iteration.
         record: All figures, as in answer.json.
         bound: Of the energy error, where it was asked for; of a read solution only its figures are there, in `record`.
+        tension: In UFL, a number or a matrix; None of a form of the caller's own, which hides it, and if read.
     """
 
     level: Level
@@ -108,6 +112,7 @@ class Solution:
     history: tuple[Step, ...] = field(repr=False)
     record: Mapping[str, Any] = field(repr=False)
     bound: Bound | None = None
+    tension: Any = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         r = self.record
@@ -188,16 +193,16 @@ class Solution:
         Args:
             points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
                 as many as the mesh has, or three, as in DOLFINx, the others being 0.
-            of: u; pressure; gap, the distance to the nearest obstacle; or slope, the gradient of u. Where cells meet
-                and have different values it is their mean.
+            of: u; pressure; gap, the distance to the nearest obstacle; slope, the gradient of u; or flux, the tension
+                times the slope. Where cells meet and have different values it is their mean.
 
         Returns:
             One value for each point, the same on every rank: shape (n,) for points of shape (n, gdim) or (n, 3), and
-            shape (), a number, for one point. Of slopes (n, gdim) and (gdim,).
+            shape (), a number, for one point. Of slope and flux (n, gdim) and (gdim,).
 
         Raises:
             InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh,
-                or there is no such quantity.
+                or there is no such quantity, or the tension is not known of which the flux is made.
         """
         gdim = self.level.mesh.geometry.dim
         try:
@@ -230,7 +235,10 @@ class Solution:
             raise InputError(f"along() takes two points with {counted(gdim, 'coordinate')} each, and n >= 2")
         points = np.linspace(ends[0], ends[1], n)
         values = {name: self.at(points, name) for name in ("u", "pressure", "gap", "slope")}
-        return Profile(points, np.linalg.norm(points - points[0], axis=1), **values)
+        flux = None
+        with suppress(InputError):  # the points are right, so that it is the tension that is not known
+            flux = self.at(points, "flux")
+        return Profile(points, np.linalg.norm(points - points[0], axis=1), **values, flux=flux)
 
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         """Values at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective).
@@ -243,11 +251,11 @@ class Solution:
         return found[0] if not self._shape(of) else np.column_stack(found)
 
     def _shape(self, of: str) -> tuple[int, ...]:
-        return (self.level.mesh.geometry.dim,) if of == "slope" else ()
+        return (self.level.mesh.geometry.dim,) if of in ("slope", "flux") else ()
 
     def _components(self, of: str) -> list[fem.Function]:
         """A quantity as Functions of this mesh (collective)."""
-        known = ("u", "pressure", "gap", "slope")
+        known = ("u", "pressure", "gap", "slope", "flux")
         if of not in known:
             raise InputError(f"at() knows no '{of}'{nearest(of, known)}; it knows {', '.join(known)}")
         if of == "gap":
@@ -257,13 +265,35 @@ class Solution:
                 if obstacle is not None:
                     np.minimum(gap.x.array, sign * (self.u.x.array - obstacle.x.array), out=gap.x.array)
             return [gap]
-        if of == "slope":
-            space = releases.functionspace(self.level.mesh, "DG", self._slope_degree)
-            slope = [fem.Function(space) for _ in range(self.level.mesh.geometry.dim)]
-            for axis, component in enumerate(slope):
-                component.interpolate(releases.expression(ufl.grad(self.u)[axis], space))
-            return slope
+        if of in ("slope", "flux"):
+            vector, degree = ufl.grad(self.u), self._slope_degree
+            if of == "flux":
+                vector, degree = self._tension * vector, degree + self._tension_degree
+            space = releases.functionspace(self.level.mesh, "DG", degree)
+            components = [fem.Function(space) for _ in range(self.level.mesh.geometry.dim)]
+            for axis, component in enumerate(components):
+                component.interpolate(releases.expression(vector[axis], space))
+            return components
         return [getattr(self, of)]
+
+    @cached_property
+    def _tension(self) -> Any:
+        """The tension in UFL (first use is collective).
+
+        Raises:
+            InputError: If it is not known.
+        """
+        if self.tension is None:
+            raise InputError(
+                "at() has no flux here: the tension is not known of a form of your own, nor of a solution read without "
+                "a scene; 'slope' is the gradient of u"
+            )
+        return self.tension
+
+    @property
+    def _tension_degree(self) -> int:
+        """Of polynomials in a cell that hold the tension as it is sampled: those of `Level.W`."""
+        return 0 if self.level.pair.degree == 1 else self.level.pair.degree
 
     @property
     def _slope_degree(self) -> int:

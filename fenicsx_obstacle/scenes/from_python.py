@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -61,7 +61,13 @@ class _Gone(Field):
     def __init__(self, text: str, source: str):
         self.text, self.source = text, source
 
+    def on(self, level: Level) -> Field:  # on all ranks, before any of them asks for values
+        return self._raise()
+
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        return self._raise()
+
+    def _raise(self) -> NoReturn:
         raise InputError(f"{self.source} was given in Python and is not in the file: give it again by `change`")
 
 

@@ -30,11 +30,10 @@ class LargeSlope(OfSlope):
     def greatest(self, data: Sampler) -> Any:
         return data.cellwise(self.value, positive=True)
 
-    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+    def tension_at(self, u: Any, data: Sampler) -> Any:
         from ufl import grad, inner, sqrt
 
-        s = data.cellwise(self.value, positive=True)
-        return s * inner(grad(u), grad(v)) / sqrt(1 + inner(grad(u), grad(u))) * data.dx
+        return data.cellwise(self.value, positive=True) / sqrt(1 + inner(grad(u), grad(u)))
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner, sqrt

@@ -44,8 +44,11 @@ class Tension(Effect):
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 
-    def along(self, direction: Any, data: Sampler) -> Any:
+    def tension_at(self, u: Any, data: Sampler) -> Any:
         return data.cellwise(self.value, positive=True)
+
+    def along(self, direction: Any, data: Sampler) -> Any:
+        return self.tension_at(None, data)
 
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value, positive=True)
@@ -53,8 +56,7 @@ class Tension(Effect):
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner
 
-        mu = data.cellwise(self.value, positive=True)
-        return mu * inner(grad(u), grad(v)) * data.dx
+        return self.tension_at(u, data) * inner(grad(u), grad(v)) * data.dx
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         from ufl import grad, inner

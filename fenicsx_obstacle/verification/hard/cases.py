@@ -1,0 +1,92 @@
+"""The cases of the suite: a list in TOML beside the scenes of their own; other scenes are of the catalogue."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes import catalogue
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.words import nearest
+
+FOLDER = Path(__file__).parent / "scenes"
+LIST = "suite.toml"
+
+
+class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
+    """One hard scene of the suite.
+
+    Attributes:
+        name: Of the case.
+        family: Of cases with the same difficulty, a table of their own.
+        hard: What is hard about it, in a few words.
+        scene: Name of the scene, in this folder or the catalogue; by default that of the case.
+        set: Changes of its keys, as --set makes them.
+        meshes: The two values of `by`, from coarse to fine.
+        by: The key that refines: mesh.cells, or mesh.refine for files.
+        refuse: Part of the message, where there is no solution and the program must say so.
+    """
+
+    name: str
+    family: str
+    hard: str
+    scene: str = ""
+    set: dict[str, Any] = {}
+    meshes: tuple[int, int] = (32, 64)
+    by: str = "mesh.cells"
+    refuse: str = ""
+
+    @cached_property
+    def base(self) -> Scene:
+        """The scene with its changes.
+
+        Raises:
+            InputError: If it, or a key, is wrong.
+        """
+        name = self.scene or self.name
+        own = FOLDER / f"{name}.toml"
+        scene = Scene.read(own) if own.is_file() else catalogue.scene(name)
+        return scene.change(self.set) if self.set else scene
+
+    @property
+    def compared(self) -> bool:
+        """Whether ranks are compared: at rest, where what is unknown of an answer does not add up over steps."""
+        return not self.refuse and self.base.time is None
+
+    def on(self, mesh: int) -> Scene:
+        """The scene on the mesh of this number: 0 coarse, 1 fine."""
+        return self.base.change({self.by: self.meshes[mesh]})
+
+
+@lru_cache(maxsize=1)
+def cases() -> tuple[Case, ...]:
+    """All of them, in the order of the list."""
+    raw = tomllib.loads((FOLDER / LIST).read_text(encoding="utf-8"))
+    return msgspec.convert(raw["case"], tuple[Case, ...])
+
+
+def case(name: str) -> Case:
+    """The case of this name.
+
+    Raises:
+        InputError: If there is none, naming the nearest.
+    """
+    known = {one.name: one for one in cases()}
+    if name not in known:
+        raise InputError(f"hard {name}: no such scene" + nearest(name, [*known, *(one.family for one in cases())]))
+    return known[name]
+
+
+def named(name: str) -> tuple[Case, ...]:
+    """The case of this name, or all of the family of this name.
+
+    Raises:
+        InputError: If there is neither, naming the nearest.
+    """
+    return tuple(one for one in cases() if one.family == name) or (case(name),)

@@ -1,0 +1,169 @@
+"""Random scenes, judged: `python -m fenicsx_obstacle.verification.hard.draw COUNTS SEED` prints JSON lines."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+from fenicsx_obstacle.errors import InputError, ObstacleError
+from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT, Row
+from fenicsx_obstacle.verification.processes import launch, records, tell
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.verification.hard.families.family import Family
+
+AT_ONCE = 2
+PATIENCE = 180.0  # seconds for one scene
+SEED = 1  # the same scenes every time
+STRIDE = 10000  # between the seeds of processes for two seeds of the user
+
+
+def shares(count: int, *, truths: bool = False) -> dict[str, int]:
+    """How many scenes of each family to draw: half of them admissible ones, the others alike.
+
+    Args:
+        count: Of all.
+        truths: Whether only families whose true error is known, all alike.
+
+    Raises:
+        InputError: Without Hypothesis or SymPy.
+    """
+    for module, name in (("hypothesis", "Hypothesis"), ("sympy", "SymPy")):
+        if find_spec(module) is None:
+            raise InputError(f"random scenes are drawn with {name}, which is not there: pip install {module}")
+    from fenicsx_obstacle.verification.hard.chance import FAMILIES
+    from fenicsx_obstacle.verification.hard.families.every import TRUTHS
+
+    if truths:
+        return _alike(count, list(TRUTHS))
+    first, *others = FAMILIES
+    return {first: count - count // 2} | _alike(count // 2, others)
+
+
+def _alike(count: int, names: Sequence[str]) -> dict[str, int]:
+    return {name: count // len(names) + (k < count % len(names)) for k, name in enumerate(names)}
+
+
+def try_all(
+    counts: Mapping[str, int], seed: int, comm: MPI.Comm, done: Callable[[Row], None],
+    begins: Callable[[Family], None] | None = None,
+) -> None:  # fmt: skip
+    """Draw scenes and judge them (collective).
+
+    Args:
+        counts: How many of each family.
+        seed: Of the drawing.
+        comm: Communicator.
+        done: Called with a row for each scene.
+        begins: Called with each scene before it is solved, on rank 0.
+    """
+    if comm.rank != 0:
+        while (scene := comm.bcast(None)) is not None:
+            done(judged(scene, comm))
+        return
+
+    def one(scene: Family) -> None:
+        if begins is not None:
+            begins(scene)
+        done(judged(comm.bcast(scene), comm))
+
+    # one rank draws: what Hypothesis draws depends on the modules that are loaded, and not all ranks load the same
+    try:
+        for name, count in counts.items():
+            _draw(name, count, seed, one)
+    finally:
+        comm.bcast(None)
+
+
+def _draw(name: str, count: int, seed: int, use: Callable[[Family], None]) -> None:
+    """Draw so many different scenes of a family, and use each."""
+    import hypothesis
+
+    from fenicsx_obstacle.verification.hard.chance import FAMILIES
+
+    drawn: set[str] = set()
+
+    @hypothesis.seed(seed)
+    @hypothesis.settings(max_examples=count, deadline=None, database=None, phases=[hypothesis.Phase.generate],
+                         suppress_health_check=list(hypothesis.HealthCheck))  # fmt: skip
+    @hypothesis.given(FAMILIES[name])
+    def one(scene: Family) -> None:
+        hypothesis.assume(repr(scene) not in drawn)
+        drawn.add(repr(scene))
+        use(scene)
+
+    if count > 0:
+        one()
+
+
+def judged(scene: Family, comm: MPI.Comm) -> Row:
+    """One row: FAILED if anything has, refused if nothing was answered, and what was said (collective)."""
+    from fenicsx_obstacle.verification.hard.families.family import Judgement
+
+    start, judgement = time.perf_counter(), Judgement(comm)
+    try:
+        scene.judge(judgement)
+    except ObstacleError as error:
+        judgement.check(False, str(error))
+    verdict = FAILED if judgement.wrong else (RIGHT if judgement.answers else REFUSED)
+    return {**described(scene), "verdict": verdict, "answers": judgement.answers, "refused": judgement.refused,
+            "message": "; ".join(judgement.wrong), "crashed": judgement.crashed, "bounds": judgement.bounds,
+            "seconds": time.perf_counter() - start}  # fmt: skip
+
+
+def described(scene: Family) -> Row:
+    """What a scene is, and how to show it to the program again."""
+    return {"family": scene.name, "scene": asdict(scene), "text": scene.text()}
+
+
+def run(counts: Mapping[str, int], environment: Mapping[str, str], seed: int = SEED) -> Iterator[Row]:
+    """A row for each of so many scenes of each family, in processes (one rank)."""
+    parts = [{name: n // AT_ONCE + (k < n % AT_ONCE) for name, n in counts.items()} for k in range(AT_ONCE)]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        for rows in pool.map(lambda k: list(_share(parts[k], STRIDE * seed + k, environment)), range(AT_ONCE)):
+            yield from rows
+
+
+def _share(counts: Mapping[str, int], seed: int, environment: Mapping[str, str]) -> Iterator[Row]:
+    """The rows of one process; should it be lost with a scene, or shaken by one, another goes on with others."""
+    left = Counter(counts)
+    while left.total() > 0:
+        given = json.dumps({name: count for name, count in left.items() if count})
+        command = launch(1, "-m", "fenicsx_obstacle.verification.hard.draw", given, str(seed))
+        begun: Any = None
+        before = left.total()
+        for record in records(command, environment, PATIENCE):
+            if "begins" in record:
+                begun = record["begins"]
+                continue
+            begun = None
+            left[record["family"]] -= 1
+            yield {**record, "seed": seed}
+            if record["crashed"]:  # libraries remember errors, and later scenes might suffer from them
+                break
+        if begun is not None:
+            left[begun["family"]] -= 1
+            yield {**begun, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE, "seed": seed,
+                   "bounds": [], "message": "took the process down, or did not end", "crashed": True}  # fmt: skip
+        if left.total() == before:
+            raise InputError("no random scene could be drawn")
+        seed += AT_ONCE
+
+
+def main() -> None:
+    """Scenes and rows, a line each."""
+    counts, seed = json.loads(sys.argv[1]), int(sys.argv[2])
+    try_all(counts, seed, MPI.COMM_WORLD, tell, lambda scene: tell({"begins": described(scene)}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""A process of its own for one hard scene: `python -m fenicsx_obstacle.verification.hard.one NAME FILE`.
+
+Rows go to standard output as JSON lines, the fields to compare with those on several ranks into the file.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from mpi4py import MPI
+
+from fenicsx_obstacle.verification.hard.cases import Case, case
+from fenicsx_obstacle.verification.hard.judge import judge
+from fenicsx_obstacle.verification.hard.ranks import write
+from fenicsx_obstacle.verification.hard.row import Row
+from fenicsx_obstacle.verification.processes import tell
+
+
+def rows_of(one: Case) -> Iterator[Row]:
+    """Both meshes of a case (collective)."""
+    for mesh, value in enumerate(one.meshes):
+        coarse = mesh == 0
+        for row in judge(one.on(mesh), refuse=one.refuse, starts=True, units=coarse and not one.refuse):
+            yield {"case": one.name, "family": one.family, "mesh": value, **row}
+
+
+def main() -> None:
+    """Judge the case named on the command line."""
+    one = case(sys.argv[1])
+    for row in rows_of(one):
+        tell(row)
+    if one.compared:
+        write(one.on(0), Path(sys.argv[2]), MPI.COMM_WORLD)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""What `theory` shows: a table of claims and observations, a picture for each statement, JSON lines."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from fenicsx_obstacle.parallel import on_root, write_lines
+from fenicsx_obstacle.show.figures import figure, save, style
+from fenicsx_obstacle.verification.theory.statement import Curve, Finding, Found, Panel, find, statements
+
+HEADS = ("statement", "quantity", "claimed", "expected", "observed", "verdict")
+LINES = "theory.jsonl"
+CROWDED = 6  # curves that leave no room for a legend
+
+
+def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Measure one statement, or all: tables as they come, a picture each, and JSON lines (collective).
+
+    Args:
+        number: Of the statement; None for all.
+        folder: Where pictures and JSON lines go: theory.jsonl for all statements, NUMBER.jsonl for one.
+        say: Takes text.
+
+    Returns:
+        The rows.
+
+    Raises:
+        InputError: If there is no such statement.
+    """
+    comm, rows = MPI.COMM_WORLD, []
+    for one in statements() if number is None else [find(number)]:
+        start = time.perf_counter()
+        found = one.measure(comm)
+        rows += [{"number": one.number, **finding.record} for finding in found.findings]
+        lines = folder / (LINES if number is None else f"{slug(one.number)}.jsonl")
+        on_root(comm, write_lines, lines, rows)
+        say(f"\n{one.number}  {one.title}\n\n{table(found.findings)}")
+        told = f"{time.perf_counter() - start:.0f} s"
+        if found.panels:
+            picture = folder / f"{slug(one.number)}.png"
+            on_root(comm, _draw, found, one.title, picture)
+            told = f"{picture}, {told}"
+        say(f"\n  {told}")
+    return rows
+
+
+def table(findings: Sequence[Finding]) -> str:
+    """Claims beside observations, as lines of text."""
+    rows = [HEADS, *((f.statement, f.quantity, f.claimed, _number(f.expected), _number(f.observed), f.verdict)
+                     for f in findings)]  # fmt: skip
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADS))]
+    sides = [str.rjust if head in ("expected", "observed") else str.ljust for head in HEADS]
+    lines = ("  ".join(put(cell, width) for put, cell, width in zip(sides, row, widths, strict=True)) for row in rows)
+    return "\n".join("  " + line.rstrip() for line in lines)
+
+
+def slug(number: str) -> str:
+    """A number of the paper as the name of a file."""
+    return re.sub(r"[^0-9A-Za-z.]+", "-", number.replace("*", "-star")).strip("-.")
+
+
+def drawing(found: Found, title: str) -> Any:
+    """The picture of a statement: one panel beside the other, at most three in a row."""
+    columns = min(len(found.panels), 3)
+    rows = math.ceil(len(found.panels) / columns)
+    labels = {tuple(curve.label for curve in panel.curves) for panel in found.panels}
+    crowded = len(labels) == 1 and len(found.panels[0].curves) > CROWDED
+    page, axes = figure(4.6 * columns + 1.5 * crowded, 3.9 * rows, rows, columns)
+    flat = [axes] if len(found.panels) == 1 else list(axes.flat)
+    for part in flat[len(found.panels) :]:
+        part.set_axis_off()
+    for part, panel in zip(flat, found.panels, strict=False):
+        _panel(part, panel)
+        if not crowded:
+            part.legend(fontsize=7)
+    if crowded:  # one legend beside all panels: within them it would cover curves
+        flat[columns - 1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False,
+                                 handlelength=4)  # fmt: skip
+    page.suptitle(textwrap.fill(title, 55 * columns), fontsize=11)
+    return page
+
+
+def _draw(found: Found, title: str, path: Path) -> None:
+    save(drawing(found, title), path)
+
+
+def _panel(axes: Any, panel: Panel) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    axes.set_xscale(panel.scales[0])
+    axes.set_yscale(panel.scales[1])
+    for number, curve in enumerate(panel.curves):
+        look = style(number, dashed=4)
+        if not curve.line:
+            look["linestyle"] = ""
+        axes.plot(curve.x, curve.y, label=curve.label, **look)
+        if curve.slope is not None:
+            _slope(axes, curve, look["color"])
+    axes.margins(y=0.12)  # room for the orders below the last values
+    if all(float(y).is_integer() for curve in panel.curves for y in curve.y):
+        linear = panel.scales[1] == "linear"
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True) if linear else LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+    axes.set_title(panel.title, fontsize=9)
+    axes.set_xlabel(panel.x)
+    axes.set_ylabel(panel.y)
+    axes.tick_params(which="minor", labelsize=6)
+    axes.grid(True, which="major", color="0.9")
+
+
+def _slope(axes: Any, curve: Curve, colour: str) -> None:
+    """The expected order, through a point just below the last value, where orders are seen best."""
+    assert curve.slope is not None
+    end = min(range(len(curve.x)), key=lambda k: curve.x[k])
+    values = [0.7 * curve.y[end] * (x / curve.x[end]) ** curve.slope for x in curve.x]
+    axes.plot(curve.x, values, ":", color=colour, linewidth=1)
+    axes.annotate(f"{curve.slope:.3g}", (curve.x[end], values[end]), textcoords="offset points", xytext=(2, -10),
+                  fontsize=7, color=colour)  # fmt: skip
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.0f}" if float(value).is_integer() and abs(value) < 1e6 else f"{value:.3g}"
