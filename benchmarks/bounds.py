@@ -18,11 +18,11 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.estimation.bound import Estimator
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
 
 def main() -> None:
@@ -41,19 +41,19 @@ def main() -> None:
         for cells in values_of(options.cells, "cells"):
             scene = catalogue.read(name).change({"mesh.cells": cells, "solve.element": options.element})
             try:
-                with closing(Workbench(scene)) as bench:
-                    cost(bench) if options.cost else effectivities(bench, values_of(options.eps, "eps"))
+                with closing(SolverContext(scene)) as context:
+                    cost(context) if options.cost else effectivities(context, values_of(options.eps, "eps"))
             except InputError as error:
                 show(f"{name:20} {error}")
 
 
-def effectivities(bench: Workbench, many: list) -> None:
+def effectivities(context: SolverContext, many: list) -> None:
     """Bounds beside true errors (collective)."""
-    scene = bench.scene
+    scene = context.scene
     for eps in many:
-        answer = bench.answer(scene.options_with(eps=eps), bound=True)
+        answer = context.answer(scene.options_with(eps=eps), bound=True)
         bound, error = answer.bound, answer.record["errors"]["energy"]
-        of_v = bench.exact.errors(bound.admissible, answer.pressure, answer.record["eps"])["energy"]
+        of_v = context.exact.errors(bound.admissible, answer.pressure, answer.record["eps"])["energy"]
         error_v = of_v if scene.pair.degree == 1 else float("nan")  # v is no function of P2
         show(f"{scene.name:20} {answer.record['cells']:5} {eps!s:>6} {error:10.3e} {bound.total:10.3e} "
              f"{bound.total / error:5.2f} {error_v:10.3e} {bound.admissible_total:10.3e} "
@@ -61,13 +61,13 @@ def effectivities(bench: Workbench, many: list) -> None:
              f"{bound.data:.1e}  {bound.words}")  # fmt: skip
 
 
-def cost(bench: Workbench) -> None:
+def cost(context: SolverContext) -> None:
     """Seconds and Poisson units (collective)."""
-    scene: Scene = bench.scene
-    solve = bench.answer().record["seconds"]["solve"]
-    level = bench.problem.level
+    scene: Scene = context.scene
+    solve = context.answer().record["seconds"]["solve"]
+    level = context.problem.level
     unit = poisson_seconds(level)
-    estimator, once = timed(lambda: Estimator(bench.problem))
+    estimator, once = timed(lambda: Estimator(context.problem))
     first, *others = (timed(estimator.bound)[1] for _ in range(4))
     each = min(others)
     show(f"{scene.name}: {level.dofs} unknowns, Poisson {unit:.2f} s, solve {solve:.2f} s; a bound {each:.2f} s = "

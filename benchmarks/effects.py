@@ -73,27 +73,27 @@ def measure(name: str, count: int, repeat: int) -> dict[str, Any]:
     from mpi4py import MPI
 
     from fenicsx_obstacle import Scene
-    from fenicsx_obstacle.answers.compute import Workbench
+    from fenicsx_obstacle.answers.solver_context import SolverContext
     from fenicsx_obstacle.parallel import peak_memory_mb
     from fenicsx_obstacle.scenes import meshes
     from fenicsx_obstacle.show.explain import integrals
-    from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+    from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
     base = Scene(mesh={"shape": "rectangle", "cells": 32}, tension=1, lower="0.1 - (x - 0.5)^2 - (y - 0.5)^2")
     scene = base.change(CHANGES[name])
-    with closing(Workbench(scene)) as small:
+    with closing(SolverContext(scene)) as small:
         small.answer()
     scene = scene.change({"mesh.cells": count})
     level = meshes.build(scene, MPI.COMM_WORLD)
     mesh = peak_memory_mb(MPI.COMM_WORLD)
-    with closing(Workbench(scene, level=level)) as bench:  # first: what comes later may reuse memory
-        record = bench.answer().record
+    with closing(SolverContext(scene, level=level)) as context:  # first: what comes later may reuse memory
+        record = context.answer().record
         memory = record["memory_mb"] - mesh
     found = []
     for _ in range(repeat):
-        with closing(Workbench(scene)) as bench:
-            record = bench.answer().record
-            found.append((record["seconds"]["solve"], bench.setup_seconds))
+        with closing(SolverContext(scene)) as context:
+            record = context.answer().record
+            found.append((record["seconds"]["solve"], context.setup_seconds))
     solve, setup = min(found)
     unit = poisson_seconds(meshes.build(scene, MPI.COMM_WORLD))
     return {

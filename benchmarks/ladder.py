@@ -27,12 +27,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
 COLUMNS = (
     f"{'cells':>6} {'unknowns':>9} {'method':>12} {'eps':>8} {'Newton':>7} {'CG':>5} {'all N/CG':>9} {'units':>6} "
@@ -115,8 +115,8 @@ def _draw(scene: Scene, size: float, path: Path) -> None:
 
 def solved(scene: Scene, level: levels.Level) -> dict[str, Any]:
     """The record of one solve on a mesh of which nothing is known but the mesh."""
-    with closing(Workbench(scene, level=anew(level))) as bench:
-        return dict(bench.answer().record)
+    with closing(SolverContext(scene, level=anew(level))) as context:
+        return dict(context.answer().record)
 
 
 def anew(level: levels.Level) -> levels.Level:

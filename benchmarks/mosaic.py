@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle import InputError, NotConverged
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.boundary import Patch, patch_of
 from fenicsx_obstacle.show.figures import figure
@@ -64,11 +64,11 @@ def drawn(one: Case) -> Any:
     """The answer on the coarse mesh as a patch; None where the scene is refused, False where it is of no plane."""
     scene = one.on(0)
     try:
-        with closing(Workbench(scene)) as bench:
-            mesh = bench.problem.level.mesh
+        with closing(SolverContext(scene)) as context:
+            mesh = context.problem.level.mesh
             if mesh.topology.dim != 2 or mesh.geometry.dim != 2:
                 return False
-            return patch_of(gather(bench.answer()))
+            return patch_of(gather(context.answer()))
     except (InputError, NotConverged):
         return None
 

@@ -24,7 +24,7 @@ from mosaic import mosaic
 from PIL import Image
 
 from fenicsx_obstacle import Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.cost_tables import duration
@@ -132,10 +132,10 @@ def over(_: Any) -> str:
     sides = []
     for column, cells in enumerate(CELLS):
         scene = Scene.read(DEMOS / "ball.toml").change({"mesh.cells": cells})
-        with closing(Workbench(scene)) as bench:
-            sides.append(bench.problem.level.h)
+        with closing(SolverContext(scene)) as context:
+            sides.append(context.problem.level.h)
             for line, eps in enumerate(EPS):
-                errors = bench.answer(scene.options_with(eps=float(eps))).record["errors"]
+                errors = context.answer(scene.options_with(eps=float(eps))).record["errors"]
                 for norm, values in found.items():
                     values[line, column] = errors[norm]
     h = np.array(sides)
@@ -160,13 +160,13 @@ def over(_: Any) -> str:
 def known(_: Any) -> str:
     """Three applications whose figures others have found."""
     page, panels = figure(13.5, 4.7, columns=3)
-    for axes, draw in zip(panels, (bearing, torsion, put), strict=True):
+    for axes, draw in zip(panels, (active_dofs, torsion, put), strict=True):
         draw(axes)
         axes.set_box_aspect(1)
     return kept("known", page)
 
 
-def bearing(axes: Any) -> None:
+def active_dofs(axes: Any) -> None:
     """The film unrolled: its pressure, and the edge where it tears."""
     answer = solve(Scene.read(DEMOS / "bearing.toml"), refine=1)
     patch = patch_of(gather(answer))

@@ -18,9 +18,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
 # the functions that take a share each; none calls another of the list
 SHARES = {
@@ -46,7 +46,7 @@ def main() -> None:
     options = parser.parse_args()
     PETSc.Log.begin()
     scene = Scene.read(options.scene).change({"solve.eps": options.eps})
-    with closing(Workbench(scene.change({"mesh.cells": 64}))) as small:
+    with closing(SolverContext(scene.change({"mesh.cells": 64}))) as small:
         small.answer()
     scene = scene.change({"mesh.cells": options.cells})
     level = meshes.build(scene, MPI.COMM_WORLD)
@@ -54,8 +54,8 @@ def main() -> None:
     before = krylov()
     profiler = cProfile.Profile()
     profiler.enable()
-    with closing(Workbench(scene, level=level)) as bench:
-        record = bench.answer().record
+    with closing(SolverContext(scene, level=level)) as context:
+        record = context.answer().record
         profiler.disable()
     shares = {name: inclusive(profiler, names) for name, names in SHARES.items()}
     shares["Krylov"] = krylov() - before

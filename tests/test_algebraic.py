@@ -9,7 +9,7 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import Scene, releases, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.galerkin import COARSEST, GalerkinProblem, coarse_problems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
@@ -167,8 +167,8 @@ def test_other_elements_on_triangles(element):
 
 def levels_of(mesh, **data):
     """The problem of a scene, and its algebraic levels from the finest on."""
-    bench = Workbench(Scene(mesh=mesh, **{"tension": 1, "lower": -1, **data}))
-    return bench.problem, coarse_problems(bench.problem)[::-1]
+    context = SolverContext(Scene(mesh=mesh, **{"tension": 1, "lower": -1, **data}))
+    return context.problem, coarse_problems(context.problem)[::-1]
 
 
 @pytest.mark.parametrize(("mesh", "dim"), [(lambda: interval(2000), 1), (lambda: square(60), 2), (lambda: cube(12), 3)])

@@ -35,11 +35,11 @@ def test_contact_of_the_ball(ball):
 
 def test_force_balance(disk):
     """Load = contact force + support reactions, to the accuracy of the solver."""
-    from fenicsx_obstacle.answers.compute import Workbench
+    from fenicsx_obstacle.answers.solver_context import SolverContext
 
-    bench = Workbench(disk)
-    record = bench.answer().record
-    problem = bench.problem
+    context = SolverContext(disk)
+    record = context.answer().record
+    problem = context.problem
     support = total(COMM, problem.elastic.array[problem.fixed])
     load = 4 * 2  # f times the area of the square
     # rows of fixed dofs hold a(u, phi) - f(phi), free rows the contact force: all rows sum to -load

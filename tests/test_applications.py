@@ -55,16 +55,16 @@ def five_points(
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
     matrix = sparse.csr_matrix((values, (rows, columns)))
     f, scale = np.broadcast_to(load(x, y), x.shape), matrix.diagonal()
-    heights = [np.full(x.shape, np.inf) if g is None else g(x, y) * np.ones(x.shape) for g in (lower, upper)]
+    u_values = [np.full(x.shape, np.inf) if g is None else g(x, y) * np.ones(x.shape) for g in (lower, upper)]
     below, above = (np.zeros(x.shape, bool) for _ in range(2))
     for _ in range(50):
         free = ~(below | above)
-        held = np.select([below, above], heights, f)
+        held = np.select([below, above], u_values, f)
         system = sparse.diags(free.astype(float)) @ matrix + sparse.diags((~free).astype(float))
         u = splu(system.tocsc()).solve(held)
         p = matrix @ u - f
-        touches = [lower is not None and p + scale * (heights[0] - u) > 0,
-                   upper is not None and p + scale * (heights[1] - u) < 0]  # fmt: skip
+        touches = [lower is not None and p + scale * (u_values[0] - u) > 0,
+                   upper is not None and p + scale * (u_values[1] - u) < 0]  # fmt: skip
         touches = [np.broadcast_to(part, x.shape) for part in touches]
         if np.array_equal(touches[0], below) and np.array_equal(touches[1], above):
             return x, y, u, float(np.prod(h))

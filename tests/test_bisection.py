@@ -6,7 +6,7 @@ from conftest import COMM, slow_except
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete import levels, parents
 from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -94,15 +94,15 @@ def test_solids_are_refused():
 @pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "penalty"))
 def test_solves_go_on_from_the_coarser_mesh(ball, method):
     """Nested iteration on local meshes: a few steps on each, and the answer that a cold solve finds."""
-    bench = Workbench(ball.change({"mesh.cells": 16, "solve.eps": 1e-6, "solve.method": method}))
-    bench.answer()
+    context = SolverContext(ball.change({"mesh.cells": 16, "solve.eps": 1e-6, "solve.method": method}))
+    context.answer()
     for _ in range(4):
-        level = bench.problem.level
+        level = context.problem.level
         middles = corners(level.mesh)[: own_cells(level.mesh)].mean(axis=1)
-        bench = bench.refined(np.abs(np.linalg.norm(middles[:, :2], axis=1) - 0.7) < 0.2)
-        answer = bench.answer()
+        context = context.refined(np.abs(np.linalg.norm(middles[:, :2], axis=1) - 0.7) < 0.2)
+        answer = context.answer()
         assert answer.record["newton_iterations"] <= 6
-    cold = Workbench(bench.scene.change({"solve.start": "cold"}), level=bench.problem.level).answer()
+    cold = SolverContext(context.scene.change({"solve.start": "cold"}), level=context.problem.level).answer()
     assert cold.record["dofs"] == answer.record["dofs"] > 1500
     assert np.isclose(cold.record["energy"], answer.record["energy"], rtol=1e-11)
     assert np.isclose(cold.record["contact"]["lower"]["force"], answer.record["contact"]["lower"]["force"], rtol=1e-9)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.bound import Bound
@@ -75,14 +75,14 @@ NAMES = sorted(scenes())[:: COMM.size]  # on several ranks they differ by round-
 def measured(name: str) -> dict[str, SimpleNamespace]:
     """Bounds and true errors of a scene by eps."""
     found, scene = {}, scenes()[name]
-    bench = Workbench(scene)
+    context = SolverContext(scene)
     for eps in EPS:
-        answer = bench.answer(scene.options_with(eps=eps), bound=True)
-        of_v = bench.exact.errors(answer.bound.admissible, answer.pressure, answer.record["eps"])
+        answer = context.answer(scene.options_with(eps=eps), bound=True)
+        of_v = context.exact.errors(answer.bound.admissible, answer.pressure, answer.record["eps"])
         found[eps] = SimpleNamespace(
             bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
         )
-    bench.close()
+    context.close()
     return found
 
 
@@ -90,12 +90,12 @@ def test_the_flux_is_in_balance():
     """div sigma = -(f_0 + lambda - nu + rho) in each cell, its normal part is continuous, and closed fans close."""
     for name, perturb in itertools.product(("ball", "two_obstacle_square", "free side"), (0.0, 0.3)):
         scene = scenes()[name].change({"mesh.perturb": perturb})
-        bench = Workbench(scene)
-        bench.answer()
-        problem, element = bench.problem, bench.estimator.element
+        context = SolverContext(scene)
+        context.answer()
+        problem, element = context.problem, context.estimator.element
         triangles, equilibration = element.triangles, element.equilibration
         lower, upper = problem.gaps()
-        flux = equilibration.flux(problem.heights().x.array, lower <= 0, upper <= 0)
+        flux = equilibration.flux(problem.solution().x.array, lower <= 0, upper <= 0)
         pressure = (flux.lower - flux.upper + flux.rest[triangles.dofs]).mean(axis=1)
         load = equilibration.load.moments.sum(axis=1) / triangles.area  # f_0
         scale = largest(COMM, np.abs(load)) + largest(COMM, np.abs(pressure))
@@ -150,25 +150,25 @@ def test_admissible_state_is_admissible():
     """v_h is beyond the true obstacle nowhere, sampled at 192 points of each cell, and keeps the boundary values."""
     for name in ("ball", "two_obstacle_square", "smooth_square", "cone"):
         scene = scenes()[name]
-        bench = Workbench(scene)
-        v = bench.answer(bound=True).bound.admissible.x.array
-        triangles, (points, _) = bench.estimator.element.triangles, halved_rule(2)
+        context = SolverContext(scene)
+        v = context.answer(bound=True).bound.admissible.x.array
+        triangles, (points, _) = context.estimator.element.triangles, halved_rule(2)
         for side, sign in (("lower", 1), ("upper", -1)):
             text = getattr(scene.tables.obstacle, side)
             if text is not None:
                 obstacle = triangles.values(scene.field(text, side), points)
                 gap = sign * (v[triangles.dofs] @ points.T - obstacle)
                 assert smallest(COMM, gap) > -ROUND_OFF
-        dofs, values = bench.problem.data.fixed
+        dofs, values = context.problem.data.fixed
         assert largest(COMM, np.abs((v - values.x.array)[dofs])) < ROUND_OFF
 
 
 def test_peaks_between_nodes_are_not_overlooked():
     """Eight periods on sixteen cells are zero at all nodes; the solution on a mesh that sees them is far off."""
     wavy = "0.3 - 2*((x - 1/2)^2 + (y - 1/2)^2) + 0.05*sin(16*pi*x)*cos(16*pi*y)"
-    coarse = Workbench(membrane(lower=wavy))
+    coarse = SolverContext(membrane(lower=wavy))
     answer = coarse.answer(bound=True)
-    fine = Workbench(
+    fine = SolverContext(
         membrane(
             lower=wavy,
             mesh={"shape": "rectangle", "cells": 128},
@@ -249,15 +249,15 @@ def test_what_it_does_not_know_is_said():
 def test_held_curves_inside():
     """Where u is given on a curve inside the domain the flux may jump: two squares side by side, each on its own."""
     scene = membrane(load="2*pi^2*sin(pi*x)*sin(pi*y)", lower=-1)
-    level = Workbench(membrane(mesh={"shape": "rectangle", "x": [-1, 1], "y": [0, 1], "cells": 16})).problem.level
+    level = SolverContext(membrane(mesh={"shape": "rectangle", "x": [-1, 1], "y": [0, 1], "cells": 16})).problem.level
     middle = dmesh.locate_entities(level.mesh, 1, lambda x: np.isclose(x[0], 0))
     named = {"middle": middle, "rim": level.boundary_facets}
     two = Scene(
         mesh=level.mesh, tension=1, load="2*pi^2*abs(sin(pi*x))*sin(pi*y)", lower=-1,
         boundary=[{"on": ["middle", "rim"], "value": 0}],
     )  # fmt: skip
-    bench = Workbench(two, level=replace(level, named=named, coarse=None, parents=None, places=None, shape=None))
-    both = bench.answer(bound=True).bound
+    context = SolverContext(two, level=replace(level, named=named, coarse=None, parents=None, places=None, shape=None))
+    both = context.answer(bound=True).bound
     one = solve(scene, cells=8, bound=True).bound
     assert both.words == "certified on the polygon of the mesh"
     # Friedrichs' constant alone is that of the whole
@@ -294,7 +294,7 @@ def random_case(**given) -> tuple[Bound, float, float]:
     shape = {"shape": "rectangle", "cells": given["cells"], "perturb": given["perturb"], "diagonal": given["diagonal"]}
     if given["diagonal"] == "crossed":  # its cells are half as large: they must not overlap
         shape["perturb"] /= 2
-    mesh = Workbench(membrane(mesh=shape), COMM).problem.level.mesh
+    mesh = SolverContext(membrane(mesh=shape), COMM).problem.level.mesh
     mesh.geometry.x[:, 0] += given["shear"] * mesh.geometry.x[:, 1]
     (x0, y0), r = given["centre"], given["radius"]
     define = {
@@ -307,15 +307,15 @@ def random_case(**given) -> tuple[Bound, float, float]:
         load=f"{mu * d * (k * k + m * m)!r}*sin({k!r}*x + {m!r}*y + {phase!r}) - {sign}*press",
         **{given["side"]: f"w - {sign}*{given['bend']!r}*max(far - {r!r}, 0)^2"},
     ).change({"solve.eps": given["eps"]})  # fmt: skip
-    bench = Workbench(scene)
-    u = bench.answer().u
-    problem = bench.problem
+    context = SolverContext(scene)
+    u = context.answer().u
+    problem = context.problem
     if given["noise"]:
         x, y = problem.level.points[:2]
         u.x.array[~fixed(problem)] += (given["noise"] * np.sin(37 * x + 11 * y) * np.cos(91 * y))[~fixed(problem)]
-        problem.refer(u.x.array)
-    bound = bench.estimator.bound()
-    triangles, (points, weights) = bench.estimator.element.triangles, halved_rule(1)
+        problem.set_reference(u.x.array)
+    bound = context.estimator.bound()
+    triangles, (points, weights) = context.estimator.element.triangles, halved_rule(1)
     x, y = np.moveaxis(points @ triangles.x, 2, 0)
     slope = d * np.cos(k * x + m * y + phase)
     exact = np.stack([b + k * slope, c + m * slope])
@@ -369,11 +369,11 @@ def test_random_scenes():
 def test_nodal_enclosure(name, sign):
     """u_eps - eps max|p_eps| <= u_h <= u_eps at every node where the stiffness is an M-matrix; mirrored for lower."""
     scene = catalogue.scene(name).change({"mesh.cells": 16, "solve.eps": 1e-3})
-    bench = Workbench(scene)
-    answer, reference = bench.answer(bound=True), bench.answer(scene.options_with(method="vi"))
+    context = SolverContext(scene)
+    answer, reference = context.answer(bound=True), context.answer(scene.options_with(method="vi"))
     enclosure, distance = answer.record["enclosure"], sign * (reference.u.x.array - answer.u.x.array)
     assert enclosure["guaranteed"] and "at most" in answer.summary()
     assert smallest(COMM, distance) >= -1e-10
     assert 0.5 * enclosure["width"] < largest(COMM, distance) <= enclosure["width"] * (1 + 1e-9) + 1e-10
     assert answer.record["bound"]["effectivity"] >= 1
-    bench.close()
+    context.close()

@@ -8,7 +8,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, Scene, compare, releases, solve, solve_form
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 
 
@@ -88,8 +88,8 @@ def test_mistakes_in_own_forms():
 def test_compare_on_one_mesh():
     """penalty against VI: the distances of the eps-study, sets that differ by a layer."""
     scene = Scene.read(DEMOS / "disk.toml").change({"solve.eps": 1e-4, "mesh.cells": 32})
-    bench = Workbench(scene)
-    penalty, vi = bench.answer(), bench.answer(scene.options_with(method="vi"))
+    context = SolverContext(scene)
+    penalty, vi = context.answer(), context.answer(scene.options_with(method="vi"))
     found = compare(penalty, vi)
     assert np.isclose(found["u"]["max"], 4e-4, rtol=1e-3)
     assert 0 < found["u"]["l2"] < found["u"]["h1"]

@@ -11,11 +11,11 @@ from scipy.optimize import brentq
 from test_cli import run
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
-from fenicsx_obstacle.verification.theory.statement import ROOM, slope
+from fenicsx_obstacle.verification.theory.statement import RATE_MARGIN, slope
 
 STEP = 3e-4  # of differences
 VARIANTS = {
@@ -115,13 +115,13 @@ def test_free_boundaries_are_roots():
         "cone": lambda a: 1 - a * a + (a + 2 * a * a) * log(a) - 0.2 - a,
         "string_mu_jump": lambda a: 4 * ((a * a - (a - 0.15) ** 2) + (a - 0.15) ** 2 / 5) - 0.3,
     }
-    heights = {"disk_flat": ("c", 0.3), "ball": ("R", 2), "disk_mu_jump": ("c", 0.35), "cone": ("c", 0.2)}
+    u_values = {"disk_flat": ("c", 0.3), "ball": ("R", 2), "disk_mu_jump": ("c", 0.35), "cone": ("c", 0.2)}
     for name, equation in equations.items():
         scene, origin = catalogue.scene(name), np.zeros((3, 1))
         root = brentq(equation, 0.15, 0.9, xtol=1e-15, rtol=1e-15)
         assert abs(at(scene, "a", origin)[0] - root) < 1e-15
-        if name in heights:
-            assert np.isclose(at(scene, heights[name][0], origin)[0], heights[name][1], rtol=1e-14)
+        if name in u_values:
+            assert np.isclose(at(scene, u_values[name][0], origin)[0], u_values[name][1], rtol=1e-14)
 
 
 # Grids and parameters to take. The errors of the variational inequality vary with the place of the free boundary in
@@ -159,12 +159,12 @@ def errors_of(name):
         grids = GRIDS.get(name, STRING if name.startswith("string") else SQUARE)
         rows = {"vi": [], "penalty": []}
         for cells in grids:
-            with closing(Workbench(scene.change({"mesh.cells": cells}))) as bench:
+            with closing(SolverContext(scene.change({"mesh.cells": cells}))) as context:
                 for method in rows:
-                    answer = bench.answer(bench.scene.options_with(method=method, eps="h^2"))
+                    answer = context.answer(context.scene.options_with(method=method, eps="h^2"))
                     row = {"h": answer.record["h"], **answer.record["errors"]}
                     if dual:
-                        row["pressure_dual"] = bench.exact.dual.error(answer.pressure, answer.record["eps"])
+                        row["pressure_dual"] = context.exact.dual.error(answer.pressure, answer.record["eps"])
                     rows[method].append(row)
         _measured[name] = rows
     return _measured[name]
@@ -186,7 +186,7 @@ def test_rates(name, method):
         if claimed is None or (key == "h1" and method == "penalty" and name in WIDE):
             continue
         seen = observed(name, method, key)
-        assert abs(seen - claimed) <= ROOM, f"{key}: {seen:.3f}, claimed {claimed}"
+        assert abs(seen - claimed) <= RATE_MARGIN, f"{key}: {seen:.3f}, claimed {claimed}"
 
 
 @pytest.mark.parametrize("name", WIDE)

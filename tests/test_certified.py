@@ -11,7 +11,7 @@ from mpi4py import MPI
 from test_bound import distance
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.standing import Standing
 
 SQUARE = {"shape": "rectangle", "cells": 8}
@@ -38,7 +38,7 @@ def one_dimensional_error(tension, answer):
 def distance_from_finer(coarse, cells=64):
     """Energy norm of the difference to the solution on a finer mesh, on one rank: the error but for that mesh's own."""
     scene = coarse.scene.change({"mesh.cells": cells, "solve.element": "P1"})
-    with closing(Workbench(scene, MPI.COMM_SELF)) as fine:
+    with closing(SolverContext(scene, MPI.COMM_SELF)) as fine:
         u = fine.answer().u.x.array
         return distance(fine.problem, u - coarse.at(fine.problem.level.points.T))
 

@@ -11,7 +11,7 @@ from conftest import COMM, DEMOS, membrane, slow_except
 from test_cli import CLEAN, run
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.effects.effect import Effect, _register, find, known, register
 from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
@@ -509,8 +509,8 @@ def test_demo_pollutant():
     text = " ".join(explain(scene).split())
     assert "streamline upwinding" in text and "GMRES" in text and "no energy" in text
     scene = scene.change({"mesh.cells": 32, "solve.eps": 1e-8})
-    with closing(Workbench(scene)) as bench:
-        ours, theirs = (bench.answer(scene.options_with(method=method)) for method in METHODS)
+    with closing(SolverContext(scene)) as context:
+        ours, theirs = (context.answer(scene.options_with(method=method)) for method in METHODS)
     assert "GMRES" in ours.summary() and "Peclet" in ours.summary()
     assert smallest(COMM, theirs.u.x.array) >= 0 and largest(COMM, theirs.u.x.array) <= 1
     assert largest(COMM, np.abs(ours.u.x.array - theirs.u.x.array)) < 1e-6
@@ -607,9 +607,9 @@ def test_a_form_has_the_integrals_of_its_effects(name):
     """One for each effect that is one, and `explain` counts them; the penalty is one more."""
     scene, keys = SCENES[name]
     scene = scene.change({"mesh.cells": 8})
-    with closing(Workbench(scene)) as bench:
-        assert len(bench.problem.forms._a_minus_f.integrals()) == len(keys)
-        constrained = bench.problem.constrained
+    with closing(SolverContext(scene)) as context:
+        assert len(context.problem.forms._a_minus_f.integrals()) == len(keys)
+        constrained = context.problem.constrained
     text = " ".join(explain(scene).split())
     count = len(keys) + constrained
     assert f"{count} integral" in text and all(f"{key}:" in text for key in keys)
@@ -618,10 +618,10 @@ def test_a_form_has_the_integrals_of_its_effects(name):
 
 def figures_of(scene):
     """What an effect that is not named must not change: the form, the steps, the energy."""
-    with closing(Workbench(scene)) as bench:
-        record = bench.answer().record
-        form = bench.problem.forms._a_minus_f
-        sizes = [len(vars(bench.problem.forms)), len(vars(bench.problem.data)), len(form.coefficients())]
+    with closing(SolverContext(scene)) as context:
+        record = context.answer().record
+        form = context.problem.forms._a_minus_f
+        sizes = [len(vars(context.problem.forms)), len(vars(context.problem.data)), len(form.coefficients())]
         steps = [record[key] for key in ("newton_total", "krylov_total", "energy")]
         return [form.signature(), *sizes, *steps]
 

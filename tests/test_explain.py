@@ -11,7 +11,7 @@ from dolfinx import fem
 from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.show.explain import explain, explained, integrals
 from fenicsx_obstacle.solvers.choose import nested
@@ -36,13 +36,13 @@ def test_explained_and_done(name):
     left_out = set(parts["left out"][0].split("; "))
     assert left_out - {"lower obstacle", "upper obstacle"} == (known() | known("boundary")) - named
     assert all(words in text for words in SCENES[name])
-    with closing(Workbench(scene, COMM)) as bench:
+    with closing(SolverContext(scene, COMM)) as context:
         told = next(line for line in parts["mesh"] if "unknowns" in line)
-        assert float(told.split()[1]) == pytest.approx(bench.problem.level.dofs, rel=0.03)
-        formed = len(bench.problem.forms._a_minus_f.integrals())
-        assert integrals(scene) == formed + bench.problem.constrained
+        assert float(told.split()[1]) == pytest.approx(context.problem.level.dofs, rel=0.03)
+        formed = len(context.problem.forms._a_minus_f.integrals())
+        assert integrals(scene) == formed + context.problem.constrained
         assert nested(scene.effects, scene.pair, scene.options) == ("truncated multigrid" in text)
-        assert bench.problem.symmetric == ("GMRES" not in text)
+        assert context.problem.symmetric == ("GMRES" not in text)
 
 
 @pytest.mark.slow
@@ -53,8 +53,8 @@ def test_explained_unknowns_of_all_elements():
                     {"mesh.cells": 8, "mesh.refine": 2}):  # fmt: skip
         scene = membrane(lower=-1).change({"mesh.cells": 32, **changes})
         told = next(line for line in dict(explained(scene))["mesh"] if "unknowns" in line)
-        with closing(Workbench(scene, COMM)) as bench:
-            assert float(told.split()[1]) == pytest.approx(bench.problem.level.dofs, rel=0.1), changes
+        with closing(SolverContext(scene, COMM)) as context:
+            assert float(told.split()[1]) == pytest.approx(context.problem.level.dofs, rel=0.1), changes
 
 
 @pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "vi"))
@@ -88,8 +88,8 @@ def functions_of(scene):
     """How many Functions a solve leaves alive, with the problem."""
     gc.collect()
     before = sum(isinstance(one, fem.Function) for one in gc.get_objects())
-    with closing(Workbench(scene, COMM)) as bench:
-        bench.answer()
+    with closing(SolverContext(scene, COMM)) as context:
+        context.answer()
         return sum(isinstance(one, fem.Function) for one in gc.get_objects()) - before
 
 

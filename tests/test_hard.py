@@ -12,8 +12,8 @@ from mpi4py import MPI
 from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError, solve
-from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.estimation.solved import Ground
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import smallest_eps
 from fenicsx_obstacle.verification.hard.cases import FOLDER, Case, case, cases, named
@@ -84,7 +84,7 @@ def test_floating_membranes():
     """(3.4) with v = 1: contact forces and load add up to 0, so that the load must press; any load between two."""
     for data in ({"load": 1, "lower": 0}, {"load": 0, "upper": "x"}):
         with pytest.raises(InputError, match=f"does not press against the {list(data)[1]} obstacle"):
-            Workbench(membrane(**data, boundary=[]))
+            SolverContext(membrane(**data, boundary=[]))
     for data, force in (({"load": "x - 0.6", "lower": 0}, -0.1), ({"load": 1, "lower": -1, "upper": 1}, 1.0),
                         ({"load": "x", "lower": -1, "upper": "y"}, 0.5)):  # fmt: skip
         for method in ("penalty", "successive", "vi"):
@@ -97,8 +97,8 @@ def test_floating_membranes():
 def test_floor_of_eps(name):
     """Just above the floor answers are right; below it they are refused, with the floor in the message."""
     scene = case(name).on(0)
-    with closing(Workbench(scene, COMM)) as bench:
-        floor = smallest_eps(bench.problem)
+    with closing(SolverContext(scene, COMM)) as context:
+        floor = smallest_eps(context.problem)
     above, below = list(judge(scene, COMM, (1.01 * floor,))), list(judge(scene, COMM, (0.5 * floor, 1e-300)))
     assert [row["verdict"] for row in above] == [RIGHT] * 3, messages(above)
     assert [row["verdict"] for row in below] == [RIGHT] + [REFUSED] * 4
@@ -163,11 +163,11 @@ def answers():
     """The ball by SNES VI and at three eps, to be falsified."""
     scene = case("ball").on(0).change({"mesh.cells": 16})
     found = {}
-    bench = Workbench(scene, COMM)
-    ground = Ground(bench.problem)
+    context = SolverContext(scene, COMM)
+    ground = ReferenceProblem(context.problem)
     for eps in (None, 1e-2, 1e-4, 1e-8):
-        bench.answer(scene.options_with(method="vi") if eps is None else scene.options_with(eps=eps))
-        found[eps] = take(bench, ground, eps)
+        context.answer(scene.options_with(method="vi") if eps is None else scene.options_with(eps=eps))
+        found[eps] = take(context, ground, eps)
     return found
 
 

@@ -9,9 +9,9 @@ from conftest import COMM, membrane, slow_except
 from mpi4py import MPI
 
 from fenicsx_obstacle import solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.effects.effect import known
-from fenicsx_obstacle.estimation.solved import Ground
+from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from fenicsx_obstacle.verification.hard.cases import case, cases
 from fenicsx_obstacle.verification.hard.invariants import beside_inequality, of_one, same, violated
 from fenicsx_obstacle.verification.hard.judge import judge, take
@@ -87,12 +87,12 @@ def test_units_of_slopes_and_of_heights_from_0():
 
 def answers(scene, *epsilons):
     """Answers of a scene, the inequality's first."""
-    bench = Workbench(scene, COMM)
-    ground = Ground(bench.problem)
+    context = SolverContext(scene, COMM)
+    ground = ReferenceProblem(context.problem)
     found = []
     for eps in (None, *epsilons):
-        bench.answer(scene.options_with(method="vi") if eps is None else scene.options_with(eps=eps))
-        found.append(take(bench, ground, eps))
+        context.answer(scene.options_with(method="vi") if eps is None else scene.options_with(eps=eps))
+        found.append(take(context, ground, eps))
     return found
 
 
@@ -122,8 +122,8 @@ def test_energy_of_rules_that_differ():
     scene = membrane(foundation=3, load=2, boundary=[{"value": "x"}], mesh={"shape": "rectangle", "cells": 1})
     assert np.isclose(solve(scene).record["energy"], 0.25)
     # a derivative of the energy is the residual
-    with closing(Workbench(case("mattress").on(0))) as bench:
-        problem = bench.problem
+    with closing(SolverContext(case("mattress").on(0))) as context:
+        problem = context.problem
         x = problem.state()
         residual, step = x.duplicate(), x.duplicate()
         problem.residual(x, residual, penalised=False)

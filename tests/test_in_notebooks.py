@@ -59,7 +59,7 @@ def test_a_slider_over_moments():
     if COMM.size > 1:  # it is for one rank
         return
     made = slider(answer)
-    assert len(made.moment.options) == len(answer.course.frames)
+    assert len(made.moment.options) == len(answer.time_history.frames)
     assert [repr(made.draw(k)) for k in (0, made.moment.value)] == ["t = 0", "t = 1"]
     assert made.draw(1)._repr_png_() != made.draw(2)._repr_png_()
 

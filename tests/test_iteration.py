@@ -5,7 +5,7 @@ import pytest
 from conftest import COMM, membrane
 
 from fenicsx_obstacle import NotConverged, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.solvers.linear import defaults
@@ -95,18 +95,18 @@ def test_active_sets_shrink(ball, eps):
 )
 def test_m_matrix(scene, holds):
     """Off-diagonals of P1 are not positive iff angles opposite to each edge sum to 180 degrees at most."""
-    bench = Workbench(scene().change({"boundary": [{"value": 0}]}))
-    assert bench.problem.m_matrix is holds
-    assert bench.problem.shrinks is holds
-    bench.answer()
-    del bench.problem.m_matrix
-    assert bench.problem.m_matrix is holds  # springs are on the diagonal
+    context = SolverContext(scene().change({"boundary": [{"value": 0}]}))
+    assert context.problem.m_matrix is holds
+    assert context.problem.active_sets_shrink is holds
+    context.answer()
+    del context.problem.m_matrix
+    assert context.problem.m_matrix is holds  # springs are on the diagonal
 
 
 def test_two_obstacles_promise_no_shrinking():
     """Between two obstacles the sets of (3.4)* need not be nested: nothing is checked there."""
-    problem = Workbench(membrane(upper=1, lower=-1)).problem
-    assert problem.m_matrix and not problem.shrinks
+    problem = SolverContext(membrane(upper=1, lower=-1)).problem
+    assert problem.m_matrix and not problem.active_sets_shrink
 
 
 def test_cycle_is_broken_by_the_line_search():
@@ -127,8 +127,8 @@ def test_cycle_is_broken_by_the_line_search():
 def test_sets_that_grow_where_they_must_not_are_refused():
     """Told that its matrix is an M-matrix, the example that cycles shows what an error in the program would."""
     problem = Small(CYCLE, CYCLE_LOAD)
-    assert not problem.shrinks
-    problem.shrinks = True
+    assert not problem.active_sets_shrink
+    problem.active_sets_shrink = True
     with defaults("penalty_", DENSE), pytest.raises(NotConverged, match="grew on an M-matrix") as error:
         solve_penalty(problem, CYCLE_EPS, successive=True)
     assert error.value.iterations == 2

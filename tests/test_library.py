@@ -51,8 +51,8 @@ def membrane(level, *, tension=1.0, load=-8.0, lower=-0.1, upper=None, boundary=
     return Problem(Data(Model(effects, fields["lower"], fields["upper"], parts, source="test"), level))
 
 
-def heights(problem):
-    return problem.heights().x.array[: problem.level.owned]
+def u_values(problem):
+    return problem.solution().x.array[: problem.level.owned]
 
 
 def norm(problem, values):
@@ -64,17 +64,17 @@ def test_a_problem_from_fields_is_solved_and_bounded(element):
     """u_eps tends to u of SNES VI at the rate of eps; all data are numbers, and the mesh is the caller's."""
     level = of_pair(of_mesh(square(), "test"), pairs()[element])
     problem = membrane(level)
-    problem.refer(problem.cold_start())
+    problem.set_reference(problem.cold_start())
     solve_vi(problem)
-    exact = heights(problem).copy()
+    exact = u_values(problem).copy()
     assert largest(COMM, -0.1 - exact[problem.weights > 0]) <= 1e-12
     bound = Estimator(problem).bound()
     assert 0 < bound.relative < (0.4 if element == "P1" else 0.1)
     assert bound.words.startswith("certified on the polygon of the mesh")
     for eps in (1e-3, 1e-6):
-        problem.refer(problem.cold_start())
+        problem.set_reference(problem.cold_start())
         solve_penalty(problem, eps)
-        assert norm(problem, heights(problem) - exact) <= 10 * eps
+        assert norm(problem, u_values(problem) - exact) <= 10 * eps
 
 
 def values():
@@ -101,9 +101,9 @@ def test_data_may_come_in_any_form():
     found = {}
     for name, (tension, load) in forms.items():
         problem = membrane(of_mesh(mesh, "test"), tension=tension, load=load)
-        problem.refer(problem.cold_start())
+        problem.set_reference(problem.cold_start())
         solve_penalty(problem, 1e-6)
-        found[name] = heights(problem).copy()
+        found[name] = u_values(problem).copy()
     for name, u in found.items():
         assert largest(COMM, np.abs(u - found["callable"])) <= 1e-9, name
 
@@ -121,9 +121,9 @@ def test_obstacles_and_boundary_values_may_be_functions():
     ):
         part = Part("all", value=field(value, "test: value"))
         problem = membrane(of_mesh(mesh, "test"), load=0.0, lower=lower, boundary=[part])
-        problem.refer(problem.cold_start())
+        problem.set_reference(problem.cold_start())
         solve_vi(problem)
-        found.append(heights(problem).copy())
+        found.append(u_values(problem).copy())
     assert largest(COMM, np.abs(found[0] - found[1])) <= 1e-10
 
 
@@ -187,7 +187,7 @@ def test_bounds_say_what_was_sampled(what, element):
     """Of UFL or a callable nothing is known between its samples: the bound names it."""
     mesh = square()
     problem = membrane(of_pair(of_mesh(mesh, "test"), pairs()[element]), **SAMPLED[what](mesh))
-    problem.refer(problem.cold_start())
+    problem.set_reference(problem.cold_start())
     solve_penalty(problem, 1e-6)
     bound = Estimator(problem).bound()
     assert bound.words.startswith("certified on the polygon of the mesh for the sampled")
@@ -200,7 +200,7 @@ def test_parts_that_are_given_by_callables_may_end_inside_edges():
     problem = membrane(
         of_mesh(square(), "test"), boundary=[Part("a side", where=where, value=field(0.0, "test: value"))]
     )
-    problem.refer(problem.cold_start())
+    problem.set_reference(problem.cold_start())
     solve_vi(problem)
     assert Estimator(problem).bound().words.startswith("an indicator: a side where")
 
@@ -269,7 +269,7 @@ def test_data_of_some_cells_on_any_number_of_ranks():
     found = []
     for part in (-8 * (1 + x[0]), lambda x: -8 * (1 + x[0]) + 0 * x[0].max()):
         problem = membrane(level, load={"few": part, "rest": -1.0})
-        problem.refer(problem.cold_start())
+        problem.set_reference(problem.cold_start())
         solve_penalty(problem, 1e-6)
         bound = Estimator(problem).bound()
         assert "sampled load" in bound.words
@@ -284,6 +284,6 @@ def test_functions_away_from_the_origin():
     value.interpolate(lambda x: x[0] ** 2)
     level = of_pair(of_mesh(mesh, "test"), pairs()["P2"])
     problem = membrane(level, lower=None, boundary=[Part("all", value=field(value, "test: value"))])
-    problem.refer(problem.cold_start())
+    problem.set_reference(problem.cold_start())
     solve_penalty(problem, 1.0)
     assert np.isfinite(Estimator(problem).bound().total)

@@ -5,7 +5,7 @@ import pytest
 from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.verification.theory.limits import approach, extremes
@@ -59,17 +59,17 @@ def test_obstacle_below_the_boundary_values_is_refused():
     with pytest.raises(
         InputError, match=r"value = 0 lies above the upper obstacle: 0 against -0.7 at \(1, 0\)"
     ) as error:
-        Workbench(scene)
+        SolverContext(scene)
     assert "no u satisfies both" in str(error.value)
 
 
 def test_full_contact_and_none():
     """f = -1 on psi = 0 = g: u = 0 and p = 1; psi = -1: the Poisson solution after one linear solve, p = 0."""
-    full = Workbench(membrane(load=-1, lower=0)).answer(SolverOptions(method="vi"))
+    full = SolverContext(membrane(load=-1, lower=0)).answer(SolverOptions(method="vi"))
     assert largest(COMM, np.abs(full.u.x.array)) == 0
     inside = full.contact.x.array > 0
     assert np.allclose(full.pressure.x.array[inside], 1)
-    lake = Workbench(membrane(load=1, lower=-1)).answer()
+    lake = SolverContext(membrane(load=1, lower=-1)).answer()
     assert lake.record["newton_iterations"] == 1
     assert lake.record["contact"]["lower"]["force"] == 0
 
@@ -77,6 +77,6 @@ def test_full_contact_and_none():
 def test_no_force_at_all():
     """f = 0 below g > 0: u = 0 and p = 0 at any eps, and for the inequality itself."""
     for change in ({"solve.eps": 1e-14}, {"solve.method": "successive"}, {"solve.method": "vi"}):
-        answer = Workbench(membrane(load=0, upper=0.1, boundary=[{"value": 0}]).change(change)).answer()
+        answer = SolverContext(membrane(load=0, upper=0.1, boundary=[{"value": 0}]).change(change)).answer()
         assert largest(COMM, np.abs(answer.u.x.array)) < 1e-16  # the round-off of g
         assert largest(COMM, np.abs(answer.pressure.x.array)) == 0

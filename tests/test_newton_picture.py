@@ -68,7 +68,7 @@ def test_an_animation_has_a_frame_for_each_step(ball, folder):
     assert f"from 1 coarser level: {courses[1][-1].number} steps" in said
     if COMM.rank == 0:
         with Image.open(folder / "newton.gif") as picture:
-            assert picture.n_frames == max(len(course) for course in courses)
+            assert picture.n_frames == max(len(time_history) for time_history in courses)
         assert [path.name for path in folder.iterdir()] == ["newton.gif"]
 
 

@@ -8,7 +8,7 @@ import pytest
 from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
@@ -34,7 +34,7 @@ def test_values_are_checked(message):
 def test_eps_of_options():
     """A number is absolute; a formula in h is divided by the largest tension, alike from a scene and without one."""
     scene = membrane(upper=0.1, tension=4, define={"c": 2}).change({"mesh.cells": 8, "solve.eps": "c*h^2"})
-    problem = Workbench(scene, COMM).problem
+    problem = SolverContext(scene, COMM).problem
     h = problem.level.h
     assert penalty_parameter(problem, scene.options) == pytest.approx(2 * h**2 / 4, rel=1e-14)
     own = SolverOptions(eps=EpsFormula("2*h^2", lambda h: 2 * h**2))
@@ -47,14 +47,14 @@ def test_eps_of_options():
 def test_answers_say_their_options():
     """The scene of an answer has the options of the solve in [solve], and gives the same options when read anew."""
     scene = membrane(upper=0.1, load=8, define={"c": 2}).change({"mesh.cells": 8, "solve.element": "P2"})
-    bench = Workbench(scene, COMM)
+    context = SolverContext(scene, COMM)
     for options in (
-        replace(bench.options, eps=1e-4),
+        replace(context.options, eps=1e-4),
         scene.options_with(eps="c*h", method="successive"),
         SolverOptions("vi", start="cold"),
         SolverOptions(),
     ):
-        answer = bench.answer(options)
+        answer = context.answer(options)
         assert answer.scene.options == options and answer.record["method"] == options.method
         assert answer.scene.tables == answer.scene.change({}).tables
         assert answer.scene.change({}).options == options
@@ -63,10 +63,10 @@ def test_answers_say_their_options():
 
 def test_a_new_number_checks_no_scene(monkeypatch):
     """Another eps or method makes no scene anew."""
-    bench = Workbench(membrane(upper=0.1, load=8).change({"mesh.cells": 8}), COMM)
+    context = SolverContext(membrane(upper=0.1, load=8).change({"mesh.cells": 8}), COMM)
     monkeypatch.setattr(Scene, "_fill", None)
     for method in ("penalty", "vi"):
-        assert bench.answer(replace(bench.options, method=method, eps=1e-3)).record["converged"]
+        assert context.answer(replace(context.options, method=method, eps=1e-3)).record["converged"]
 
 
 @pytest.mark.serial

@@ -99,7 +99,7 @@ def test_time_with_callables():
     time = {"end": 1, "steps": 4}
     one = solve(own.scene(load=lambda x, t: -8 * t + 0 * x[0], time=time))
     other = solve(own.scene(load="-8*t", time=time))
-    assert np.allclose(one.course.column("force_lower"), other.course.column("force_lower"), rtol=1e-12)
+    assert np.allclose(one.time_history.column("force_lower"), other.time_history.column("force_lower"), rtol=1e-12)
 
 
 def test_changed_and_saved(folder):

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.adapt import Refinement
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation import rt1
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.triangles import lattice
@@ -59,10 +59,10 @@ def test_the_flux_is_in_balance(perturb):
     """div sigma = -(Pi_1 f + lambda - nu + rho) in each cell, the normal part and its moment are continuous, and the
     fans of free vertices close."""
     for name in ("ball", "two_obstacle_square"):
-        with closing(Workbench(quadratic(name, **{"mesh.perturb": perturb}))) as bench:
-            bench.answer(bound=True)
-            element, problem = bench.estimator.element, bench.problem
-            flux = element.equilibration.flux(problem.heights().x.array, *touching(problem))
+        with closing(SolverContext(quadratic(name, **{"mesh.perturb": perturb}))) as context:
+            context.answer(bound=True)
+            element, problem = context.estimator.element, context.problem
+            flux = element.equilibration.flux(problem.solution().x.array, *touching(problem))
             triangles = element.triangles
             load = element.equilibration.load.moments.sum(axis=(1, 2))
             others = (flux.lower - flux.upper + flux.rest).mean(axis=1) * triangles.area
@@ -85,9 +85,9 @@ def test_the_flux_is_in_balance(perturb):
 def test_no_known_error_is_above_its_bound(name):
     """From a soft obstacle to a hard one, and nowhere more than 6 times the error."""
     scene = quadratic(name)
-    with closing(Workbench(scene)) as bench:
+    with closing(SolverContext(scene)) as context:
         for eps in ("h", "h^2", "1e-10"):
-            answer = bench.answer(scene.options_with(eps=eps), bound=True)
+            answer = context.answer(scene.options_with(eps=eps), bound=True)
             bound, error = answer.bound, answer.record["errors"]["energy"]
             assert bound.words in ("certified", "certified for the sampled obstacle")
             assert error <= bound.total <= 6 * error
@@ -101,8 +101,8 @@ def test_adaptive_order():
     scene = quadratic("ball")
     rows = []
     with closing(Refinement(scene, COMM).meshes(unknowns=8000)) as meshes:
-        for bench, answer in meshes:
-            record = bench.measured(answer).record
+        for context, answer in meshes:
+            record = context.measured(answer).record
             rows.append((record["dofs"], record["errors"]["energy"], answer.bound.total))
             assert record["errors"]["energy"] <= answer.bound.total <= 4 * record["errors"]["energy"]
     dofs, error, bound = np.log(np.array(rows)).T

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, study
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import volumes
 from fenicsx_obstacle.forms.pairs import Pair, _register, pairs, register
 from fenicsx_obstacle.forms.rules import Rule, nodal_rule
@@ -52,9 +52,9 @@ def test_lumped_mass_is_diagonal_and_sums_to_the_volume(name, mesh):
 @pytest.mark.parametrize("name", pairs())
 def test_weights_of_a_problem(name):
     """D_i = I(phi_i, 1) of the problem sums to |Omega|, Voronoi areas included."""
-    bench = Workbench(Scene(mesh={**SQUARE, "perturb": 0.1}, tension=1, upper=1).change({"solve.element": name}))
-    assert np.isclose(total(COMM, bench.problem.weights), 1.0)
-    bench.close()
+    context = SolverContext(Scene(mesh={**SQUARE, "perturb": 0.1}, tension=1, upper=1).change({"solve.element": name}))
+    assert np.isclose(total(COMM, context.problem.weights), 1.0)
+    context.close()
 
 
 @pytest.mark.parametrize("name", slow_except(pairs(), "P1", "Q2"))
@@ -69,26 +69,26 @@ def test_orders_of_each_pair(name):
 @pytest.mark.parametrize("name", slow_except(pairs(), "P2", "Q1"))
 def test_reference_of_each_pair(name):
     """Theorem 3.1: u_eps tends to the solution of the inequality, whose constraints hold at the points of I alone."""
-    bench = Workbench(DISK.change({"mesh.cells": 12, "solve.element": name}))
-    scene = bench.scene
-    reference = bench.answer(scene.options_with(method="vi"))
+    context = SolverContext(DISK.change({"mesh.cells": 12, "solve.element": name}))
+    scene = context.scene
+    reference = context.answer(scene.options_with(method="vi"))
     distance = []
     for eps in (1e-5, 1e-7):
-        answer = bench.answer(scene.options_with(eps=eps))
+        answer = context.answer(scene.options_with(eps=eps))
         distance.append(largest(COMM, np.abs(answer.u.x.array - reference.u.x.array)))
     assert distance[0] < 1e-3 and abs(np.log10(distance[0] / distance[1]) / 2 - 1) < 0.1
     assert reference.record["penetration"] < 1e-9
     assert np.isclose(
         reference.record["contact"]["upper"]["force"], answer.record["contact"]["upper"]["force"], rtol=1e-4
     )
-    bench.close()
+    context.close()
 
 
 @pytest.mark.parametrize("name", ["Q1", "Q2", "P2", "P1-voronoi"])
 def test_pressure_balances_the_load(name):
     """a(u, v) = f(v) + I(p, v) at free nodes: p in Q_h is what (3.7) says, for each nodal pair."""
-    bench = Workbench(DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "solve.element": name}))
-    problem, answer = bench.problem, bench.answer()
+    context = SolverContext(DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "solve.element": name}))
+    problem, answer = context.problem, context.answer()
     x = problem.state()
     out = x.duplicate()
     problem.residual(x, out)
@@ -100,8 +100,8 @@ def test_pressure_balances_the_load(name):
 
 def test_p2_touches_at_midpoints_alone():
     """P2: the rule has no weight at vertices, so nothing holds u there; p lives at the midpoints of edges."""
-    bench = Workbench(DISK.change({"mesh.cells": 8, "solve.element": "P2", "solve.method": "vi"}))
-    problem, answer = bench.problem, bench.answer()
+    context = SolverContext(DISK.change({"mesh.cells": 8, "solve.element": "P2", "solve.method": "vi"}))
+    problem, answer = context.problem, context.answer()
     vertices = problem.weights == 0
     assert total(COMM, np.count_nonzero(vertices)) == 81
     assert largest(COMM, answer.u.x.array[: problem.level.owned][~vertices]) <= 0.3 + 1e-12
@@ -121,7 +121,7 @@ def test_voronoi_areas_are_consistent():
     """(5.7) and its cure: for w = |x|^2 the lumped Laplacian (A w)_i / D_i is -4 at each inner node, on any mesh."""
     for mesh in ({"diagonal": "crossed"}, {"diagonal": "union-jack"}, {"perturb": 0.1}):
         scene = Scene(mesh={**SQUARE, **mesh}, tension=1, upper=9).change({"solve.element": "P1-voronoi"})
-        problem = Workbench(scene).problem
+        problem = SolverContext(scene).problem
         x = releases.vec(problem.w).duplicate()
         x.array[:] = (problem.level.points[:, : problem.level.owned] ** 2).sum(axis=0)
         out = x.duplicate()
@@ -137,7 +137,7 @@ def test_obtuse_meshes_have_no_voronoi_areas():
     mesh.geometry.x[:, 0] += 2 * mesh.geometry.x[:, 1]
     scene = Scene(mesh=mesh, tension=1, upper=9).change({"solve.element": "P1-voronoi"})
     with pytest.raises(InputError, match="not Delaunay"):
-        Workbench(scene)
+        SolverContext(scene)
 
 
 def test_mistakes():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from test_enclosures import CORNERS, FORMULAS, SCENE, area
 
 from fenicsx_obstacle import Scene, polynomials
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Division, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.serial
 
 @pytest.fixture(scope="module")
 def data():
-    return Workbench(Scene(mesh={"shape": "rectangle", "cells": 1}, tension=1, load=1)).problem.data
+    return SolverContext(Scene(mesh={"shape": "rectangle", "cells": 1}, tension=1, load=1)).problem.data
 
 
 DIVISION = Division(3)

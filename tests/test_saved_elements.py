@@ -158,7 +158,7 @@ def test_frames_of_a_scene_with_time(element, folder):
     points = [a.level.comm.gather(a.plain.level.points.T[: a.plain.level.owned]) for a in (saved, read)]
     if COMM.rank == 0:
         orders = [np.lexsort(np.round(np.vstack(x), 9).T) for x in points]
-        for one, other in zip(saved.course.frames, read.course.frames, strict=True):
+        for one, other in zip(saved.time_history.frames, read.time_history.frames, strict=True):
             assert np.array_equal(one.fields["u"][orders[0]], other.fields["u"][orders[1]])
 
 

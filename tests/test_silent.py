@@ -7,7 +7,7 @@ from conftest import COMM
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import smallest
 from fenicsx_obstacle.verification.hard.silent import Trap, spring, traps
@@ -60,6 +60,6 @@ def test_jumps_of_the_tension_keep_quadratic_elements_definite():
     mesh = {"shape": "rectangle", "cells": 11, "y": [0, 0.5], "diagonal": "crossed", "perturb": 0.2}
     data = {**JUMP, "tension": "where(x < 1/3, 1, 1e-6)", "lower": -0.5}
     scene = Scene(mesh=mesh, **data).change({"solve.element": "P2"})
-    with closing(Workbench(scene)) as bench:
-        assert smallest(COMM, bench.problem.nodal.diagonal) > 0
-        assert bench.answer(scene.options_with(method="vi")).record["converged"]
+    with closing(SolverContext(scene)) as context:
+        assert smallest(COMM, context.problem.nodal.diagonal) > 0
+        assert context.answer(scene.options_with(method="vi")).record["converged"]

@@ -8,7 +8,7 @@ from conftest import BENCHMARKS, COMM, DEMOS, membrane, slow_except
 from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 
 sys.path.insert(0, str(DEMOS))
@@ -30,8 +30,8 @@ def test_petsc_defaults_give_wrong_answers_as_converged_and_ours_do_not(ball):
 
 def both(scene, eps):
     """The penalty's answer and the reference on one mesh: two meshes of one scene can be partitioned differently."""
-    bench = Workbench(scene.change({"solve.eps": eps}))
-    return bench.answer(), bench.answer(scene.options_with(method="vi"))
+    context = SolverContext(scene.change({"solve.eps": eps}))
+    return context.answer(), context.answer(scene.options_with(method="vi"))
 
 
 @pytest.mark.parametrize("eps", [1e-8, 1e-12, 1e-14])
@@ -47,10 +47,10 @@ def test_small_eps_equals_vi(ball, eps):
     assert distance < max(10 * eps * 4 / reference.level.h**2, 1e-7)
 
 
-def scaled_ball(heights: float, shift: float = 0.0) -> Scene:
+def scaled_ball(u_values: float, shift: float = 0.0) -> Scene:
     scene = Scene.read(DEMOS / "ball.toml")
     tables = scene.tables
-    change = lambda text: f"({text})*{heights!r} + {shift!r}"  # noqa: E731
+    change = lambda text: f"({text})*{u_values!r} + {shift!r}"  # noqa: E731
     return scene.change(
         {
             "define.free": "0.471519893402110 - 0.680259411891719*ln(r)",
@@ -62,13 +62,13 @@ def scaled_ball(heights: float, shift: float = 0.0) -> Scene:
 
 
 @pytest.mark.parametrize("method", ["vi", "penalty"])
-@pytest.mark.parametrize(("heights", "shift"), slow_except([(1e-9, 0.0), (1e9, 0.0), (1.0, 1e6)], (1.0, 1e6)))
-def test_units_do_not_matter(method, heights, shift):
+@pytest.mark.parametrize(("u_values", "shift"), slow_except([(1e-9, 0.0), (1e9, 0.0), (1.0, 1e6)], (1.0, 1e6)))
+def test_units_do_not_matter(method, u_values, shift):
     """Heights times c or shifted: the same steps +-1, the same relative error; eps has the unit of u/p and stays."""
-    ours, plain = (solve(scaled_ball(*how), method=method, eps=1e-8).record for how in ((heights, shift), (1.0, 0.0)))
+    ours, plain = (solve(scaled_ball(*how), method=method, eps=1e-8).record for how in ((u_values, shift), (1.0, 0.0)))
     assert abs(ours["newton_iterations"] - plain["newton_iterations"]) <= 1
     for key in ("l2", "max", "energy"):
-        assert np.isclose(ours["errors"][key] / heights, plain["errors"][key], rtol=1e-3)
+        assert np.isclose(ours["errors"][key] / u_values, plain["errors"][key], rtol=1e-3)
     assert np.isclose(ours["contact"]["area"], plain["contact"]["area"], rtol=1e-9)
 
 
@@ -132,10 +132,10 @@ def test_unconverged_is_no_answer(ball, method, prefix):
 
 def test_state_of_an_eps_ladder_is_independent_of_its_order(ball):
     """Each value starts cold: a row does not depend on the rows before it."""
-    bench = Workbench(ball)
-    first = bench.answer(ball.options_with(eps=1e-3)).record
-    bench.answer(ball.options_with(eps=1e-9))
-    again = bench.answer(ball.options_with(eps=1e-3)).record
+    context = SolverContext(ball)
+    first = context.answer(ball.options_with(eps=1e-3)).record
+    context.answer(ball.options_with(eps=1e-9))
+    again = context.answer(ball.options_with(eps=1e-3)).record
     assert first["newton_iterations"] == again["newton_iterations"]
     assert np.isclose(first["energy"], again["energy"], rtol=1e-12)
 
@@ -145,7 +145,7 @@ def test_nodal_path_is_the_forms(name):
     """Products with A, f and D give what the UFL forms give: residual, energy and Jacobian."""
     from fenicsx_obstacle.discrete.assembly import Forms
 
-    problem = Workbench(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16})).problem
+    problem = SolverContext(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16})).problem
     problem.eps.value = 1e-3
     own, fast = problem.level.owned, problem.forms
     x = problem.level.points
@@ -198,12 +198,12 @@ def test_contact_that_coarse_meshes_do_not_resolve(method, eps):
 def test_coarse_springs_meet_a_shift_with_the_force_of_the_finer_level(beyond):
     """In one dimension they make the coarse matrix the Galerkin product, wherever the edge of contact lies."""
     mesh = {"shape": "interval", "x": [0, 1], "cells": 2048}
-    bench = Workbench(Scene(mesh=mesh, tension=1, load=0, lower=-1, boundary=[{"value": 0}]))
-    bench.answer()
-    grid = bench._hierarchy()[-1]
+    context = SolverContext(Scene(mesh=mesh, tension=1, load=0, lower=-1, boundary=[{"value": 0}]))
+    context.answer()
+    grid = context._hierarchy()[-1]
     level = grid.problem.level
     held = level.points[0, : level.owned] < 0.5 + (beyond + 0.5) * level.h
-    grid.hold(np.where(held & ~grid.problem.fixed, np.inf, 0.0))
+    grid.truncate(np.where(held & ~grid.problem.fixed, np.inf, 0.0))
     assert grid.coarser is not None
     coarse, galerkin = grid.coarser.problem.A, grid.problem.A.ptap(grid.P)
     moves = grid.coarser._moves

@@ -7,7 +7,7 @@ import pytest
 from conftest import COMM, DEMOS, slow_except
 
 from fenicsx_obstacle import Scene, study
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.studies.orders import order
 
@@ -15,10 +15,10 @@ from fenicsx_obstacle.studies.orders import order
 @pytest.fixture(scope="module")
 def ladder():
     """disk.toml, 32 cells: eight solutions of the penalty."""
-    bench = Workbench(Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 32}))
-    scene = bench.scene
-    answers = {eps: bench.answer(scene.options_with(eps=eps)) for eps in [10.0**-k for k in range(1, 9)]}
-    return bench, answers
+    context = SolverContext(Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 32}))
+    scene = context.scene
+    answers = {eps: context.answer(scene.options_with(eps=eps)) for eps in [10.0**-k for k in range(1, 9)]}
+    return context, answers
 
 
 def test_penalty_errors_are_of_order_eps():
@@ -31,11 +31,11 @@ def test_penalty_errors_are_of_order_eps():
 
 def test_pressure_has_its_sign_and_balances_the_load(ladder):
     """p <= 0 against the upper obstacle, and a(u, v) = f(v) + I(p, v) at every free node."""
-    bench, answers = ladder
-    problem = bench.problem
+    context, answers = ladder
+    problem = context.problem
     for answer in answers.values():
         assert largest(COMM, answer.pressure.x.array) <= 0
-        problem.refer(answer.u.x.array)
+        problem.set_reference(answer.u.x.array)
         x = problem.state()
         out = x.duplicate()
         problem.residual(x, out, penalised=False)

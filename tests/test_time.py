@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from scipy.optimize import brentq
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.solvers.steps import difference, extrapolation
 
 INTERVAL = {"shape": "interval", "cells": 16}
@@ -71,7 +71,7 @@ def test_chosen_steps():
             report={"middle": "at(u, 0.5)"},
         )  # fmt: skip
         answer = solve(scene)
-        t, u = answer.course.column("t"), answer.course.column("middle")
+        t, u = answer.time_history.column("t"), answer.time_history.column("middle")
         # lumped masses: the slowest mode decays with 4/h^2 sin^2(pi h/2), but almost all is in the first few
         modes = range(1, 16, 2)
         vectors = {k: 4 * 16**2 * math.sin(k * math.pi / 32) ** 2 for k in modes}
@@ -109,7 +109,7 @@ def test_order_of_inertia(method):
         )  # fmt: skip
         answer = solve(scene, method=method)
         errors.append(abs(answer.report["middle"] - math.cos(frequency * 1.3)))
-        energy = answer.course.column("energy")
+        energy = answer.time_history.column("energy")
         assert np.allclose(energy, energy[0], rtol=1e-8)  # kept, whatever the step
     assert np.allclose(orders(errors), 2, atol=0.1)
 
@@ -118,12 +118,12 @@ def test_order_of_inertia(method):
 def test_a_wall_takes_energy(method):
     """A string that hits a wall, first at cos(pi t) = -1/2: its energy never grows, and falls where it hits."""
     scene = Scene.read(DEMOS / "bounce.toml").change({"mesh.cells": 40, "time.steps": 90, "time.end": 0.9})
-    course = solve(scene, method=method).course
-    energy, area = course.column("energy"), course.column("contact_area")
+    time_history = solve(scene, method=method).time_history
+    energy, area = time_history.column("energy"), time_history.column("contact_area")
     assert np.all(np.diff(energy) <= 1e-8 * energy[0]) and energy[-1] < 0.95 * energy[0]
-    first = course.column("t")[np.argmax(np.nan_to_num(area) > 0)]
+    first = time_history.column("t")[np.argmax(np.nan_to_num(area) > 0)]
     assert first == pytest.approx(2 / 3, abs=0.02)
-    before = course.column("t") < 0.66
+    before = time_history.column("t") < 0.66
     assert np.allclose(energy[before], energy[0], rtol=1e-8)
 
 
@@ -138,7 +138,7 @@ def test_friction_takes_energy():
     )  # fmt: skip
     answer = solve(scene)
     assert answer.report["middle"] == pytest.approx(math.exp(-c / 2) * math.cos(w), abs=5e-4)
-    assert np.all(np.diff(answer.course.column("energy")) < 0)
+    assert np.all(np.diff(answer.time_history.column("energy")) < 0)
 
 
 def test_euler_falls_in_energy():
@@ -148,7 +148,7 @@ def test_euler_falls_in_energy():
         time={"end": 0.3, "steps": 12, "start": "x*(1 - x)*y*(1 - y)"},
     )  # fmt: skip
     answer = solve(scene)
-    energy = answer.course.column("energy")
+    energy = answer.time_history.column("energy")
     assert np.all(np.diff(energy) < 0) and answer.record["contact"]["area"] > 0.1
     rest = solve(Scene(mesh={"shape": "rectangle", "cells": 16}, tension=1, load=-10, lower=-0.3))
     assert energy[-1] >= rest.record["energy"] - 1e-9
@@ -160,16 +160,16 @@ def test_equilibria(method):
     data = {"mesh": {"shape": "rectangle", "cells": 16, "refine": 1}, "tension": 1, "load": "-t"}
     depth = "0.4*(1 - abs(t - 1)) - 4*((x - 0.5)^2 + (y - 0.5)^2)"
     moving = solve(Scene(**data, lower=depth, time={"end": 2, "steps": 8}), method=method)
-    course = moving.course
-    assert [row["t"] for row in course.rows] == pytest.approx(np.linspace(0, 2, 9))
+    time_history = moving.time_history
+    assert [row["t"] for row in time_history.rows] == pytest.approx(np.linspace(0, 2, 9))
     for number in (3, 4, 5):
-        t = course.rows[number]["t"]
+        t = time_history.rows[number]["t"]
         still = Scene(**{**data, "load": -t}, lower=depth.replace("(t - 1)", f"({t!r} - 1)"))
         record = solve(still, method=method).record
-        assert course.rows[number]["energy"] == pytest.approx(record["energy"], rel=1e-9)
-        assert course.rows[number]["force_lower"] == pytest.approx(record["contact"]["lower"]["force"], rel=1e-8)
-        assert course.rows[number]["contact_area"] == pytest.approx(record["contact"]["area"], rel=1e-12)
-    assert course.rows[4]["force_lower"] > course.rows[3]["force_lower"] > 0
+        assert time_history.rows[number]["energy"] == pytest.approx(record["energy"], rel=1e-9)
+        assert time_history.rows[number]["force_lower"] == pytest.approx(record["contact"]["lower"]["force"], rel=1e-8)
+        assert time_history.rows[number]["contact_area"] == pytest.approx(record["contact"]["area"], rel=1e-12)
+    assert time_history.rows[4]["force_lower"] > time_history.rows[3]["force_lower"] > 0
 
 
 def test_twice_on_one_bench():
@@ -178,15 +178,15 @@ def test_twice_on_one_bench():
         mesh=INTERVAL, rate=1, tension=1, load=-1, lower="-0.1*t", boundary=[{"value": "t"}],
         time={"end": 1, "steps": 4, "start": "t + x*(1 - x)", "scheme": "bdf2"},
     )  # fmt: skip
-    with closing(Workbench(scene)) as bench:
-        first, second = bench.answer(), bench.answer()
+    with closing(SolverContext(scene)) as context:
+        first, second = context.answer(), context.answer()
     assert np.allclose(first.u.x.array, second.u.x.array, rtol=0, atol=1e-12)
 
 
 def test_a_force_stays_what_it_is():
     """A point load beside a moving obstacle: each moment is the problem at rest of its data, on any number of ranks."""
     data = {"mesh": {"shape": "rectangle", "cells": 8}, "tension": 1, "point_load": [{"at": [0.5, 0.5], "force": -1}]}
-    moving = solve(Scene(**data, lower="-0.2 + 0.1*t", time={"end": 1, "steps": 4})).course.rows[-1]
+    moving = solve(Scene(**data, lower="-0.2 + 0.1*t", time={"end": 1, "steps": 4})).time_history.rows[-1]
     still = solve(Scene(**data, lower=-0.1)).record
     assert moving["energy"] == pytest.approx(still["energy"], rel=1e-9)
     assert moving["force_lower"] == pytest.approx(still["contact"]["lower"]["force"], rel=1e-8)
@@ -201,15 +201,15 @@ def test_frames_after_a_restart(folder):
     solve(scene, keep=folder)
     answer = solve(scene.change({"time.end": 1, "time.steps": 4}), comm=MPI.COMM_SELF, restart=folder)
     x = answer.level.points
-    for frame in answer.course.frames:
+    for frame in answer.time_history.frames:
         assert np.allclose(frame.fields["u"], frame.t * x[0] + x[1], atol=1e-6)
-    assert [frame.t for frame in answer.course.frames] == pytest.approx([0, 0.25, 0.5, 1.0])
+    assert [frame.t for frame in answer.time_history.frames] == pytest.approx([0, 0.25, 0.5, 1.0])
 
 
 def test_moving_stiffness():
     """A tension that grows with t: matrices of all levels follow."""
     data = {"mesh": {"shape": "rectangle", "cells": 8, "refine": 2}, "load": -8, "lower": -0.2}
-    moving = solve(Scene(**data, tension="1 + 3*t*x", time={"end": 1, "steps": 2}), eps=1e-6).course.rows[-1]
+    moving = solve(Scene(**data, tension="1 + 3*t*x", time={"end": 1, "steps": 2}), eps=1e-6).time_history.rows[-1]
     still = solve(Scene(**data, tension="1 + 3*x"), eps=1e-6).record
     assert moving["energy"] == pytest.approx(still["energy"], rel=1e-9)
     assert moving["krylov"] <= still["krylov_iterations"] + 1
@@ -244,14 +244,14 @@ def test_put(method):
     """American put, one year: the price by a binomial tree; BDF2 with 200 steps is within 0.05 % of it."""
     answer = solve(Scene.read(DEMOS / "put.toml"), method=method)
     assert answer.report["price"] == pytest.approx(_tree(4000), rel=5e-4)
-    exercise = answer.course.column("exercise")
+    exercise = answer.time_history.column("exercise")
     assert np.all(np.diff(exercise[1:]) <= 0)  # the longer to go, the later it pays to exercise
 
 
 def test_press():
     """A ball pressed into a round membrane: force 2 pi a^2/R where the travel is a^2/R (1/2 + ln(1/a))."""
-    course = solve(Scene.read(DEMOS / "press.toml").change({"time.steps": 5})).course
-    for travel, force in zip(course.column("t")[1:], course.column("force")[1:], strict=True):
+    time_history = solve(Scene.read(DEMOS / "press.toml").change({"time.steps": 5})).time_history
+    for travel, force in zip(time_history.column("t")[1:], time_history.column("force")[1:], strict=True):
         a = brentq(lambda a, depth=travel: a**2 * (0.5 - math.log(a)) - depth, 1e-6, 0.9)
         assert force == pytest.approx(2 * math.pi * a**2, rel=2e-3)
 
@@ -265,10 +265,10 @@ def test_restart(kind, folder):
         data[kind], time["start"] = 1, "0.3*sin(pi*x)*sin(pi*y)"
     if kind == "rate":
         time["scheme"] = "bdf2"
-    whole = solve(Scene(**data, time=time)).course
+    whole = solve(Scene(**data, time=time)).time_history
     half = {**time, "end": 0.5, "steps": 5, "frames": 3}
     solve(Scene(**data, time=half), keep=folder)
-    rest = solve(Scene(**data, time=time), comm=MPI.COMM_SELF, restart=folder).course
+    rest = solve(Scene(**data, time=time), comm=MPI.COMM_SELF, restart=folder).time_history
     assert len(rest.rows) == len(whole.rows) == 11
     for name in ("t", "energy", "contact_area", "force_lower", "penetration"):
         ours, theirs = rest.column(name), whole.column(name)
@@ -290,7 +290,7 @@ def test_what_is_left_of_a_failure(folder):
         options.delValue("penalty_snes_max_it")
     answer = solve(scene, restart=folder)
     assert answer.record["time"]["steps"] == 10
-    assert answer.course.column("t") == pytest.approx(np.linspace(0, 1, 11))
+    assert answer.time_history.column("t") == pytest.approx(np.linspace(0, 1, 11))
 
 
 def test_saved(folder):
@@ -299,17 +299,17 @@ def test_saved(folder):
     answer = solve(scene)
     answer.save(folder)
     again = Answer.read(folder)
-    assert list(again.course.rows[-1]) == list(answer.course.rows[-1])
-    for name in answer.course.rows[-1]:
-        assert np.array_equal(again.course.column(name), answer.course.column(name), equal_nan=True)
-    times = COMM.bcast([frame.t for frame in again.course.frames])
+    assert list(again.time_history.rows[-1]) == list(answer.time_history.rows[-1])
+    for name in answer.time_history.rows[-1]:
+        assert np.array_equal(again.time_history.column(name), answer.time_history.column(name), equal_nan=True)
+    times = COMM.bcast([frame.t for frame in again.time_history.frames])
     assert times == pytest.approx([0, 0.3, 0.5, 0.8, 1.0])
     if COMM.rank == 0:
-        last = again.course.frames[-1].fields
+        last = again.time_history.frames[-1].fields
         assert set(last) >= {"u", "pressure", "contact", "lower"} and len(last["u"]) == 41
         assert 'CollectionType="Temporal"' in (folder / "frames.xdmf").read_text()
     solve(Scene(mesh=INTERVAL, tension=1, lower=0)).save(folder)  # a scene at rest leaves nothing of it
-    assert Answer.read(folder).course is None
+    assert Answer.read(folder).time_history is None
     assert not (folder / "frames.h5").exists()
 
 

@@ -10,7 +10,7 @@ from conftest import COMM, membrane
 from dolfinx import fem
 
 from fenicsx_obstacle import Scene, solve
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.oscillation import _energies, _parts, poincare
@@ -84,13 +84,13 @@ def test_blocks_with_vertical_sides(element, half, most):
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_forces_keep_their_sum(element):
     """Wherever contact forces are put, those of a patch add up to the same, with their sign."""
-    bench = Workbench(
+    context = SolverContext(
         scene(16, load=-1, lower=f"where({BLOCK.format(0.26)}, 0.3, -10)").change({"solve.element": element})
     )
-    bench.answer()
-    problem, found = bench.problem, bench.estimator.element
+    context.answer()
+    problem, found = context.problem, context.estimator.element
     triangles = found.triangles
-    state = problem.heights().x.array, *touching(problem)
+    state = problem.solution().x.array, *touching(problem)
     nodal = found.equilibration.flux(*state).lower
     far = np.linspace(0, 1, len(triangles.area))  # of each cell, in no order
     moved = found.equilibration.flux(*state, (far, None)).lower

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
-from fenicsx_obstacle.answers.compute import Workbench, close
+from fenicsx_obstacle.answers.solver_context import SolverContext, close
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
-LEAST = 0.1
-ENOUGH = 1.1  # times the share of the bound that should do: cut into four, cells keep 4^-degree of its square
+MIN_BULK = 0.1
+SAFETY_OF_BULK = 1.1  # times the share of the bound that should do: cut into four, cells keep 4^-degree of its square
 BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
-AHEAD = 0.04  # times that: solvers do not mind, and the next meshes need no smaller one
+PENALTY_SHARE_AHEAD = 0.04  # times that: solvers do not mind, and the next meshes need no smaller one
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
 
 
@@ -91,9 +91,9 @@ def solve(
         return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
     if budget is not None:
         raise InputError("a budget goes with a tolerance: add --tol")
-    with closing(Workbench(scene, comm)) as bench:
+    with closing(SolverContext(scene, comm)) as context:
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
-        return bench.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states)
+        return context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states)
 
 
 class Refinement:
@@ -120,10 +120,10 @@ class Refinement:
 
     def meshes(
         self, share: Callable[[Answer], float] | None = None, unknowns: float = np.inf
-    ) -> Generator[tuple[Workbench, Answer], None, None]:
-        """Each workbench and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
+    ) -> Generator[tuple[SolverContext, Answer], None, None]:
+        """Each solver context and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
 
-        Errors are left to those who want them: `Workbench.measured`.
+        Errors are left to those who want them: `SolverContext.measured`.
 
         Every step is collective. They are freed when the iterator is closed; time that others take between two meshes
         is not counted.
@@ -132,35 +132,37 @@ class Refinement:
             share: Of the bound, in the cells to refine; by default `BULK`.
             unknowns: No mesh has more.
         """
-        bench = Workbench(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
-        benches = [bench]
+        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
+        benches = [context]
         try:
             while True:
-                answer = self._balanced(bench)
+                answer = self._balanced(context)
                 paused = time.perf_counter()
-                yield bench, answer
+                yield context, answer
                 self._started += time.perf_counter() - paused
                 bulk = self.bulk if share is None else share(answer)
-                finer = bench.refined(_marked(_bound(answer).indicator, bulk, self.comm))
+                finer = context.refined(_marked(_bound(answer).indicator, bulk, self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
-                    yield bench, answer
+                    yield context, answer
                     return
-                bench.forget_estimator()
-                bench = finer
+                context.forget_estimator()
+                context = finer
         finally:
             close(benches)
 
-    def _balanced(self, bench: Workbench) -> Answer:
+    def _balanced(self, context: SolverContext) -> Answer:
         """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
         first = not self.path  # there an exact solution that is none is told of
-        answer = bench.answer(self.options, bound=True, errors=first)
+        answer = context.answer(self.options, bound=True, errors=first)
         bound = _bound(answer)
         while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
-            eps = answer.record["eps"] * max(0.02, AHEAD * BALANCED * bound.discretisation / bound.penalty)
+            eps = answer.record["eps"] * max(
+                0.02, PENALTY_SHARE_AHEAD * BALANCED * bound.discretisation / bound.penalty
+            )
             self.options = replace(self.options, eps=eps)
-            answer, before = bench.answer(self.options, bound=True, errors=False), bound
+            answer, before = context.answer(self.options, bound=True, errors=False), bound
             bound = _bound(answer)
             if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
                 break
@@ -194,13 +196,13 @@ class _Adaptation(Refinement):
         why: str | None = None
         with closing(self.meshes(self._share, self.budget.unknowns)) as meshes:
             for finest, answer in meshes:
-                bench = finest
+                context = finest
                 why = "the budget of unknowns" if self.full else self._finished(answer)
                 if why is not None:
                     break
             if yardstick:
-                answer = bench.answer(self.options, yardstick=True, bound=True, errors=False)
-            answer = bench.measured(answer)
+                answer = context.answer(self.options, yardstick=True, bound=True, errors=False)
+            answer = context.measured(answer)
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
         seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
@@ -211,7 +213,7 @@ class _Adaptation(Refinement):
     def _share(self, answer: Answer) -> float:
         """The last mesh need not be finer than it has to be."""
         beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
-        return min(self.bulk, max(LEAST, ENOUGH * beyond / (1 - 0.25**self.scene.pair.degree)))
+        return min(self.bulk, max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**self.scene.pair.degree)))
 
     def _limit(self, answer: Answer) -> float:
         """The tolerance in the unit of the energy norm."""

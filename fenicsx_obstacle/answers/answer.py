@@ -19,7 +19,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.course import Course
+    from fenicsx_obstacle.answers.time_history import TimeHistory
 
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
 
@@ -31,12 +31,12 @@ class Answer(Solution):
     Attributes:
         scene: What was solved, with all changes.
         error: Nodal distance to the exact solution, or None.
-        course: All steps, of a scene with [time]; the fields are those of the last moment.
+        time_history: All steps, of a scene with [time]; the fields are those of the last moment.
     """
 
     scene: Scene = field(kw_only=True)
     error: fem.Function | None = None
-    course: Course | None = None
+    time_history: TimeHistory | None = None
 
     @property
     def report(self) -> dict[str, float | None]:
@@ -56,11 +56,11 @@ class Answer(Solution):
         contents = {"scene.toml": self._scene_in(folder).toml().encode()}
         if element and self.scene.mesh is not None:
             contents |= own_mesh(arrays["points"][:, : arrays["gdim"]], element)
-        if self.course is not None:
+        if self.time_history is not None:
             from fenicsx_obstacle.answers.frames import files_of  # only where a scene has time
             from fenicsx_obstacle.io.folder import history_csv
 
-            contents |= {NEWTON: history_csv(self.history), **files_of(self.course, dict(arrays))}
+            contents |= {NEWTON: history_csv(self.history), **files_of(self.time_history, dict(arrays))}
         return contents
 
     def _scene_in(self, folder: Path) -> Scene:
@@ -69,7 +69,7 @@ class Answer(Solution):
 
         scene, file = self.scene, self.scene.tables.mesh.file
         if scene.mesh is not None:
-            return scene.with_mesh_file("fields.xdmf" if scene.pair.nests else OWN_MESH[0])
+            return scene.with_mesh_file("fields.xdmf" if scene.pair.nested_hierarchy else OWN_MESH[0])
         if file is None:
             return scene
         return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})
@@ -112,6 +112,8 @@ class Answer(Solution):
             return answer
         from fenicsx_obstacle.answers.frames import load_course
 
-        course = on_root(comm, lambda: load_course(folder))
+        time_history = on_root(comm, lambda: load_course(folder))
         shown = answer.plain.level
-        return replace(answer, course=course.renumbered(saved.points, gathered(comm, shown.points.T[: shown.owned])))
+        return replace(
+            answer, time_history=time_history.renumbered(saved.points, gathered(comm, shown.points.T[: shown.owned]))
+        )

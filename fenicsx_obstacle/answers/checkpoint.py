@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenicsx_obstacle.answers.course import Course, Frame, from_groups, renumbered, to_arrays
+from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_groups, renumbered, to_arrays
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.moments import INERTIA, NO_STEP, Moments
+from fenicsx_obstacle.discrete.time_discretization import INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.parallel import agree, gathered, on_root
@@ -23,14 +23,14 @@ NAME = "checkpoint.h5"
 NEAR = 1e-6  # of h: how far a node may be from where it was
 
 
-def write(folder: Path, level: Level, steps: Steps, course: Course) -> None:
+def write(folder: Path, level: Level, steps: Steps, time_history: TimeHistory) -> None:
     """Write the state into a folder, in one step (collective).
 
     Raises:
         InputError: If it cannot be written.
     """
     own, comm = level.owned, level.comm
-    fields = {"points": level.points.T[:own], **{f"u{k}": u[:own] for k, u in enumerate(steps.heights)}}
+    fields = {"points": level.points.T[:own], **{f"u{k}": u[:own] for k, u in enumerate(steps.u_values)}}
     if steps.velocity is not None:
         fields["velocity"] = steps.velocity[:own]
     found = {name: gathered(comm, values) for name, values in fields.items()}
@@ -39,9 +39,9 @@ def write(folder: Path, level: Level, steps: Steps, course: Course) -> None:
         arrays = {name: values for name, values in found.items() if values is not None}
         arrays |= {
             "times": np.array(steps.times),
-            "rows": np.array(json.dumps([dict(row) for row in course.rows]).encode()),
+            "rows": np.array(json.dumps([dict(row) for row in time_history.rows]).encode()),
         }
-        arrays |= {f"frames/{name}": values for name, values in to_arrays(course.frames).items()}
+        arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
         content = to_hdf5(arrays)
         scratch = folder / f".{NAME}.part"
         try:
@@ -55,7 +55,7 @@ def write(folder: Path, level: Level, steps: Steps, course: Course) -> None:
     on_root(comm, save)
 
 
-def read(folder: Path, level: Level, moments: Moments) -> tuple[Steps, Course]:
+def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps, TimeHistory]:
     """The state that a folder holds (collective).
 
     Args:
@@ -69,7 +69,9 @@ def read(folder: Path, level: Level, moments: Moments) -> tuple[Steps, Course]:
     place, comm = folder / NAME, level.comm
     stored, rows, frames = on_root(comm, _load, place)
     points = gathered(comm, level.points.T[: level.owned])
-    frames = renumbered(frames, stored["points"], points) if level.pair.nests else []  # others' are on cut cells
+    frames = (
+        renumbered(frames, stored["points"], points) if level.pair.nested_hierarchy else []
+    )  # others' are on cut cells
     distance, found = cKDTree(stored["points"]).query(level.points.T)
     elsewhere = bool(np.any(distance > NEAR * level.h)) or len(stored["points"]) != level.dofs
     with agree(comm):
@@ -81,10 +83,10 @@ def read(folder: Path, level: Level, moments: Moments) -> tuple[Steps, Course]:
     past = [stored[f"u{k}"][found] for k in range(len(stored["times"]))]
     steps = Steps(moments.order, moments.scheme, 0.0, past[0], velocity)
     steps.times = [float(t) for t in stored["times"][: steps.depth + 1]]
-    steps.heights = past[: steps.depth + 1]
+    steps.u_values = past[: steps.depth + 1]
     if steps.times[0] >= moments.end * (1 - NO_STEP):
         raise InputError(f"{place}: stands at {moments.name} = {steps.times[0]:g} already; set a later [time] end")
-    return steps, Course(tuple(rows), tuple(frames))
+    return steps, TimeHistory(tuple(rows), tuple(frames))
 
 
 def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], list[Frame]]:

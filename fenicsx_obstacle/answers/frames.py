@@ -9,26 +9,26 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fenicsx_obstacle.answers.course import Course, Frame, from_csv, from_groups, to_arrays, to_csv
+from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_csv, from_groups, to_arrays, to_csv
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.paraview import FRAMES, to_hdf5, xdmf
 
 
-def files_of(course: Course, mesh: Mapping[str, np.ndarray]) -> dict[str, bytes]:
+def files_of(time_history: TimeHistory, mesh: Mapping[str, np.ndarray]) -> dict[str, bytes]:
     """The files, by name (one rank).
 
     Args:
-        course: Rows and frames.
+        time_history: Rows and frames.
         mesh: `points` and `cells` of the answer.
     """
-    files = {"history.csv": to_csv(course.rows).encode()}
-    if course.frames:
-        moments: dict[float | None, Mapping[str, np.ndarray]] = {frame.t: frame.fields for frame in course.frames}
-        files |= dict(zip(FRAMES, (to_hdf5(to_arrays(course.frames)), xdmf(mesh, moments).encode()), strict=True))
+    files = {"history.csv": to_csv(time_history.rows).encode()}
+    if time_history.frames:
+        moments: dict[float | None, Mapping[str, np.ndarray]] = {frame.t: frame.fields for frame in time_history.frames}
+        files |= dict(zip(FRAMES, (to_hdf5(to_arrays(time_history.frames)), xdmf(mesh, moments).encode()), strict=True))
     return files
 
 
-def load_course(folder: Path) -> Course:
+def load_course(folder: Path) -> TimeHistory:
     """Rows and frames (one rank).
 
     Raises:
@@ -42,4 +42,4 @@ def load_course(folder: Path) -> Course:
                 frames = from_groups(file.values())
     except (OSError, ValueError, KeyError, AttributeError, csv.Error) as error:
         raise InputError(f"{folder}: the saved answer is damaged: its course in time: {error}") from None
-    return Course(rows, tuple(frames))
+    return TimeHistory(rows, tuple(frames))

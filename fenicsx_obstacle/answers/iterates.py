@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
@@ -49,9 +49,9 @@ def iterates(scene: Scene, level: Level) -> list[Iterate]:
     """
     found: list[Iterate] = []
 
-    def watch(problem: Problem, step: Step, active: np.ndarray) -> None:
+    def monitor(problem: Problem, step: Step, active: np.ndarray) -> None:
         contact = in_q(problem.level, (active != 0).astype(float))
-        shown = Answer(problem.level, problem.heights(), contact, contact, None, None, (), {}, scene=scene)
+        shown = Answer(problem.level, problem.solution(), contact, contact, None, None, (), {}, scene=scene)
         arrays = gather(shown)
         dofs = problem.level.dofs
         before = found[-1] if found and found[-1].dofs == dofs else None
@@ -62,6 +62,6 @@ def iterates(scene: Scene, level: Level) -> list[Iterate]:
         else:
             found.append(replace(before, step=step, number=before.number + 1, contact=touching))
 
-    with closing(Workbench(scene, level=level)) as bench:
-        bench.answer(watch=watch)
+    with closing(SolverContext(scene, level=level)) as context:
+        context.answer(monitor=monitor)
     return found

@@ -26,10 +26,10 @@ def check_admissible(data: Data) -> None:
     if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
         raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: hold u on a part of the boundary")
     _check_parts(data)
-    heights = [f.x.array for f in (data.lower, data.upper) if f is not None] + [values.x.array[dofs]]
+    u_values = [f.x.array for f in (data.lower, data.upper) if f is not None] + [values.x.array[dofs]]
     if data.thin:
-        heights = [part[np.isfinite(part)] for part in heights]
-    high, low = largest(comm, np.concatenate(heights)), smallest(comm, np.concatenate(heights))
+        u_values = [part[np.isfinite(part)] for part in u_values]
+    high, low = largest(comm, np.concatenate(u_values)), smallest(comm, np.concatenate(u_values))
     tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
     if data.lower is not None and data.upper is not None:
         crossing = data.lower.x.array - data.upper.x.array

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.discrete.moments import INERTIA
+from fenicsx_obstacle.discrete.time_discretization import INERTIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -75,16 +75,16 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
         return None, False
     start = np.full(len(component), np.nan)
     for sign, obstacle, soft_one, one in zip((-1, 1), hard, soft, stiff, strict=True):
-        here, heights = (side == sign)[component], np.broadcast_to(obstacle, len(component))
+        here, u_values = (side == sign)[component], np.broadcast_to(obstacle, len(component))
         if soft_one is not None:
             depth = np.abs(net) / np.where(one > scale, one, 1.0)
             start[here] = (soft_one + sign * np.where(depth > 0, depth, 1.0)[component])[here]
-        known = here & np.isfinite(heights)
-        extreme = (smallest if sign < 0 else largest)(comm, heights[known])
+        known = here & np.isfinite(u_values)
+        extreme = (smallest if sign < 0 else largest)(comm, u_values[known])
         if np.isfinite(extreme):
             # beside an obstacle on a part of the boundary: at its lowest or highest place
             start[here] = extreme + sign
-            start[known] = heights[known] + sign
+            start[known] = u_values[known] + sign
     if any(effect.holds for effect in problem.model.effects):
         # a support below round-off may still hold u before it reaches an obstacle that is far off
         far = np.zeros(count)
@@ -147,9 +147,9 @@ def _refuse(
     raise InputError(f"{source}{where}, and no obstacle holds it: hold u on a part of the boundary")
 
 
-def _forces(problem: Problem, heights: np.ndarray | float) -> np.ndarray:
+def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
     """a(u, .) - f at owned dofs for these heights, from and back to u = 0 (collective)."""
-    problem.w.x.array[:] = heights
+    problem.w.x.array[:] = u_values
     problem.forms.elastic(problem.elastic)
     forces = problem.elastic.array_r.copy()
     problem.w.x.array[:] = 0.0

@@ -101,7 +101,7 @@ class Forms:
         out.destroy()
         return values
 
-    def refer(self) -> None:
+    def set_reference(self) -> None:
         """Called when r has changed."""
         for far, gap in zip(self._finite, (self.below, self.above), strict=True):
             if far is not None and gap is not None and far is not gap:
@@ -244,12 +244,12 @@ class Nodal(Forms):
         """Add forces at owned nodes to the load (collective)."""
         self.forces = forces if self.forces is None else self.forces + forces
         self._minus_load.array[:] -= forces
-        self.refer()
+        self.set_reference()
 
     def weights(self) -> np.ndarray:
         return self._D
 
-    def refer(self) -> None:
+    def set_reference(self) -> None:
         self.stiffness.mult(releases.vec(self.reference), self._constant)
         self._constant.axpy(1.0, self._minus_load)
 
@@ -276,7 +276,7 @@ class Nodal(Forms):
         self._held = HELD * self.diagonal
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
-        self.spring(A, self.springs() if penalised else None)
+        self.spring(A, self.penalty_diagonal() if penalised else None)
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
         value = super().energy(penalised=False, moving=moving)
@@ -284,17 +284,17 @@ class Nodal(Forms):
             value += total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
         return value
 
-    def springs(self) -> np.ndarray:
+    def penalty_diagonal(self) -> np.ndarray:
         """Derivative of the penalty, D_i / eps at owned dofs in contact, else 0: what holds a node there."""
-        springs = self._D * (self._excess() != 0) / float(self.eps.value)
-        springs[self.fixed] = 0.0
-        return springs
+        penalty_diagonal = self._D * (self._excess() != 0) / float(self.eps.value)
+        penalty_diagonal[self.fixed] = 0.0
+        return penalty_diagonal
 
-    def spring(self, A: PETSc.Mat, springs: np.ndarray | None) -> None:
+    def spring(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
         """Fill A with the stiffness and a spring at each owned dof; at an infinite one A answers nothing but zero."""
         self._changed.array[:] = self.diagonal
-        if springs is not None:
-            self._changed.array[:] += np.minimum(springs, self._held)
+        if penalty_diagonal is not None:
+            self._changed.array[:] += np.minimum(penalty_diagonal, self._held)
         A.setDiagonal(self._changed)
 
     def _excess(self) -> np.ndarray:

@@ -137,11 +137,11 @@ def _rim(mesh: dmesh.Mesh, found: Components) -> tuple[np.ndarray, ...]:
     members = np.array(facet_vertices(dim))[numbers]
     all_vertices = mesh.geometry.x[rows]
     # the height over the facet: what is thin across may be long along it
-    heights = sizes(all_vertices) * _longest(all_vertices) ** dim
+    u_values = sizes(all_vertices) * _longest(all_vertices) ** dim
     vertices = mesh.geometry.x[np.take_along_axis(rows, members, axis=1)]
     base = sizes(vertices) * _longest(vertices) ** (dim - 1) if dim > 1 else 1.0
     width = _shortest(vertices) if dim > 1 else np.inf
-    size = np.minimum(heights / base, width)
+    size = np.minimum(u_values / base, width)
     return vertices, found.of_cells[cells], size
 
 

@@ -18,7 +18,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import cell_facets, facet_vertices, own_cells
 from fenicsx_obstacle.discrete.gmsh_model import Arrays
-from fenicsx_obstacle.discrete.soundness import refuse_unsound
+from fenicsx_obstacle.discrete.soundness import validate_mesh
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
@@ -142,7 +142,7 @@ def _grids(path: Path) -> tuple[str, list[str]]:
     points, cells = (_array(path, grids[0].find(f"{part}/DataItem"), part) for part in ("Geometry", "Topology"))
     if cells.shape[1] in (2, 3, 4) and cells.dtype.kind in "iu":  # others are refused by their kind
         try:
-            refuse_unsound(points, cells)
+            validate_mesh(points, cells)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
     return grids[0].get("Name", "mesh"), [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]

@@ -160,7 +160,7 @@ class GalerkinProblem(Problem):
         self.weights = forms.weights()
         self.touchable = (self.weights > 0) & ~self.fixed
         self._inject_data()
-        self.refer(self.cold_start())
+        self.set_reference(self.cold_start())
 
     def _inject_data(self) -> None:
         """Take the obstacles, boundary values and start of the finer problem at the coarse nodes (collective)."""
@@ -178,14 +178,14 @@ class GalerkinProblem(Problem):
         self._inject_data()
         return changed
 
-    def move(self, heights: np.ndarray) -> bool:
+    def move(self, u_values: np.ndarray) -> bool:
         changed = self._take_data(stiffness=False)
-        self.refer(heights)
+        self.set_reference(u_values)
         return changed
 
     def renew(self, *, stiffness: bool) -> None:
         self._take_data(stiffness=stiffness)
-        self.refer(self.cold_start())
+        self.set_reference(self.cold_start())
 
     @property
     def has_energy(self) -> bool:
@@ -198,7 +198,7 @@ def coarse_problems(problem: Problem) -> list[Problem]:
     There are none for few unknowns, or where contact is neither at the vertices nor that of P2, which is above P1.
     """
     level, found = problem.level, list[Problem]()
-    if level.pair.stacks:
+    if level.pair.has_p1_coarse_space:
         assert level.coarse is not None
         level = level.coarse
     if not level.pair.at_vertices or level.dofs < SMALLEST or (loops := kernels(level.comm)) is None:

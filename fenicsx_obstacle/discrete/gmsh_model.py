@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.soundness import place, refuse_unsound
+from fenicsx_obstacle.discrete.soundness import place, validate_mesh
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.words import counted
 
@@ -86,7 +86,7 @@ def arrays_of(model: Any) -> Arrays:
     else:
         materials, pieces = (), [(0, tag) for tag in filled]
     cells, material = _joined(pieces, rows, dim)
-    refuse_unsound(coordinates, cells)
+    validate_mesh(coordinates, cells)
 
     parts = tuple(groups[dim - 1])
     pieces = [(number, tag) for number, name in enumerate(parts) for tag in groups[dim - 1][name]]

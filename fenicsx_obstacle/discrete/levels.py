@@ -188,8 +188,8 @@ def of_pair(level: Level, pair: Pair) -> Level:
     """The same mesh with the spaces of another pair: P2 hangs on the level itself, what does not nest stands alone."""
     if pair is level.pair:
         return level
-    if not pair.nests:
-        below = level if pair.stacks else None
+    if not pair.nested_hierarchy:
+        below = level if pair.has_p1_coarse_space else None
         return replace(level, pair=pair, coarse=below, parents=None, places=None, named=level.facets,
                        materials=level.groups)  # fmt: skip
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
@@ -245,7 +245,7 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
     Raises:
         InputError: For other cells than intervals and triangles.
     """
-    if level.pair.stacks:
+    if level.pair.has_p1_coarse_space:
         assert level.coarse is not None
         return of_pair(refined_where(level.coarse, marked), level.pair)
     new, cells, places = bisection.refined_where(level.V, marked)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
     from fenicsx_obstacle.discrete.problem import Problem
 
-ROOM = 1e-9  # of the force: what a load equal to its limit may be beyond it by round-off
+ROUNDOFF_MARGIN = 1e-9  # of the force: what a load equal to its limit may be beyond it by round-off
 
 
 def check_limit_load(problem: Problem) -> None:
@@ -48,7 +48,7 @@ def check_limit_load(problem: Problem) -> None:
     if level.pair.degree == 1 and releases.cell_name(level.mesh) in SIMPLICES:
         conditions.append((load_inside, _around_free_dofs(data, s)))
     for force, most in conditions:
-        if abs(force) > most * (1 + ROOM):
+        if abs(force) > most * (1 + ROUNDOFF_MARGIN):
             raise InputError(
                 f"{problem.model.source}: no solution exists: the load is {abs(force):.6g} in all, and "
                 f"{bounded[0].key} carries at most {most:.6g} to where u is given; take a smaller load"

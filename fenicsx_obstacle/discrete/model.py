@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fenicsx_obstacle.discrete.moments import Moments
+from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
@@ -54,7 +54,7 @@ class Model:
     lower: Field | None = None
     upper: Field | None = None
     boundary: Sequence[Part] = ()
-    time: Moments | None = None
+    time: TimeDiscretization | None = None
     source: str = "problem"
 
     def __post_init__(self) -> None:

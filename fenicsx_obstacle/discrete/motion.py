@@ -13,7 +13,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.moments import INERTIA, Moments
+from fenicsx_obstacle.discrete.time_discretization import INERTIA, TimeDiscretization
 
 
 @dataclass
@@ -31,13 +31,13 @@ class Moment:
     second: float
 
     @classmethod
-    def at_start(cls, moments: Moments) -> Moment:
+    def at_start(cls, moments: TimeDiscretization) -> Moment:
         """Before a first step; with its numbers c, so that what is assembled now serves it."""
         moment = cls(0.0, 0.0, 0.0)
         moment.go_back(moments)
         return moment
 
-    def go_back(self, moments: Moments) -> None:
+    def go_back(self, moments: TimeDiscretization) -> None:
         """To t = 0, after a march."""
         dt = moments.step
         self.t = 0.0

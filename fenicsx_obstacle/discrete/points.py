@@ -60,7 +60,7 @@ def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], plac
         InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
     """
     dim = level.mesh.geometry.dim
-    if not level.pair.nests:
+    if not level.pair.nested_hierarchy:
         raise InputError(f"{place}: is for element P1, not for {level.pair.name}")
     points = np.zeros((len(forces), 3))
     for row, (at, _) in enumerate(forces):

@@ -84,7 +84,7 @@ class Problem:
         self.load = self._load_sum()
         check_limit_load(self)
         self._start, self.floating = check_support(self)
-        self.refer(self.cold_start())
+        self.set_reference(self.cold_start())
 
     def options_of(self, solver: str) -> str:
         """The prefix of the PETSc options of a solver."""
@@ -98,22 +98,22 @@ class Problem:
         dofs, values = self.data.fixed
         comm, own = self.level.comm, dofs[dofs < self.level.owned]
         mean = total(comm, values.x.array[own]) / max(total(comm, len(own)), 1.0)
-        heights = np.full(len(values.x.array), mean)
+        u_values = np.full(len(values.x.array), mean)
         lower, upper = self.obstacles()
-        np.clip(heights, lower, upper, out=heights)
-        heights[dofs] = values.x.array[dofs]
+        np.clip(u_values, lower, upper, out=u_values)
+        u_values[dofs] = values.x.array[dofs]
         if self._start is not None:  # nothing else holds it: begin with contact everywhere, where the load presses
-            heights = np.where(np.isnan(self._start), heights, self._start)
-        return heights
+            u_values = np.where(np.isnan(self._start), u_values, self._start)
+        return u_values
 
-    def move(self, heights: np.ndarray) -> bool:
+    def move(self, u_values: np.ndarray) -> bool:
         """Take the data of the present moment; w is the state of these heights then; whether the stiffness has changed.
 
         Raises:
             InputError: If no u can satisfy the data.
         """
         changed = self._take_data(stiffness=self.data.move())
-        self.refer(heights)
+        self.set_reference(u_values)
         self.load = forces_at_work(self, self.load)
         return changed
 
@@ -128,7 +128,7 @@ class Problem:
         """
         self.data.renew()
         self._take_data(stiffness=stiffness)
-        self.refer(self.cold_start())
+        self.set_reference(self.cold_start())
 
     def _take_data(self, *, stiffness: bool) -> bool:
         """What is assembled of data that have changed; whether the stiffness has."""
@@ -147,32 +147,32 @@ class Problem:
         lower, upper = self.data.lower, self.data.upper
         return (-np.inf if lower is None else lower.x.array), (np.inf if upper is None else upper.x.array)
 
-    def refer(self, heights: np.ndarray) -> None:
-        """Count w from the obstacle nearest to `heights` (ghosts included) and let w be the state of these heights."""
+    def set_reference(self, u_values: np.ndarray) -> None:
+        """Count w from the obstacle nearest to `u_values` (ghosts included) and let w be the state of these heights."""
         lower, upper = self.obstacles()
         with np.errstate(invalid="ignore"):
-            nearer_below = np.abs(heights - lower) <= np.abs(upper - heights)
-        r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(heights)
+            nearer_below = np.abs(u_values - lower) <= np.abs(upper - u_values)
+        r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(u_values)
         comm = self.level.comm
-        gap = np.abs(r - heights)
-        spread = largest(comm, heights) - smallest(comm, heights)
+        gap = np.abs(r - u_values)
+        spread = largest(comm, u_values) - smallest(comm, u_values)
         reach = REACH * max(spread, smallest(comm, gap[gap > 0]))
-        r = np.where((gap > reach) | ~np.isfinite(r), heights, r)
+        r = np.where((gap > reach) | ~np.isfinite(r), u_values, r)
         # the owner of a dof decides for all: by round-off in its point, ranks may see different obstacles nearer
         self.reference.x.array[:] = r
         self.reference.x.scatter_forward()
         r = self.reference.x.array
-        self.w.x.array[:] = heights - r
+        self.w.x.array[:] = u_values - r
         dofs, values = self.data.fixed
         self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
         self._measure_gaps()
 
-    def refer_to_contact(self, *, blunt: bool = False) -> bool:
+    def update_reference(self, *, roundoff_limited: bool = False) -> bool:
         """Count w from the obstacle that each node touches now; whether that changed any.
 
         Args:
-            blunt: Count w of the other nodes from their present heights: w has become so large, because an obstacle
-                is far off, that its last digit is felt.
+            roundoff_limited: Count w of the other nodes from their present values: w has become so large, because an
+                obstacle is far off, that its last digit is felt.
         """
         if not self.constrained or not self.level.pair.nodal:
             return False
@@ -189,7 +189,7 @@ class Problem:
             new_w = np.where(wrong, w - gap.x.array, new_w)
             new_r = np.where(wrong, obstacle, new_r)
             free &= ~touching
-        if blunt:
+        if roundoff_limited:
             new_r, new_w = np.where(free, r + w, new_r), np.where(free, 0.0, new_w)
         changed = total(self.level.comm, np.count_nonzero(new_r != r)) > 0
         if changed:
@@ -204,9 +204,9 @@ class Problem:
             self.below.x.array[:] = lower - self.reference.x.array
         if self.above is not None:
             self.above.x.array[:] = upper - self.reference.x.array
-        self.forms.refer()
+        self.forms.set_reference()
 
-    def heights(self) -> fem.Function:
+    def solution(self) -> fem.Function:
         """u = w + r."""
         u = fem.Function(self.level.V, name="u")
         u.x.array[:] = self.w.x.array + self.reference.x.array
@@ -216,7 +216,7 @@ class Problem:
         """A vector for the solver, holding w."""
         return releases.vec(self.w).copy()
 
-    def take(self, x: PETSc.Vec) -> None:
+    def set_state(self, x: PETSc.Vec) -> None:
         """Let w be x, ghosts included."""
         own = self.level.owned
         self.w.x.array[:own] = x.array_r
@@ -224,7 +224,7 @@ class Problem:
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec, *, penalised: bool = True) -> None:
         """out = a(u, .) + (1/eps) I((u - g)^+, .) - f at w = x, (3.4); 0 at fixed dofs, where x has its value."""
-        self.take(x)
+        self.set_state(x)
         self.forms.elastic(self.elastic)
         values = out.array
         values[:] = self.elastic.array_r
@@ -235,7 +235,7 @@ class Problem:
 
     def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
         """Derivative of `residual` at w = x, with rows and columns of fixed dofs those of the identity."""
-        self.take(x)
+        self.set_state(x)
         self.forms.jacobian(self.A, penalised=self.constrained and penalised)
         return self.A
 
@@ -270,13 +270,13 @@ class Problem:
         return isinstance(forms, Nodal) and self.has_energy and is_m_matrix(self.A, forms.diagonal, self.level.comm)
 
     @property
-    def shrinks(self) -> bool:
+    def active_sets_shrink(self) -> bool:
         """Whether active sets of (3.4)* must shrink after its first step: one obstacle, on an M-matrix."""
         return (self.below is None) != (self.above is None) and self.m_matrix
 
     def energy(self, x: PETSc.Vec, *, penalised: bool = True, moving: bool = True) -> float:
         """a(u, u)/2 - f(u) + I((u - g)^+ ^2, 1)/(2 eps) at w = x; the terms of a step in time only if `moving`."""
-        self.take(x)
+        self.set_state(x)
         return self.forms.energy(penalised=self.constrained and penalised, moving=moving)
 
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
@@ -294,7 +294,7 @@ class Problem:
             lower, upper = lower - shift, upper + shift
         return lower, upper
 
-    def bearing(self, active: np.ndarray) -> np.ndarray:
+    def active_dofs(self, active: np.ndarray) -> np.ndarray:
         """Owned dofs on which contact at these points of I bears (collective)."""
         if self.level.pair.nodal:
             return active
@@ -325,6 +325,6 @@ class Problem:
     def _load_sum(self) -> float:
         """Sum of |f_i| over free dofs, f being minus the residual of u = 0, which is the state afterwards."""
         self.w.x.array[:] = self.reference.x.array[:] = 0.0
-        self.forms.refer()
+        self.forms.set_reference()
         self.forms.elastic(self.elastic)
         return total(self.level.comm, np.abs(self.elastic.array_r[~self.fixed]))

@@ -15,7 +15,7 @@ FLAT = 1e-13  # of its longest edge to the power of the dimension: what a cell's
 _WORDS = {2: ("interval", "length"), 3: ("triangle", "area"), 4: ("tetrahedron", "volume")}
 
 
-def refuse_unsound(points: np.ndarray, cells: np.ndarray) -> None:
+def validate_mesh(points: np.ndarray, cells: np.ndarray) -> None:
     """Refuse cells that are none (one rank).
 
     Args:

@@ -145,7 +145,7 @@ class Effect:
     unit: ClassVar[str] = ""
     holds: ClassVar[bool] = False  # keeps u from floating away where it is given nowhere
     note: ClassVar[str] = ""  # what `explain` says besides
-    leans: ClassVar[bool] = False  # its test functions are upwinded where there is drift
+    upwinded: ClassVar[bool] = False  # its test functions are upwinded where there is drift
     radial: ClassVar[bool] = False  # gives all integrals the weight x
     elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
     order: ClassVar[int] = 0  # of its derivative in time
@@ -306,11 +306,11 @@ class Effect:
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
     """a(u, v) - f(v): the sum of what the effects say."""
     elastic = next((effect for effect in effects if effect.elastic), None)
-    leaning = v
+    upwinded_test = v
     for effect in effects:
         if elastic is not None and (lean := effect.lean(v, elastic, data)) is not None:
-            leaning = leaning + lean
-    forms = (effect.terms(u, leaning if effect.leans else v, data) for effect in effects)
+            upwinded_test = upwinded_test + lean
+    forms = (effect.terms(u, upwinded_test if effect.upwinded else v, data) for effect in effects)
     return sum(form for form in forms if form is not None)
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, obstacles_of, other_effects
 from fenicsx_obstacle.estimation.clipped import Clipped
+from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.held_boundary import held_boundary
 from fenicsx_obstacle.estimation.oscillation import Oscillation
 from fenicsx_obstacle.estimation.pieces import Range, range_of
-from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.standing import Obstacle
 from fenicsx_obstacle.parallel import largest, smallest
 
@@ -70,7 +70,7 @@ class Element(ABC):
         triangles: The owned cells.
         equilibration: Makes flux and multipliers.
         tension: In the cells.
-        rim: Boundary values between the nodes.
+        dirichlet: Boundary values between the nodes.
         oscillation: Of the load.
         held: Where u is given.
         reach: Numbers that the solution is between, infinite where there is no obstacle or no such number is known.
@@ -85,14 +85,14 @@ class Element(ABC):
 
         Args:
             equilibration: Of this element.
-            middles: See `Rim`.
+            middles: See `DirichletData`.
         """
         self.equilibration, self.triangles = equilibration, equilibration.triangles
         self.tension = Tension(self.triangles, equilibration.mu)
-        self.rim = Rim(self.triangles, middles)
+        self.dirichlet = DirichletData(self.triangles, middles)
         load, degree = load_of(self.triangles.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.triangles, equilibration.load, load, degree)
-        self.held = held_boundary(self.triangles, equilibration.fans.held)
+        self.held = held_boundary(self.triangles, equilibration.patches.held)
         self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.triangles.data)}
         self.reach = self._reach()
 
@@ -123,10 +123,10 @@ class Element(ABC):
             push, pull = largest(comm, pieces.upper), smallest(comm, pieces.lower)
         least_tension = smallest(comm, self.tension.least)
         up, down = (self.held.reach(max(force, 0.0), least_tension) for force in (push, -pull))
-        top = max(self.rim.most, -np.inf if data.lower is None else largest(comm, data.lower.x.array))
-        bottom = min(self.rim.least, np.inf if data.upper is None else smallest(comm, data.upper.x.array))
+        top = max(self.dirichlet.most, -np.inf if data.lower is None else largest(comm, data.lower.x.array))
+        bottom = min(self.dirichlet.least, np.inf if data.upper is None else smallest(comm, data.upper.x.array))
         for sign in self._ranges:
-            given, way = (self.rim.least, down) if sign > 0 else (self.rim.most, up)
+            given, way = (self.dirichlet.least, down) if sign > 0 else (self.dirichlet.most, up)
             if -sign in self._ranges:
                 other = self._ranges[-sign]
                 given = min(given, smallest(comm, other.lower)) if sign > 0 else max(given, largest(comm, other.upper))

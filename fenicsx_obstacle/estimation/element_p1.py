@@ -23,8 +23,8 @@ class ElementP1(Element):
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         super().__init__(EquilibrationP1(Triangles(problem.data)))
-        fans, triangles = self.equilibration.fans, self.triangles
-        self.obstacles = [Peaks(triangles, fans, self.rim, *obstacle) for obstacle in self.given_obstacles]
+        patches, triangles = self.equilibration.patches, self.triangles
+        self.obstacles = [Peaks(triangles, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
         x = triangles.x
         self._from_middle = np.ascontiguousarray(np.moveaxis(x - x.mean(axis=1, keepdims=True), 2, 0))
         self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / 12
@@ -71,7 +71,12 @@ class ElementP1(Element):
     def _gap(self, v: np.ndarray, peaks: Peaks) -> np.ndarray:
         """The integral of the distance of v to an obstacle over each cell."""
         gap = sums((peaks.sign * v - peaks.nodal)[self.triangles.dofs]) / 3 - peaks.mean
-        gap = gap * self.triangles.area + peaks.sign * self.rim.volume + self.rim.volume_rest + peaks.cover_volume
+        gap = (
+            gap * self.triangles.area
+            + peaks.sign * self.dirichlet.volume
+            + self.dirichlet.volume_rest
+            + peaks.cover_volume
+        )
         return np.maximum(gap, 0.0)
 
     def _distance(self, v: np.ndarray, flux: FluxP1) -> tuple[np.ndarray, np.ndarray]:

@@ -19,14 +19,14 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
+from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
 from fenicsx_obstacle.estimation.element import Element, Terms
-from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks
-from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
 from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
+from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
     coefficients,
@@ -182,17 +182,17 @@ class LatticeObstacle:
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, triangles: Triangles, fans: Fans, sign: float, field: Field, known: Range):
+    def __init__(self, triangles: Triangles, patches: VertexPatches, sign: float, field: Field, known: Range):
         """Keep what is known of it (collective).
 
         Args:
             triangles: The cells.
-            fans: The cells around the vertices.
+            patches: The cells around the vertices.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
-        self.triangles, self._fans, self.sign, self._field = triangles, fans, sign, field
+        self.triangles, self._fans, self.sign, self._field = triangles, patches, sign, field
         self._top = known.upper if sign > 0 else -known.lower
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # in the cells where u came near
         self._enclosed = np.zeros(len(self._top), dtype=bool)
@@ -208,24 +208,24 @@ class LatticeObstacle:
         return self._field.clip(function.x.array) if isinstance(self._field, Clipped) else function.x.array
 
     def above(
-        self, u: np.ndarray, pressing: np.ndarray, rim: Rim
+        self, u: np.ndarray, pressing: np.ndarray, dirichlet: DirichletData
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Between]:
         """What raises u above the obstacle where it may be below or is pressed against it (collective).
 
         Args:
             u: Values of P2 at the nodes of cells, shape (cells, 6).
             pressing: Whether a cell has a multiplier.
-            rim: What boundary values add to u.
+            dirichlet: What boundary values add to u.
 
         Returns:
             Cells; there u minus obstacle on the lattice; by what it is raised; and u minus obstacle between the points
             of the lattice.
         """
         triangles, level = self.triangles, self.triangles.data.level
-        touches = self._may_touch(u, rim)
+        touches = self._may_touch(u, dirichlet)
         near = np.flatnonzero(touches)
-        needed, gap = np.zeros((2, len(touches))), self._gap(u, near, rim)
-        between = self._between(u, near, gap, rim, touches[near], pressing[near])
+        needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
+        between = self._between(u, near, gap, dirichlet, touches[near], pressing[near])
         needed[:, near] = between.needed
         given = with_ghosts(level.V, 1.0 - self._fans.free) > 0
         beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
@@ -233,19 +233,21 @@ class LatticeObstacle:
         # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
         others = np.flatnonzero((M + N + around)[triangles.dofs].any(axis=1) & ~touches)
-        beside_gap = self._gap(u, others, rim)
-        between = between.with_(self._between(u, others, beside_gap, rim, touches[others], pressing[others]))
+        beside_gap = self._gap(u, others, dirichlet)
+        between = between.with_(self._between(u, others, beside_gap, dirichlet, touches[others], pressing[others]))
         cells, gap = np.concatenate([near, others]), np.vstack([gap, beside_gap])
         of_M, of_N = (values[triangles.dofs[cells]] @ POINTS.T for values in (M, N))
         raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
         place, small = np.nonzero(beside)  # near comes first
-        above = self._cover(u, near[place], small, raised[place], rim)
+        above = self._cover(u, near[place], small, raised[place], dirichlet)
         cells_differ = not self._field.pointwise and len(near) > 0
         jumps = not self._field.continuous and above
         self.sampled = self._of_samples or total(level.comm, int(cells_differ or jumps)) > 0
         return cells, gap, raised, between
 
-    def _cover(self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, raised: np.ndarray, rim: Rim) -> bool:
+    def _cover(
+        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, raised: np.ndarray, dirichlet: DirichletData
+    ) -> bool:
         """Bound what is still above the state on small triangles where u is given at a corner (collective where the
         obstacle needs the distance).
 
@@ -254,7 +256,7 @@ class LatticeObstacle:
             cells: The cell that each small triangle lies in.
             small: Which it is there.
             raised: By what u is raised on the lattice of that cell.
-            rim: What boundary values add to u.
+            dirichlet: What boundary values add to u.
 
         Returns:
             Whether there is anything on this rank.
@@ -265,7 +267,7 @@ class LatticeObstacle:
             corners = inside @ self.triangles.x[cells]
             at_nodes = quadratics((_nodes_of(np.eye(3)) @ inside).reshape(-1, 3)).T.reshape(-1, 6, 6)
             nodes = np.matmul(at_nodes, u[cells, :, None])[..., 0]
-            cones, steep = rim.on_parts(cells, inside, self.sign)
+            cones, steep = dirichlet.on_parts(cells, inside, self.sign)
             above, last = np.zeros(len(cells), dtype=bool), split == BESIDE
             for group in pieces_of(self.triangles.data, self._field, corners, cells, AS_THEY_ARE).groups:
                 rows, reference = group.rows, inner_points(3, max(group.degree, 2))
@@ -297,14 +299,14 @@ class LatticeObstacle:
             return np.zeros(self._fans.owned)
         return self._fans.largest(self._fans.gather(np.repeat(heights[:, None], 3, axis=1))[0])
 
-    def _may_touch(self, u: np.ndarray, rim: Rim) -> np.ndarray:
+    def _may_touch(self, u: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
         """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
         middles = 2 * u[:, 3:] - (u[:, :3].sum(axis=1, keepdims=True) - u[:, :3]) / 2
         lowest = (self.sign * np.hstack([u[:, :3], middles])).min(axis=1, initial=np.inf)  # of Bernstein coefficients
         found = np.zeros(len(u), dtype=bool)
-        for rows, group in self._known(np.flatnonzero(self._top + rim.dip >= lowest)):
+        for rows, group in self._known(np.flatnonzero(self._top + dirichlet.deviation >= lowest)):
             degree, coefficient, room = self._difference(group, u[rows])
-            touches = largest(coefficient, 3, degree) + group.rest + rim.dip[rows] > room
+            touches = largest(coefficient, 3, degree) + group.rest + dirichlet.deviation[rows] > room
             np.logical_or.at(found, rows, touches)
         return found
 
@@ -330,7 +332,13 @@ class LatticeObstacle:
         return degree, coefficients(values, 3, degree), room
 
     def _between(
-        self, u: np.ndarray, cells: np.ndarray, gap: np.ndarray, rim: Rim, may_touch: np.ndarray, pressing: np.ndarray
+        self,
+        u: np.ndarray,
+        cells: np.ndarray,
+        gap: np.ndarray,
+        dirichlet: DirichletData,
+        may_touch: np.ndarray,
+        pressing: np.ndarray,
     ) -> Between:
         """Look between the points of the lattice.
 
@@ -338,7 +346,7 @@ class LatticeObstacle:
             u: Values of P2 at the nodes of all cells.
             cells: Some of them.
             gap: There on the lattice.
-            rim: What boundary values add to u.
+            dirichlet: What boundary values add to u.
             may_touch: Whether the obstacle may be above u in these cells.
             pressing: Whether they have a multiplier.
         """
@@ -354,7 +362,7 @@ class LatticeObstacle:
             for rows, group in groups:
                 degree, coefficient, room = self._difference(group, nodes[rows], CLOSE)
                 known = 2 * group.rest[:, None]  # 2: of the chord too
-                rest = known + 2 * (rim.dip[cells[at[rows]]] + room)[:, None]
+                rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + room)[:, None]
                 to_small = _above_chords(times, degree)
                 above = (coefficient @ to_small.reshape(-1, to_small.shape[2]).T).reshape(len(rows), len(to_small), -1)
                 most, least = above.max(axis=1), above.min(axis=1)
@@ -365,7 +373,7 @@ class LatticeObstacle:
                 rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * room[:, None]))).any(axis=1)
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
         small = SINGLE[part]
-        bend[at, small], mean[at, small], size[at, small] = self._bends_anew(u, cells[at], small, gap[at], rim)
+        bend[at, small], mean[at, small], size[at, small] = self._bends_anew(u, cells[at], small, gap[at], dirichlet)
         touches = may_touch[:, None] & (highest + bend > 0)
         M = np.where(touches, np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
         N = np.where(touches, highest + bend, 0.0).max(axis=1, initial=0.0)
@@ -374,7 +382,7 @@ class LatticeObstacle:
         return Between(needed, touches, mean, size)
 
     def _bends_anew(
-        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, gap: np.ndarray, rim: Rim
+        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, gap: np.ndarray, dirichlet: DirichletData
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Enclose the obstacle on small triangles (collective where it needs the distance).
 
@@ -383,7 +391,7 @@ class LatticeObstacle:
             cells: The cell that each lies in.
             small: Which it is there.
             gap: On the lattice of that cell.
-            rim: What boundary values add to u.
+            dirichlet: What boundary values add to u.
 
         Returns:
             How far obstacle - u is above its chord at most; a bound of the mean of the chord above it; and of the
@@ -397,7 +405,9 @@ class LatticeObstacle:
             degree, coefficient, room = self._difference(group, nodes[group.rows])
             chord = _combined(group.points(inner_points(3, degree)), linear[group.rows])
             above = coefficient - coefficients(chord, 3, degree)
-            rest = np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * rim.dip[cells[group.rows]] + room
+            rest = (
+                np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * dirichlet.deviation[cells[group.rows]] + room
+            )
             group.raise_to(bend, largest(above, 3, degree) + rest)
             group.raise_to(size, row_size(above) + rest)
             mean += np.bincount(group.rows, group.share * (rest - above.mean(axis=1)), len(mean))
@@ -422,10 +432,10 @@ class LatticeObstacle:
                 for block in blocks(len(chosen), FEW):
                     yield group.rows[chosen[block]], group[chosen[block]]
 
-    def _gap(self, u: np.ndarray, cells: np.ndarray, rim: Rim) -> np.ndarray:
+    def _gap(self, u: np.ndarray, cells: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
         """How far u with the boundary values is from the obstacle on the lattice."""
         inside = u[cells] @ quadratics(POINTS) - self.triangles.values(self._field, POINTS, cells)
-        return self.sign * (inside + rim.cones(cells, POINTS))
+        return self.sign * (inside + dirichlet.cones(cells, POINTS))
 
 
 class ElementP2(Element):
@@ -442,7 +452,7 @@ class ElementP2(Element):
         super().__init__(equilibration, problem.data.fixed[1].x.array[equilibration.nodes[:, 3:]])
         self.problem = problem
         self.obstacles = [
-            LatticeObstacle(triangles, equilibration.fans, *obstacle) for obstacle in self.given_obstacles
+            LatticeObstacle(triangles, equilibration.patches, *obstacle) for obstacle in self.given_obstacles
         ]
         self._metric = metric(triangles.x[:, 1] - triangles.x[:, 0], triangles.x[:, 2] - triangles.x[:, 0],
                               triangles.area, np.ones(len(triangles.area)))  # fmt: skip
@@ -499,7 +509,7 @@ class ElementP2(Element):
             least = at_vertices.min(axis=1)
             kept = np.where(least < 0, mean / np.maximum(mean - least, 1e-300), 1.0)
             reduced += (1 - kept) * np.sqrt(area / 3 * ((pressure - mean[:, None]) ** 2).sum(axis=1))
-            cells, gap, raised, between = side.above(nodal, pressure.any(axis=1), self.rim)
+            cells, gap, raised, between = side.above(nodal, pressure.any(axis=1), self.dirichlet)
             lift = np.maximum(raised, 0.0)
             added[cells] += side.sign * lift
             positive = mean[:, None] + kept[:, None] * (at_vertices - mean[:, None])

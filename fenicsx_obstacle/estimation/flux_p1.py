@@ -25,8 +25,8 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, other_effects, tension_of
-from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
+from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import total
 
 NEAR = 0.5  # of force/tension: a larger distance costs more than what moving the force to other cells does to the flux
@@ -59,7 +59,7 @@ class EquilibrationP1:
 
     Attributes:
         triangles: The owned cells.
-        fans: Their corners around the vertices.
+        patches: Their corners around the vertices.
         mu: Tension of each cell, as the solver has it.
         load: Its moments are int_T f phi_l, shape (cells, 3), its oscillation ||f - f_0||_T.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
@@ -69,13 +69,13 @@ class EquilibrationP1:
         """Sample the load, sort the corners (collective)."""
         self.triangles, data = triangles, triangles.data
         self.level = data.level
-        self.fans = Fans(triangles)
+        self.patches = VertexPatches(triangles)
         self.mu = of_solver(triangles, data, tension_of(data), np.full((1, 3), 1 / 3), positive=True)[:, 0]
-        area = self.fans.gather(np.repeat((triangles.area / self.mu)[:, None] / 3, 3, axis=1))[0]
-        self._softness = self.fans.at_vertices(area)  # int phi_i/mu
+        area = self.patches.gather(np.repeat((triangles.area / self.mu)[:, None] / 3, 3, axis=1))[0]
+        self._softness = self.patches.at_vertices(area)  # int phi_i/mu
         self._prepare_others(other_effects(data))
         self.load = Load(triangles, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
-        self.missing = self.fans.at_vertices(self.fans.gather(self.load.missing)[0])
+        self.missing = self.patches.at_vertices(self.patches.gather(self.load.missing)[0])
         x, y = triangles.x[..., 0], triangles.x[..., 1]
         scale = 1 / (4 * triangles.area * self.mu)[:, None]
         # the edge opposite to a vertex, and from each vertex to the middle of the cell
@@ -84,8 +84,8 @@ class EquilibrationP1:
         self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
         self._B = edge_x * previous(to_x) + edge_y * previous(to_y)
         G = scale * (triangles.normal[0] ** 2 + triangles.normal[1] ** 2)
-        self._fan_A, self._fan_B, fan_G = self.fans.gather(self._A, self._B, G)
-        self._fan_G = self.fans.sums(fan_G)
+        self._fan_A, self._fan_B, fan_G = self.patches.gather(self._A, self._B, G)
+        self._fan_G = self.patches.sums(fan_G)
 
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
@@ -121,29 +121,29 @@ class EquilibrationP1:
             touches_upper: Whether it is at the upper one or beyond it.
             gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
-        triangles, fans, V = self.triangles, self.fans, self.level.V
+        triangles, patches, V = self.triangles, self.patches, self.level.V
         beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
         correction = next_(beta) * self._A + previous(beta) * self._B
-        drops, correction = fans.gather(beta + self._all_moments(u), correction)
-        residual = np.where(fans.free, -fans.at_vertices(drops) / fans.mass, 0.0)
+        drops, correction = patches.gather(beta + self._all_moments(u), correction)
+        residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
-        with_solver_load = np.where(fans.free, residual + self.missing / fans.mass, 0.0)
+        with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
         solver_rest = self._multipliers(with_solver_load, touches_lower, touches_upper)[2]
         (lower, push), (upper, pull) = (
             self._in_cells(self._along_the_boundary(values, touches), gap)
             for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
         )
-        before, after = fans.walk(drops + (push - pull + fans.along(rest[fans.vertex])) * fans.area)
-        shift = -(fans.sums(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
+        before, after = patches.walk(drops + (push - pull + patches.along(rest[patches.vertex])) * patches.area)
+        shift = -(patches.sums(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
         # nothing leaves through the free boundary
-        open_ = ~fans.closed
-        shift[open_ & ~fans.exit_held] = -after[fans.last[open_ & ~fans.exit_held]]
-        shift[open_ & ~fans.entry_held] = 0.0
-        shift = fans.along(shift)
-        to_b, to_c = fans.scatter(after + shift, before + shift)
+        open_ = ~patches.closed
+        shift[open_ & ~patches.exit_held] = -after[patches.last[open_ & ~patches.exit_held]]
+        shift[open_ & ~patches.entry_held] = 0.0
+        shift = patches.along(shift)
+        to_b, to_c = patches.scatter(after + shift, before + shift)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
-            normal=previous(to_b) - next_(to_c), incompatible=fans.left_over(after),
+            normal=previous(to_b) - next_(to_c), incompatible=patches.left_over(after),
         )  # fmt: skip
 
     def _multipliers(
@@ -157,13 +157,13 @@ class EquilibrationP1:
     def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
         """Where u is given and touches, the mean of the neighbours: any value >= 0 will do, 0 is far off in contact."""
         level, dofs, values = self.level, self.triangles.dofs, with_ghosts(self.level.V, values)
-        wanted = touches & ~self.fans.free
+        wanted = touches & ~self.patches.free
         if total(level.comm, np.count_nonzero(wanted)) == 0:
             return values
         for _ in range(SWEEPS):
             corner = values[dofs]
-            others = self.fans.gather(corner.sum(axis=1, keepdims=True) - corner, np.full(corner.shape, 2.0))
-            sums, counts = (self.fans.at_vertices(part) for part in others)
+            others = self.patches.gather(corner.sum(axis=1, keepdims=True) - corner, np.full(corner.shape, 2.0))
+            sums, counts = (self.patches.at_vertices(part) for part in others)
             values = with_ghosts(level.V, np.where(wanted, sums / counts, values[: level.owned]))
         return values
 
@@ -175,17 +175,17 @@ class EquilibrationP1:
             values: At local dofs, >= 0.
             gap: Mean distance to the obstacle in each cell; None: it plays no part.
         """
-        fans, own = self.fans, values[: self.level.owned]
+        patches, own = self.patches, values[: self.level.owned]
         if total(self.level.comm, np.count_nonzero(own)) == 0:
-            return np.zeros(self.triangles.dofs.shape), np.zeros(len(fans.area))
-        along, corner = fans.along(own[fans.vertex]), values[self.triangles.dofs]
+            return np.zeros(self.triangles.dofs.shape), np.zeros(len(patches.area))
+        along, corner = patches.along(own[patches.vertex]), values[self.triangles.dofs]
         if gap is None:
             return corner, along
-        gaps = fans.gather(np.repeat(gap[:, None], 3, axis=1))[0]
-        most = fans.smallest(gaps) + NEAR * own * self._softness
-        far = (gaps > fans.along(most[fans.vertex])) & (along > 0)
+        gaps = patches.gather(np.repeat(gap[:, None], 3, axis=1))[0]
+        most = patches.smallest(gaps) + NEAR * own * self._softness
+        far = (gaps > patches.along(most[patches.vertex])) & (along > 0)
         if total(self.level.comm, np.count_nonzero(far)) == 0:
             return corner, along
-        share = fans.mass / fans.at_vertices(np.where(far, 0.0, fans.area))
-        along = np.where(far, 0.0, along * fans.along(share[fans.vertex]))
-        return fans.scatter(along)[0], along
+        share = patches.mass / patches.at_vertices(np.where(far, 0.0, patches.area))
+        along = np.where(far, 0.0, along * patches.along(share[patches.vertex]))
+        return patches.scatter(along)[0], along

@@ -22,11 +22,11 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
-from fenicsx_obstacle.estimation.fans import Fans
 from fenicsx_obstacle.estimation.flux_p1 import NEAR
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
 from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
+from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class EquilibrationP2:
 
     Attributes:
         triangles: The owned cells, with the dofs of P1.
-        fans: Their corners around the vertices.
+        patches: Their corners around the vertices.
         nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
         mu: Mean tension of each cell, as the solver has it.
         load: Its moments are int f psi_j psi_k, shape (cells, 3, 3), its oscillation ||f - Pi_1 f||_T.
@@ -76,7 +76,7 @@ class EquilibrationP2:
             triangles, data, tests=lambda points: points[:, :, None] * points[:, None], basis=lambda points: points
         )
         self.missing = self.summed(against_nodes(self.load.missing))[: self.level.owned]
-        self.fans = Fans(triangles)
+        self.patches = VertexPatches(triangles)
         self._given = np.zeros(len(fem.Function(self.level.V).x.array), dtype=bool)
         self._given[data.fixed[0]] = True
         weights = self.summed(np.repeat(triangles.area[:, None] / 3, 3, axis=1), middles=True)
@@ -103,18 +103,18 @@ class EquilibrationP2:
             forms.append(np.einsum("kc,kuv->cuv", self._metrics[-1], FORMS))
         form = np.stack(forms, axis=1)  # cells, corners, 3, 3
         pairs = [(u, v) for u in range(3) for v in range(u, 3)]
-        gathered = self.fans.gather(*(form[:, :, u, v] for u, v in pairs))
+        gathered = self.patches.gather(*(form[:, :, u, v] for u, v in pairs))
         self._forms = np.empty((3, 3, gathered.shape[1]))
         for (u, v), values in zip(pairs, gathered, strict=True):
             self._forms[u, v] = self._forms[v, u] = values
-        lengths = self.fans.sums(np.ones(len(self.fans.area))).astype(np.int64)
-        starts = np.array([step.start for step in self.fans.steps])
+        lengths = self.patches.sums(np.ones(len(self.patches.area))).astype(np.int64)
+        starts = np.array([step.start for step in self.patches.steps])
         self._groups = []
         for length in np.unique(lengths):
             for closed in (True, False):
-                fans = np.flatnonzero((lengths == length) & (self.fans.closed == closed))
-                if len(fans):
-                    self._groups.append((fans, starts[:length][None] + fans[:, None], closed))
+                patches = np.flatnonzero((lengths == length) & (self.patches.closed == closed))
+                if len(patches):
+                    self._groups.append((patches, starts[:length][None] + patches[:, None], closed))
 
     def summed(self, values: np.ndarray, *, middles: bool = False) -> np.ndarray:
         """Sums over the cells around each local node of P2, from values (cells, 6), or (cells, 3) at middles
@@ -137,7 +137,7 @@ class EquilibrationP2:
             touches_upper: Whether it is at the upper one or beyond it.
             gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
-        triangles, fans = self.triangles, self.fans
+        triangles, patches = self.triangles, self.patches
         area, gradient = triangles.area, self.gradients(u)
         slopes = np.einsum("xck,xca->cak", gradient, triangles.normal) / (2 * area)[:, None, None]  # grad psi_a at k
         K = np.einsum("cak,ckj->caj", slopes, self._mu_products)  # int mu grad u . grad psi_a psi_j
@@ -147,17 +147,17 @@ class EquilibrationP2:
         )
         pushes = self.load.moments + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
         drops = (pushes - K).sum(axis=2)
-        unbalanced = np.where(fans.free, -fans.at_vertices(fans.gather(drops)[0]) / fans.mass, 0.0)
+        unbalanced = np.where(patches.free, -patches.at_vertices(patches.gather(drops)[0]) / patches.mass, 0.0)
         rest = with_ghosts(triangles.data.level.V, unbalanced)[triangles.dofs]
         pushes = pushes + rest[:, :, None] * (area[:, None, None] * MASS)
         drops = (pushes - K).sum(axis=2)
         R = K - pushes  # int div sigma^a psi_j
         pulls = self._pulls(u, gradient, K, R, drops)
-        drops, *pulls = fans.gather(drops, *pulls)
-        before, after = fans.walk(drops)
+        drops, *pulls = patches.gather(drops, *pulls)
+        before, after = patches.walk(drops)
         round_, entering, leaving = self._solved(before, after, np.array(pulls))
-        parts = fans.scatter(before + round_, after + round_, entering, leaving)
-        return FluxP2(lower, upper, rest, *self._joined(R, *parts), fans.left_over(after))
+        parts = patches.scatter(before + round_, after + round_, entering, leaving)
+        return FluxP2(lower, upper, rest, *self._joined(R, *parts), patches.left_over(after))
 
     def gradients(self, u: np.ndarray) -> np.ndarray:
         """grad u_h at the vertices of each cell, shape (2, cells, 3)."""
@@ -240,7 +240,7 @@ class EquilibrationP2:
         """What goes round each vertex, and the moments on its edges, along the fans (local)."""
         round_, entering, leaving = (np.zeros_like(before) for _ in range(3))
         pulls = pulls + self._forms[:, 0] * before
-        for fans, places, closed in self._groups:
+        for patches, places, closed in self._groups:
             count, length = places.shape
             size = 1 + length + (not closed)
             A, b = np.zeros((count, size, size)), np.zeros((count, size))
@@ -256,7 +256,8 @@ class EquilibrationP2:
                 # nothing leaves through the free boundary
                 last = after[places[:, -1]]
                 for free, edge, value in (
-                    (~self.fans.exit_held[fans], size - 1, -last), (~self.fans.entry_held[fans], 1, 0.0 * last)
+                    (~self.patches.exit_held[patches], size - 1, -last),
+                    (~self.patches.entry_held[patches], 1, 0.0 * last),
                 ):  # fmt: skip
                     for row, right in ((0, value), (edge, 0.0 * value)):
                         A[free, row], b[free, row] = 0.0, right[free]

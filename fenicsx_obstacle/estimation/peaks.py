@@ -13,10 +13,10 @@ from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.fans import Fans
+from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
-from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.triangles import Triangles, with_ghosts
+from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import largest, total
 
 # where u may touch; what counts is the distance to the nodal interpolant
@@ -41,19 +41,33 @@ class Peaks:
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, triangles: Triangles, fans: Fans, rim: Rim, sign: float, field: Field, known: Range):
+    def __init__(
+        self,
+        triangles: Triangles,
+        patches: VertexPatches,
+        dirichlet: DirichletData,
+        sign: float,
+        field: Field,
+        known: Range,
+    ):
         """Compare it with its interpolant (collective).
 
         Args:
             triangles: The cells.
-            fans: The cells around the vertices.
-            rim: Boundary values between the nodes.
+            patches: The cells around the vertices.
+            dirichlet: Boundary values between the nodes.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
         data = triangles.data
-        self.triangles, self.fans, self.rim, self.sign, self._field = triangles, fans, rim, sign, field
+        self.triangles, self.patches, self.dirichlet, self.sign, self._field = (
+            triangles,
+            patches,
+            dirichlet,
+            sign,
+            field,
+        )
         nodal = data.lower if sign > 0 else data.upper
         assert nodal is not None
         self.nodal = sign * (field.clip(nodal.x.array) if isinstance(field, Clipped) else nodal.x.array)
@@ -105,7 +119,7 @@ class Peaks:
         Returns:
             At local dofs; where u is given, the nodal height.
         """
-        if self._flat and not self.rim.twice:
+        if self._flat and not self.dirichlet.twice:
             return self.nodal
         dofs = self.triangles.dofs
         for done, division in enumerate(SHARPER):
@@ -123,14 +137,19 @@ class Peaks:
         cheaper = np.maximum(level - state, 0.0).sum(axis=1) < np.maximum(shifted - state, 0.0).sum(axis=1)
         needed[cells] = np.where(cheaper[:, None], level, shifted) - nodal
         lifted = self.nodal + np.where(given, 0.0, self._at_nodes(needed))
-        self._cover(np.where(given, u, np.maximum(u, lifted)), near & (given[dofs].any(axis=1) | (self.rim.dip > 0)))
+        self._cover(
+            np.where(given, u, np.maximum(u, lifted)), near & (given[dofs].any(axis=1) | (self.dirichlet.deviation > 0))
+        )
         return lifted
 
     def _near(self, u: np.ndarray) -> np.ndarray:
         """Where u may touch."""
         dofs = self.triangles.dofs
-        near = _least(u - self.nodal, dofs) <= np.maximum(self._height, ROUND_OFF * self._heights) + self.rim.dip
-        return near & (_least(u, dofs) <= self._top + self.rim.dip)
+        near = (
+            _least(u - self.nodal, dofs)
+            <= np.maximum(self._height, ROUND_OFF * self._heights) + self.dirichlet.deviation
+        )
+        return near & (_least(u, dofs) <= self._top + self.dirichlet.deviation)
 
     def _cover(self, state: np.ndarray, beside: np.ndarray) -> None:
         """What is still above the state beside nodes that cannot be raised, because u is given there (collective).
@@ -145,7 +164,7 @@ class Peaks:
         for split in range(BESIDE + 1):
             pieces = pieces_of(triangles.data, self._field, corners, owner, Division(0))
             linear = (inside @ state[triangles.dofs[owner]][..., None])[..., 0]
-            cones, steep = self.rim.on_parts(owner, inside, self.sign)
+            cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
             above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
             for group in pieces.groups:
                 coefficient, room = self._above(group, linear)
@@ -167,11 +186,11 @@ class Peaks:
         jumps = total(comm, uncovered) > 0 and not self._field.continuous
         self.sampled = self._of_samples or jumps
 
-    def _at_nodes(self, heights: np.ndarray) -> np.ndarray:
+    def _at_nodes(self, u_values: np.ndarray) -> np.ndarray:
         """The largest value at the corners of cells around each local dof, 0 if that is more (collective)."""
-        owned, level = np.zeros(self.fans.owned), self.triangles.data.level
-        if total(level.comm, np.count_nonzero(heights)) > 0:
-            owned = self.fans.largest(self.fans.gather(heights)[0])
+        owned, level = np.zeros(self.patches.owned), self.triangles.data.level
+        if total(level.comm, np.count_nonzero(u_values)) > 0:
+            owned = self.patches.largest(self.patches.gather(u_values)[0])
         return with_ghosts(level.V, owned)
 
 

@@ -23,8 +23,8 @@ from fenicsx_obstacle.estimation.quadrature import blocks, rule
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
 
-NEAR = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
-ENOUGH = 1e-4  # of h/length max|f|: likewise
+NEGLIGIBLE_CURVATURE = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
+NEGLIGIBLE_REMAINDER = 1e-4  # of h/length max|f|: likewise
 THIN = 2e-3  # likewise, of the datum on parts that a condition cuts, times the root of their share
 APART = 3.0  # so many times further than a condition may change from a line, it is decided
 NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it
@@ -377,7 +377,9 @@ class _Near:
             second, third = bounds.derivative(2)[rows], bounds.derivative(3)[rows]
             largest = np.maximum(np.abs(self.lower), np.abs(self.upper))[rows]
             near = np.flatnonzero(np.isfinite(second) & np.isfinite(third))
-            enough = np.maximum(NEAR * size[near] * second[near], ENOUGH / division.length * largest[near])
+            enough = np.maximum(
+                NEGLIGIBLE_CURVATURE * size[near] * second[near], NEGLIGIBLE_REMAINDER / division.length * largest[near]
+            )
             good[near] = polynomials.REMAINDER[self._corners][2] * size[near] ** 2 * third[near] <= enough
             self._near(2, rows[good], third[good], size[good], height[good])
         far = ~good

@@ -39,11 +39,11 @@ def round_off(problem: Problem, p: np.ndarray, eps: float | None) -> dict[str, f
     left = EPSILON * largest(comm, stiff[pressing]) / size
     if eps is None:
         return {"from_heights": None, "line": None, "left": left}
-    heights = problem.heights().x.array[:own]
+    u_values = problem.solution().x.array[:own]
     plain = np.zeros(own)
     for obstacle, sign in zip(problem.obstacles(), (1.0, -1.0), strict=True):
         g = np.broadcast_to(obstacle, len(problem.w.x.array))[:own]
         with np.errstate(invalid="ignore"):
-            plain += sign * np.maximum(sign * (g - heights), 0.0)
+            plain += sign * np.maximum(sign * (g - u_values), 0.0)
     lost = largest(comm, np.abs(plain / eps - p)[pressing]) / size
     return {"from_heights": lost, "line": EPSILON * largest(comm, r[pressing]) / (eps * size), "left": left}

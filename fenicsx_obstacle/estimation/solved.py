@@ -13,7 +13,8 @@ and two answers to one problem agree within the sum of these: no tolerance is ch
   and |e| <= A^-1 |r| holds for M-matrices without symmetry too;
 - convex terms beside a linear tension (soft obstacles) only add to the derivative: A without them is enough for both;
 - where the tension itself depends on u, A is the derivative at the answer and ||e||_a^2 stands for (F(u) - F(u')) . e,
-  F(u) = a(u, .): R is known to first order in e, for which it gets `BENT`. A wrong answer is not of second order.
+  F(u) = a(u, .): R is known to first order in e, for which it gets `NONLINEAR_FACTOR`. A wrong answer is not of second
+  order.
 """
 
 from __future__ import annotations
@@ -32,17 +33,17 @@ from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.stopping import NOTHING, TOLERANCE
+from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE, TOLERANCE
 
 EPSILON = float(np.finfo(float).eps)
 FEW = 8 * EPSILON  # of |A| |u| in a row of some seven entries
 TOUCHING = 1e-12  # of the range of u: nearer than this SNES VI takes a node to be at its bound
-BENT = 2.0  # how many times stiffer than between two answers the membrane may be at either
+NONLINEAR_FACTOR = 2.0  # how many times stiffer than between two answers the membrane may be at either
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """An answer of one `Ground`; arrays hold owned dofs.
+    """An answer of one `ReferenceProblem`; arrays hold owned dofs.
 
     Attributes:
         ground: What it is an answer to.
@@ -62,7 +63,7 @@ class Solved:
         R: How far in the energy norm; inf where nothing is known.
     """
 
-    ground: Ground
+    ground: ReferenceProblem
     eps: float | None
     w: np.ndarray = field(repr=False)
     r: np.ndarray = field(repr=False)
@@ -113,7 +114,7 @@ class Solved:
         return float(np.sqrt(total(self.ground.comm, self.ground.D * p**2)))
 
 
-class Ground:
+class ReferenceProblem:
     """What all answers of a problem stand on: its matrix, factorised, and weights (all methods collective).
 
     Attributes:
@@ -248,14 +249,14 @@ class Ground:
             self.comm, [self._nearest(*pair) for pair in zip((below, above), problem.obstacles(), strict=True)]
         )
         if np.isfinite(nearest):
-            nothing = np.where(self.free, NOTHING * nearest * self.diagonal, 0.0)
+            nothing = np.where(self.free, NEGLIGIBLE_FORCE * nearest * self.diagonal, 0.0)
             noise, forces = noise + nothing, max(forces, total(self.comm, nothing))
         state = problem.state()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
         left = np.where(self.free, np.abs(elastic - self.D * p), 0.0) + noise
-        heights = w + r
-        span = largest(self.comm, heights) + largest(self.comm, -heights)
+        u_values = w + r
+        span = largest(self.comm, u_values) + largest(self.comm, -u_values)
         last = FEW * (np.abs(w) + np.abs(r)) * self.free  # heights themselves are rounded
         # what SNES VI takes to be at its bound may be this far off
         slip = last if eps is not None else last + TOUCHING * span
@@ -268,8 +269,8 @@ class Ground:
 
     def _nearest(self, gap: np.ndarray, obstacle: np.ndarray | float) -> float:
         """The smallest gap above the last digit of an obstacle: what is below it touches (collective)."""
-        heights = np.abs(obstacle)
-        digit = EPSILON * max(largest(self.comm, np.where(np.isfinite(heights), heights, 0.0)), 0.0)
+        u_values = np.abs(obstacle)
+        digit = EPSILON * max(largest(self.comm, np.where(np.isfinite(u_values), u_values, 0.0)), 0.0)
         return float(np.abs(gap[np.abs(gap) > digit]).min(initial=np.inf))
 
     def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
@@ -278,7 +279,7 @@ class Ground:
         R = np.sqrt(total(self.comm, left * off)) + np.sqrt(total(self.comm, self.diagonal * last**2))
         if not self.monotone or not self.symmetric:  # r' S^-1 r may exceed |r|' S^-1 |r| then
             R += np.sqrt(max(total(self.comm, signed * self.lift(signed, "symmetric")), 0.0))
-        return float(R) * (BENT if self.bent else 1.0)
+        return float(R) * (NONLINEAR_FACTOR if self.bent else 1.0)
 
     def close(self) -> None:
         """Free the matrix and its factors."""

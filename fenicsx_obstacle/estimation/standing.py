@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.pieces import Pieces
-from fenicsx_obstacle.estimation.rim import Rim
 from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import total
 
@@ -54,16 +54,16 @@ class Standing:
 class Hypotheses:
     """What is known of the data on one mesh, without sampling."""
 
-    def __init__(self, triangles: Triangles, tension: Pieces | None, load: Pieces | None, rim: Rim):
+    def __init__(self, triangles: Triangles, tension: Pieces | None, load: Pieces | None, dirichlet: DirichletData):
         """Look at the parts of the boundary (collective).
 
         Args:
             triangles: The owned cells.
             tension: In the cells; None of a number.
             load: Likewise.
-            rim: Boundary values.
+            dirichlet: Boundary values.
         """
-        self._triangles, self._rim = triangles, rim
+        self._triangles, self._rim = triangles, dirichlet
         comm = triangles.data.level.comm
         self._reasons = cut_parts(triangles)
         self._middles = np.zeros((len(triangles.area), 3))
@@ -82,7 +82,7 @@ class Hypotheses:
                 self._reasons.append(f"the {wrong} near {place}")
             if total(comm, int(pieces.sampled)) > 0:
                 self._sampled.append(name)
-        if place := self._first(rim.unbounded):
+        if place := self._first(dirichlet.unbounded):
             self._reasons.append(f"the boundary value may be infinite or undefined near {place}")
 
     def standing(self, reasons: Iterable[str], obstacles: Iterable[Obstacle]) -> Standing:

@@ -49,9 +49,9 @@ def contact_truth(model: Model, exact: ExactSolution | None, level: Level) -> di
         mixed = np.zeros(len(cells), dtype=bool)
         for block in blocks(len(cells)):
             x = where @ cells[block]
-            heights = values(u, x)
+            u_values = values(u, x)
             for side in sides:
-                touching[block] |= np.abs(heights - values(side, x)) <= TOUCHES * scale
+                touching[block] |= np.abs(u_values - values(side, x)) <= TOUCHES * scale
             mixed[block] = touching[block].any(axis=1) != touching[block].all(axis=1)
             if p is not None:
                 pressure = values(p, x)

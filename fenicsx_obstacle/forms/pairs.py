@@ -76,15 +76,15 @@ class Pair:
     @property
     def bounded(self) -> bool:
         """Whether there is a bound of the error in energy, on triangles in the plane."""
-        return self.nests or self.stacks
+        return self.nested_hierarchy or self.has_p1_coarse_space
 
     @property
-    def nests(self) -> bool:
+    def nested_hierarchy(self) -> bool:
         """Whether V_h on a mesh is part of V_h on the mesh with its edges halved, with nodes at the same places."""
         return self.degree == 1 and all(cell in SIMPLICES for cell in self.rules)
 
     @property
-    def stacks(self) -> bool:
+    def has_p1_coarse_space(self) -> bool:
         """Whether V_h holds P1 on the same mesh, with nodes at its vertices and at the middles of its edges."""
         return self.degree == 2 and all(cell in SIMPLICES for cell in self.rules)
 

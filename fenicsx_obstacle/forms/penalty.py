@@ -98,11 +98,11 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
     value = float(getattr(eps, "value", eps))
     _check(value)
     p = fem.Function(space, name="p")
-    heights = u.x.array
+    u_values = u.x.array
     if upper is not None:
-        p.x.array[:] -= np.maximum(heights - _nodal(upper, space), 0.0) / value
+        p.x.array[:] -= np.maximum(u_values - _nodal(upper, space), 0.0) / value
     if lower is not None:
-        p.x.array[:] += np.maximum(_nodal(lower, space) - heights, 0.0) / value
+        p.x.array[:] += np.maximum(_nodal(lower, space) - u_values, 0.0) / value
     return p
 
 

@@ -42,7 +42,7 @@ def element_of(solution: Solution) -> dict[str, np.ndarray]:
         and by its name each field of Q_h that is not nodal, shape (cells, dofs of a cell).
     """
     level = solution.level
-    if level.pair.nests:
+    if level.pair.nested_hierarchy:
         return {}
     own = own_cells(level.mesh)
     parts = {"cells": solution.cut.nodes}

@@ -110,7 +110,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     name = record.get("element", "P1")
     if name not in pairs():
         raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
-    pair = pairs()[name] if element or pairs()[name].nests else P1
+    pair = pairs()[name] if element or pairs()[name].nested_hierarchy else P1
     level = mesh_of(arrays, element, int(arrays["gdim"]), record["h"], comm, pair)
     try:
         fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)

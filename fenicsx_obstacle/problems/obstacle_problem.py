@@ -173,7 +173,7 @@ class ObstacleProblem:
         self = cls.__new__(cls)
         u = fem.Function(level.V, name="u")
         self._set_up(Data(model, level), u, None, petsc_options_prefix, petsc_options, (None, None))
-        u.x.array[:] = self._problem.heights().x.array
+        u.x.array[:] = self._problem.solution().x.array
         return self
 
     def _set_up(
@@ -273,8 +273,8 @@ class ObstacleProblem:
                 options = SolverOptions(method, self._automatic() if by_itself else value, source=f"{self.name}:")
             problem = self._problem
             way = method_of(problem, options)
-            watch = None if monitor is None else _Numbered(monitor, problem)
-            outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, watch=watch))
+            monitor = None if monitor is None else _Numbered(monitor, problem)
+            outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         return Solved(outcome, way, state)
@@ -338,12 +338,12 @@ class ObstacleProblem:
                 self._form.look_again(problem.nodal.stiffness)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
-            problem.refer(problem.cold_start())
+            problem.set_reference(problem.cold_start())
             return
         start = self.u.x.array.copy()
         dofs, given = self._data.fixed
         start[dofs] = given.x.array[dofs]
-        problem.refer(np.clip(start, *problem.obstacles()))
+        problem.set_reference(np.clip(start, *problem.obstacles()))
 
     def _bounds(self) -> Estimator:
         """Bounds of the energy error (collective).
@@ -359,7 +359,7 @@ class ObstacleProblem:
 
         estimator = Estimator(self._problem)
         if self._problem.affine:
-            estimator.lend_load()
+            estimator.use_estimator_load()
         return estimator
 
     def _press(self, eps: float) -> None:

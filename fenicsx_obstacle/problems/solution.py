@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.show.pictures import Picture
 
 Files = dict[str, bytes]
-LOST = 1e-3  # relative round-off of a pressure that is worth telling
-DEEP = 0.01  # of the range of u: penetration that shows in forces and contact sets
+PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure that is worth telling
+LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class Solution:
     @property
     def plain(self) -> Self:
         """The same on P1 simplices, as it is drawn, and written for ParaView (first use is collective)."""
-        return self if self.level.pair.nests else cast("Self", self.cut.plain)
+        return self if self.level.pair.nested_hierarchy else cast("Self", self.cut.plain)
 
     @cached_property
     def cut(self) -> Cut:
@@ -299,16 +299,16 @@ class Solution:
     def _slope_degree(self) -> int:
         """Of polynomials that hold the gradients of V_h."""
         pair = self.level.pair
-        return pair.degree - 1 if pair.nests or pair.stacks else pair.degree
+        return pair.degree - 1 if pair.nested_hierarchy or pair.has_p1_coarse_space else pair.degree
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""
         from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only where it is asked for
 
-        if self.level.pair.nests and function.function_space == self.level.V:
+        if self.level.pair.nested_hierarchy and function.function_space == self.level.V:
             return values_at(self.level, function, points)
         rows, cells, _ = locate(self.plain.level, points)
-        here = cells if self.level.pair.nests else self.cut.parents[cells]
+        here = cells if self.level.pair.nested_hierarchy else self.cut.parents[cells]
         found = function.eval(points[rows], here.astype(np.int32)) if len(rows) else np.empty(0)
         return mean_over_cells(self.level.comm, len(points), rows, np.ravel(found))
 
@@ -342,7 +342,7 @@ class Solution:
             *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
             *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
         ]
-        if r["penetration"] > DEEP * r["u_range"]:
+        if r["penetration"] > LARGE_PENETRATION * r["u_range"]:
             large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
             share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
             lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or --method vi")
@@ -375,12 +375,12 @@ class Solution:
     def _round_off(self) -> list[str]:
         """What floating point leaves of the pressure, in words, where that is little."""
         found, lines = self.record.get("round_off", {}), []
-        if (found.get("left") or 0.0) > LOST:
+        if (found.get("left") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
             lines.append(
                 f"  heights so far from 0 leave the pressure a round-off of {found['left']:.1g}: count them from the "
                 "obstacle's"
             )
-        if (found.get("line") or 0.0) > LOST:
+        if (found.get("line") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
             lines.append(
                 f"  eps is below what heights resolve: p was found from u - obstacle; from u and obstacle as they are "
                 f"saved its error would be {found['line']:.1g}"

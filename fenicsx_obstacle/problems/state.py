@@ -57,4 +57,4 @@ def state_of(problem: Problem, method: Method) -> State:
             energy = (1 - method.share) * problem.energy(x, penalised=False, moving=False) + method.share * energy
         x.destroy()
     touching = in_q(level, (contact.lower | contact.upper).astype(float))
-    return State(problem.heights(), p, in_q(level, p * problem.thickness), touching, contact, energy)
+    return State(problem.solution(), p, in_q(level, p * problem.thickness), touching, contact, energy)

@@ -50,7 +50,7 @@ class Report:
             InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside.
         """
         dim, pair = self.level.mesh.geometry.dim, self.level.pair
-        if not pair.nests:
+        if not pair.nested_hierarchy:
             raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}")
         if self.data.model.elastic.isotropic_tension is None:
             for formula in self.scene.report.values():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fenicsx_obstacle.discrete.moments import EQUILIBRIA, INERTIA, RATE, Moments
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, RATE, TimeDiscretization
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.fields import FormulaField
 
@@ -15,7 +15,7 @@ COLUMNS = ("step", "dt", "newton", "krylov", "energy", "kinetic", "contact_area"
            "penetration")  # fmt: skip
 
 
-def moments(scene: Scene) -> Moments | None:
+def moments(scene: Scene) -> TimeDiscretization | None:
     """The moments of a scene; None without [time].
 
     Raises:
@@ -51,7 +51,7 @@ def moments(scene: Scene) -> Moments | None:
         if isinstance(field, FormulaField):
             field.check_names(scene.known_names)
     scheme = {EQUILIBRIA: "equilibria", RATE: table.scheme or "euler", INERTIA: "midpoint"}[order]
-    return Moments(
+    return TimeDiscretization(
         order, end, table.steps, fields["start"], fields["velocity"], scheme, table.tolerance, table.frames,
         table.name,
     )  # fmt: skip

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from fenicsx_obstacle.discrete.model import Model, Part
-from fenicsx_obstacle.discrete.moments import Moments
+from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, find, known
 from fenicsx_obstacle.effects.field import ByCells, Field, fields_in
 from fenicsx_obstacle.errors import InputError
@@ -213,7 +213,7 @@ class Scene(Vocabulary):
         set_("model", replace(self.model, time=moments(self)))
 
     @property
-    def time(self) -> Moments | None:
+    def time(self) -> TimeDiscretization | None:
         """The moments, or None."""
         return self.model.time
 

@@ -15,7 +15,7 @@ import numpy as np
 SIDES = {"lower": 1.0, "upper": -1.0}  # sign of the pressure of each obstacle
 LEVELS = {"lower": "level lower", "upper": "level upper"}  # names of the level functions among the fields
 AVERAGED = 2  # times that each value is replaced by the mean with its neighbours
-LEAST = 0.02  # level of a node next to the line, in units of the level's usual rise from node to node
+MIN_LEVEL = 0.02  # level of a node next to the line, in units of the level's usual rise from node to node
 
 
 class Patch(NamedTuple):
@@ -108,7 +108,7 @@ def _level(patch: Patch, side: str) -> np.ndarray:
     for _ in range(AVERAGED):
         near, known = _mean(a, level[b], len(root))
         level = np.where(known, (level + near) / 2, level)
-    return np.where(touching, np.minimum(level, -LEAST * step), np.maximum(level, LEAST * step))
+    return np.where(touching, np.minimum(level, -MIN_LEVEL * step), np.maximum(level, MIN_LEVEL * step))
 
 
 def _mean(nodes: np.ndarray, values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

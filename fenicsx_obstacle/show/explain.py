@@ -6,7 +6,7 @@ from textwrap import fill
 
 from fenicsx_obstacle.discrete.galerkin import SMALLEST
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
-from fenicsx_obstacle.discrete.moments import EQUILIBRIA
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.parts import part_place
@@ -16,12 +16,12 @@ from fenicsx_obstacle.show.steps import steps_of
 from fenicsx_obstacle.solvers.choose import (
     ALGEBRAIC,
     AUGMENTED,
-    BENT,
     DIRECT_SOLVER,
     GENERAL_SOLVER,
     LINEAR_SOLVER,
     METHODS,
     NESTED,
+    NONLINEAR_WORDS,
     nested,
     stepwise,
 )
@@ -247,7 +247,7 @@ def _method(scene: Scene) -> str:
         return words
     if scene.options.method == "vi":
         return f"{words}; from the solution of the penalty should it fail"
-    return words.replace(*BENT)
+    return words.replace(*NONLINEAR_WORDS)
 
 
 def _steps(scene: Scene) -> str:

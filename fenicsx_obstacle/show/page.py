@@ -50,7 +50,7 @@ figure img, figure svg { display: block; max-width: 100%; height: auto; }
 
 
 def write_answer_page(
-    path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None, course: Path | None = None
+    path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None, time_history: Path | None = None
 ) -> None:
     """Write the page of an answer (one rank).
 
@@ -59,11 +59,13 @@ def write_answer_page(
         scene: What was solved.
         record: Figures of the answer.
         picture: PNG file of the answer, or None.
-        course: PNG file of all moments, or None.
+        time_history: PNG file of all moments, or None.
     """
     size = f"{counted(record['cells_total'], 'cell')}, {counted(record['dofs'], 'unknown')}"
     parts = [] if picture is None else [section("The solution", _picture(picture, _title(scene)))]
-    parts += [] if course is None else [section("All moments", _picture(course, f"{_title(scene)}, over time"))]
+    parts += (
+        [] if time_history is None else [section("All moments", _picture(time_history, f"{_title(scene)}, over time"))]
+    )
     _write(path, scene, f"{_how(record)}; {size}.", [*parts, *_facts_of(scene, record)], record, record["command"])
 
 

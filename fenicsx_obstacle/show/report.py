@@ -53,7 +53,7 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
 
         said += "\n  " + animate_newton(answer, folder / STEPS)
     moving = None
-    if answer.course is not None:
+    if answer.time_history is not None:
         moving, words = on_root(comm, _draw_course, answer, arrays, folder, picture)
         said += words
     on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving)
@@ -62,13 +62,13 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
 
 def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
     """The picture of the course and, if asked for, the animation, with what is said of them (one rank)."""
-    from fenicsx_obstacle.show import course  # only where a scene has time
+    from fenicsx_obstacle.show import time_history  # only where a scene has time
 
-    said = ["", course.draw_course(answer, arrays, folder / course.HISTORY)]
-    (folder / course.ANIMATION).unlink(missing_ok=True)
-    if picture and course.is_animated(answer, arrays):
-        said.append(course.animate(answer, arrays, folder / course.ANIMATION))
-    return folder / course.HISTORY, "\n  ".join(said)
+    said = ["", time_history.draw_course(answer, arrays, folder / time_history.HISTORY)]
+    (folder / time_history.ANIMATION).unlink(missing_ok=True)
+    if picture and time_history.is_animated(answer, arrays):
+        said.append(time_history.animate(answer, arrays, folder / time_history.ANIMATION))
+    return folder / time_history.HISTORY, "\n  ".join(said)
 
 
 def report_study(

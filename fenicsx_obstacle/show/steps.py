@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fenicsx_obstacle.discrete.moments import EQUILIBRIA
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.words import counted
 

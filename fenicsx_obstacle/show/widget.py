@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.show.course import is_animated, moving
 from fenicsx_obstacle.show.pictures import Picture
+from fenicsx_obstacle.show.time_history import is_animated, moving
 from fenicsx_obstacle.solvers.newton import smallest_eps
 
 TENS = 4  # of eps to both sides of the answer's
@@ -33,17 +33,17 @@ def slider(answer: Answer) -> Any:
         import ipywidgets
     except ImportError:
         raise InputError("a slider needs ipywidgets, which is not there: pip install ipywidgets") from None
-    if answer.course is not None:
+    if answer.time_history is not None:
         return _over_moments(ipywidgets, answer)
     eps = answer.record["eps"]
     if eps is None:
         raise InputError(f"{answer.record['method']}: there is no eps to choose")
-    bench = Workbench(answer.scene, level=answer.level)
-    values, floor = [eps * 10.0**k for k in range(TENS, -TENS - 1, -1)], smallest_eps(bench.problem)
+    context = SolverContext(answer.scene, level=answer.level)
+    values, floor = [eps * 10.0**k for k in range(TENS, -TENS - 1, -1)], smallest_eps(context.problem)
     options = {f"{value:.2g}": value for value in values if value >= floor}
 
     def draw(eps: float) -> Picture:
-        return bench.answer(replace(bench.options, eps=eps)).plot()
+        return context.answer(replace(context.options, eps=eps)).plot()
 
     chosen = ipywidgets.SelectionSlider(options=options, value=eps, description="eps")
     return ipywidgets.interactive(draw, SHOWN, eps=chosen)
@@ -53,10 +53,10 @@ def _over_moments(ipywidgets: Any, answer: Answer) -> Any:
     arrays = gather(answer)
     if not is_animated(answer, arrays):
         raise InputError("moments of intervals and plane meshes are shown; open frames.xdmf in ParaView")
-    assert answer.course is not None
+    assert answer.time_history is not None
     assert answer.scene.time is not None
     page, show = moving(answer, arrays)
-    frames, name = answer.course.frames, answer.scene.time.name
+    frames, name = answer.time_history.frames, answer.scene.time.name
 
     def draw(moment: int) -> Picture:
         show(frames[moment])

@@ -14,21 +14,21 @@ from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.solvers.newton import joined, penalty_pressure, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import Watch
+from fenicsx_obstacle.solvers.stopping import StepMonitor
 
 STIFF = 1e-4  # eps over the flexibility D_i / A_ii of a cell: errors shrink by about this factor in each step
 CLOSE = 1e-10  # penetration over the range of u
 STEPS = 50
 
 
-def solve_augmented(problem: Problem, *, watch: Watch | None = None) -> Outcome:
+def solve_augmented(problem: Problem, *, monitor: StepMonitor | None = None) -> Outcome:
     """Solve the inequality with u <= g at the points of I, from the present state (collective).
 
     Afterwards the penalty pressure is the multiplier.
 
     Args:
         problem: Whose pair is not nodal; holds the start, then the solution.
-        watch: Is told of each step.
+        monitor: Called after each step.
 
     Returns:
         The converged outcome, iterations of all steps together.
@@ -41,13 +41,13 @@ def solve_augmented(problem: Problem, *, watch: Watch | None = None) -> Outcome:
     comm, own = problem.level.comm, len(problem.weights)
     multiplier.x.array[:] = 0.0
     eps = STIFF * soft_eps(problem)
-    outcome = solve_penalty(problem, eps, watch=watch)
+    outcome = solve_penalty(problem, eps, monitor=monitor)
     for _ in range(STEPS):
         multiplier.x.array[:own] = penalty_pressure(problem)
         multiplier.x.scatter_forward()
-        outcome = joined(outcome, solve_penalty(problem, eps, watch=watch))
-        heights = problem.heights().x.array
-        span = largest(comm, heights) - smallest(comm, heights)
+        outcome = joined(outcome, solve_penalty(problem, eps, monitor=monitor))
+        u_values = problem.solution().x.array
+        span = largest(comm, u_values) - smallest(comm, u_values)
         change = largest(comm, np.abs(penalty_pressure(problem) - multiplier.x.array[:own]))
         if eps * change <= CLOSE * span:
             return outcome

@@ -30,7 +30,7 @@ METHODS = {
     "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }
 # what is not linear in u begins with the line search
-BENT = (
+NONLINEAR_WORDS = (
     "full steps; a line search on the energy should sets repeat",
     "a line search on the energy, full steps where round-off hides descent; obstacles that harden should both fail",
 )
@@ -53,7 +53,7 @@ def nested(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> boo
     nested is solved with `LINEAR_SOLVER`, `GENERAL_SOLVER` or, where the pair is not nodal, `DIRECT_SOLVER`.
     """
     simple = all(effect.affine and effect.symmetric and effect.convex for effect in effects)
-    serves = pair.at_vertices or pair.stacks
+    serves = pair.at_vertices or pair.has_p1_coarse_space
     return simple and serves and options.start == "nested" and options.method != "successive"
 
 
@@ -63,7 +63,7 @@ def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> b
     Newton's method then has the region of convergence of the coarsest mesh, and few steps on the finest.
     """
     starts = options.start == "nested" and options.method != "successive"
-    return starts and pair.nests and not nested(effects, pair, options)
+    return starts and pair.nested_hierarchy and not nested(effects, pair, options)
 
 
 def chain(problem: Problem) -> list[Problem]:

@@ -14,7 +14,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EPSILON = float(np.finfo(float).eps)
-ROOM = 8.0  # round-off may be so many times what is expected of it
+ROUNDOFF_MARGIN = 8.0  # round-off may be so many times what is expected of it
 
 
 def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
@@ -30,7 +30,7 @@ def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
     given.append(values.x.array[dofs])
     if problem.constrained:
         for obstacle, side in zip(problem.obstacles(), (-1, 1), strict=True):
-            held = problem.bearing(active == side)
+            held = problem.active_dofs(active == side)
             heights = np.broadcast_to(obstacle, len(values.x.array))[:own][held]
             given.append(heights[np.isfinite(heights)])
     known = np.concatenate(given)
@@ -48,11 +48,11 @@ def forces_of_data(problem: Problem) -> float:
     sums = [problem.load]
     for heights, rows in ((0.0, ~problem.fixed), (flat - smallest(comm, flat), slice(None))):
         w[:] = heights
-        forms.refer()
+        forms.set_reference()
         forms.elastic(problem.elastic)
         sums.append(total(comm, np.abs(problem.elastic.array_r[rows])))
     w[:], r[:] = kept[0], kept[1]
-    forms.refer()
+    forms.set_reference()
     problem.elastic.array[:] = kept[2]
     return max(sums)
 
@@ -91,5 +91,7 @@ def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unba
     if forces == 0:  # no state but that of the data is in balance, and round-off is all that is left
         return True
     largest_given = 0.0 if low > high else max(abs(low), abs(high))
-    heights = ROOM * EPSILON * total(comm, stiffness * np.minimum(np.abs(w), largest_given))  # round-off of the data
+    heights = (
+        ROUNDOFF_MARGIN * EPSILON * total(comm, stiffness * np.minimum(np.abs(w), largest_given))
+    )  # round-off of the data
     return beyond <= LIMIT * max(forces, heights) and unbalanced <= max(LIMIT * forces, heights)

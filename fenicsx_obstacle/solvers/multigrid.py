@@ -52,16 +52,16 @@ class Multigrid:
             self.P = self._whole.duplicate()
             self._carried = coarser._force.duplicate()
 
-    def hold(self, springs: np.ndarray) -> None:
+    def truncate(self, penalty_diagonal: np.ndarray) -> None:
         """Let springs hold the owned nodes, infinite ones in place, on this level and all below (collective)."""
         nodal = self.problem.nodal
-        nodal.spring(self.problem.A, springs)
-        self._moves.array[:] = ~((springs > STIFFER * nodal.diagonal) | self.problem.fixed)
+        nodal.spring(self.problem.A, penalty_diagonal)
+        self._moves.array[:] = ~((penalty_diagonal > STIFFER * nodal.diagonal) | self.problem.fixed)
         if self.coarser is None:
             return
-        self._shift(springs)
+        self._shift(penalty_diagonal)
         self._whole.multTranspose(self._force, self._carried)
-        self.coarser.hold(self._coarse_springs())
+        self.coarser.truncate(self._coarse_springs())
         self._whole.copy(self.P, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
 
@@ -72,16 +72,16 @@ class Multigrid:
         held = self._transfer.inject((self._moves.array_r == 0).astype(float)) > 0
         coarse._moves.array[:] = ~(held | coarse.problem.fixed)
         coarse._shift()
-        springs = np.maximum(self._carried.array_r - coarse._force.array_r, 0.0)
-        springs[held] = np.inf
-        springs[coarse.problem.fixed] = 0.0
-        return springs
+        penalty_diagonal = np.maximum(self._carried.array_r - coarse._force.array_r, 0.0)
+        penalty_diagonal[held] = np.inf
+        penalty_diagonal[coarse.problem.fixed] = 0.0
+        return penalty_diagonal
 
-    def _shift(self, springs: np.ndarray | None = None) -> None:
+    def _shift(self, penalty_diagonal: np.ndarray | None = None) -> None:
         """Take the force that a unit shift of the nodes that move meets there, of the membrane and of springs."""
         self.problem.nodal.stiffness.mult(self._moves, self._force)
-        if springs is not None:
-            np.add(self._force.array, springs, out=self._force.array, where=self._moves.array_r > 0)
+        if penalty_diagonal is not None:
+            np.add(self._force.array, penalty_diagonal, out=self._force.array, where=self._moves.array_r > 0)
         self._force.pointwiseMult(self._force, self._moves)
 
     def install(self, pc: PETSc.PC) -> None:
@@ -123,7 +123,7 @@ class OnInactive:
         self.free = inactive.getIndices() - start
         held = np.ones(problem.level.owned, dtype=bool)
         held[self.free] = False
-        self.multigrid.hold(np.where(held & ~problem.fixed, np.inf, 0.0))
+        self.multigrid.truncate(np.where(held & ~problem.fixed, np.inf, 0.0))
         self.inner.setUp()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:

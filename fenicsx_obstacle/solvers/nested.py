@@ -52,14 +52,14 @@ def solve_nested(
         multigrid = grid if isinstance(grid, Multigrid) else None
         problem = grid.problem if isinstance(grid, Multigrid) else grid
         if before is None:
-            problem.refer(problem.cold_start())
+            problem.set_reference(problem.cold_start())
         else:
             begin_from(problem, before)
             if problem.constrained and multigrid is not None:
                 none = np.zeros(len(problem.weights))
                 relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
         finest = grid is grids[-1]
-        unwatched = {"watch": None} if isinstance(problem, GalerkinProblem) else {}  # it has no mesh to be shown on
+        unwatched = {"monitor": None} if isinstance(problem, GalerkinProblem) else {}  # it has no mesh to be shown on
         try:
             outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY | unwatched)))
         except NotConverged as error:
@@ -67,7 +67,7 @@ def solve_nested(
                 if not _algebraic(grids):
                     raise
                 _log.info("not solved from algebraic levels: a cold start goes on")
-                problem.refer(problem.cold_start())
+                problem.set_reference(problem.cold_start())
                 last = solve(problem)
                 outcomes.append(replace(last, iterations=error.iterations + last.iterations))
             if not problem.affine:  # it may be anywhere
@@ -91,7 +91,7 @@ def begin_from(problem: Problem, coarse: Problem) -> None:
     transfer, own, theirs_own = problem.transfer, problem.level.owned, coarse.level.owned
     problem.w.x.array[:own] = transfer.interpolate((coarse.w.x.array + coarse.reference.x.array)[:theirs_own])
     problem.w.x.scatter_forward()
-    problem.refer(problem.w.x.array.copy())
+    problem.set_reference(problem.w.x.array.copy())
     w = problem.w.x.array
     for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
         if ours is None or theirs is None:

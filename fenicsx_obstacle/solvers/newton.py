@@ -18,7 +18,7 @@ from fenicsx_obstacle.solvers.linear import user_has_set
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.shrinking import Shrinking
 from fenicsx_obstacle.solvers.snes import Outcome, require, run
-from fenicsx_obstacle.solvers.stopping import GREW, TOLERANCE, TOO_MANY, Stopping, Watch
+from fenicsx_obstacle.solvers.stopping import ACTIVE_SET_GREW, TOLERANCE, TOO_MANY, StepMonitor, Stopping
 
 NEWTON = {
     "snes_type": "newtonls",
@@ -33,7 +33,7 @@ NEWTON = {
 HARDER = 1e-2  # from one eps to the next
 HARDENING = 1e-6  # unbalanced force there
 PATIENCE = 20  # steps to try without
-NOTHING = 1e-300
+TINY = 1e-300
 COUNTED_ANEW = 4  # times, at most
 STIFFEST = 1e15  # of a spring over the membrane around it: a digit above what a matrix can tell from infinite
 
@@ -47,7 +47,7 @@ def solve_penalty(
     least: int = 0,
     tolerance: float = TOLERANCE,
     patience: int | None = None,
-    watch: Watch | None = None,
+    monitor: StepMonitor | None = None,
 ) -> Outcome:
     """Solve (3.4) from the problem's present state (collective).
 
@@ -65,7 +65,7 @@ def solve_penalty(
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
         patience: Steps to take at most, for affine problems.
-        watch: Is told of each step.
+        monitor: Called after each step.
 
     Returns:
         The converged outcome, iterations of all attempts together.
@@ -75,18 +75,18 @@ def solve_penalty(
     """
     problem.eps.value = eps
     if successive:
-        problem.refer(problem.cold_start())
-    how: dict[str, Any] = {"unchanged": successive, "least": least, "tolerance": tolerance, "watch": watch}
+        problem.set_reference(problem.cold_start())
+    how: dict[str, Any] = {"unchanged": successive, "least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
     limited = user_has_set(problem.options_of("penalty") + "snes_max_it")  # a limit is kept
     if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, how, multigrid), problem, eps, tolerance)
-    start = problem.heights().x.array
+    start = problem.solution().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
     if not outcome.converged:
-        problem.refer(start)
-        outcome = joined(outcome, _hardened(problem, eps, how))
+        problem.set_reference(start)
+        outcome = joined(outcome, _by_continuation(problem, eps, how))
     return require(outcome, problem, eps, tolerance)
 
 
@@ -95,7 +95,7 @@ def soft_eps(problem: Problem) -> float:
     state = problem.state()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
     comm = problem.level.comm
-    eps = largest(comm, problem.weights) / max(largest(comm, diagonal.array_r[~problem.fixed]), NOTHING)
+    eps = largest(comm, problem.weights) / max(largest(comm, diagonal.array_r[~problem.fixed]), TINY)
     for owner in (state, diagonal):
         owner.destroy()
     return eps
@@ -106,13 +106,13 @@ def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None)
     outcome = _attempts(problem, how, multigrid)
     for _ in range(COUNTED_ANEW):
         # sets also repeat where contact is with an obstacle that w does not count from
-        if outcome.reason == GREW or not problem.refer_to_contact(blunt=outcome.blunt):
+        if outcome.reason == ACTIVE_SET_GREW or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
     return outcome
 
 
-def _hardened(problem: Problem, eps: float, how: dict[str, Any]) -> Outcome:
+def _by_continuation(problem: Problem, eps: float, how: dict[str, Any]) -> Outcome:
     """Solve with obstacles as soft as the membrane, then with harder ones, each from where the last ended."""
     outcomes = []
     softer = soft_eps(problem)
@@ -152,7 +152,7 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
     for search in searches[1:]:
         if "patience" in how and outcome.reason == TOO_MANY:
             break  # far from everything: full steps would only stray
-        if not outcome.converged and outcome.reason != GREW:
+        if not outcome.converged and outcome.reason != ACTIVE_SET_GREW:
             outcome = joined(outcome, _attempt(problem, search, how, multigrid))
     return outcome
 
@@ -161,7 +161,7 @@ def _attempt(
     problem: Problem, search: str, how: dict[str, Any], multigrid: Multigrid | None, *, objective: bool = False
 ) -> Outcome:
     full = search == "basic" and not objective
-    must_shrink = full and how["unchanged"] and problem.shrinks
+    must_shrink = full and how["unchanged"] and problem.active_sets_shrink
     shrinking = Shrinking(problem) if must_shrink else None
     stopping = Stopping(problem, watch_cycles=full, shrinking=shrinking, **how)
     options = {**NEWTON, "snes_linesearch_type": search}
@@ -174,7 +174,7 @@ def joined(first: Outcome, second: Outcome) -> Outcome:
     return Outcome(
         first.solver, first.iterations + second.iterations, first.krylov + second.krylov,
         first.history + second.history, first.seconds + second.seconds, second.reason,
-        second.blunt, second.active,
+        second.roundoff_limited, second.active,
     )  # fmt: skip
 
 

@@ -11,21 +11,21 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.afloat import LIMIT
-from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
 
 NEAR = 1e-8  # of the values of the data: not beyond them
 NO_SOLUTION = "which no solution does"  # words of the rejection
-DEEP = 2.0  # in a patch of cells of Pe = 1 all drift flows out by about so much
+MAX_DEPTH = 2.0  # in a patch of cells of Pe = 1 all drift flows out by about so much
 TRAPPED = 100.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
 
 
-def complaint(problem: Problem, active: np.ndarray) -> str | None:
+def violation(problem: Problem, active: np.ndarray) -> str | None:
     """What shows that a state in balance is no solution; None if nothing does (collective).
 
     Args:
@@ -143,7 +143,7 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     if (number := peclet(data, velocity)) <= 1:
         return None
     free = ~problem.fixed & (active == 0)
-    if largest(level.comm, depth_of_sources(data, velocity)[free]) <= DEEP:
+    if largest(level.comm, depth_of_sources(data, velocity)[free]) <= MAX_DEPTH:
         time = _moved_by(problem, active, problem.nodal.unit_load())
         if time is None or time * speed(data, velocity) <= TRAPPED * data.extent:
             return None

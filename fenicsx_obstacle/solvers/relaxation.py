@@ -15,18 +15,20 @@ SWEEPS = 8  # together as dear as one step of multigrid
 DAMPING = 2 / 3  # smooths best in one dimension, and converges in all: D^-1 A <= 2 where A has M-matrix signs
 
 
-def relax(problem: Problem, springs: np.ndarray) -> None:
+def relax(problem: Problem, penalty_diagonal: np.ndarray) -> None:
     """Damped Jacobi sweeps on the penalised residual or the inequality, from the present state (collective).
 
     A sweep is a proximal gradient step, so it lowers the energy whatever the springs.
 
     Args:
         problem: With affine effects; holds the state.
-        springs: D/eps at owned dofs, or infinite: what an obstacle answers to penetration.
+        penalty_diagonal: D/eps at owned dofs, or infinite: what an obstacle answers to penetration.
     """
     own, free, forms = problem.level.owned, ~problem.fixed, problem.nodal
     step = DAMPING / forms.diagonal * free
-    back = (1.0 - 1.0 / (1.0 + springs * DAMPING / forms.diagonal)) * free  # share of a penetration that is undone
+    back = (
+        1.0 - 1.0 / (1.0 + penalty_diagonal * DAMPING / forms.diagonal)
+    ) * free  # share of a penetration that is undone
     w, change = problem.w.x.array[:own], np.empty(own)
     obstacles = [
         (gap.x.array[:own], excess)

@@ -18,7 +18,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
 
 FEW = 8 * float(np.finfo(float).eps)  # of |A| |u|: how far the remainders themselves are known
-ROOM = 2.0  # the bound is the solution of a system too
+SAFETY = 2.0  # the bound is the solution of a system too
 
 
 class Shrinking:
@@ -46,8 +46,8 @@ class Shrinking:
         if before is None:
             self._excess = excess
             return False
-        springs = np.where(before, problem.weights / float(problem.eps.value), 0.0)
-        left = np.abs(elastic + self._side * springs * np.where(before, excess, 0.0))
+        penalty_diagonal = np.where(before, problem.weights / float(problem.eps.value), 0.0)
+        left = np.abs(elastic + self._side * penalty_diagonal * np.where(before, excess, 0.0))
         left[problem.fixed] = 0.0
         entered = active & ~before
         # of nodes that enter alone: below no obstacle the excess is -inf, now as before
@@ -57,7 +57,7 @@ class Shrinking:
         if self._steps == 1 or total(problem.level.comm, len(rise)) == 0:
             return False
         allowed = self._lift(ksp, known + left)[entered]
-        return total(problem.level.comm, np.count_nonzero(rise > ROOM * allowed)) > 0
+        return total(problem.level.comm, np.count_nonzero(rise > SAFETY * allowed)) > 0
 
     def _lift(self, ksp: PETSc.KSP, forces: np.ndarray) -> np.ndarray:
         """How far forces move the membrane that is held where it was in the last step."""

@@ -28,7 +28,7 @@ from fenicsx_obstacle.solvers.linear import (
 )
 from fenicsx_obstacle.solvers.meaning import determined, stiffness_of
 from fenicsx_obstacle.solvers.multigrid import Multigrid, OnInactive
-from fenicsx_obstacle.solvers.range import complaint
+from fenicsx_obstacle.solvers.range import violation
 from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
 
 _log = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ class Outcome:
         history: One step per line.
         seconds: Time of the iteration.
         reason: PETSc's reason.
-        blunt: Balance was only reached up to the round-off of w.
+        roundoff_limited: Balance was only reached up to the round-off of w.
         active: Which obstacle holds each owned node, as in `Stopping.before`.
     """
 
@@ -55,7 +55,7 @@ class Outcome:
     history: tuple[Step, ...]
     seconds: float
     reason: int
-    blunt: bool = False
+    roundoff_limited: bool = False
     active: np.ndarray | None = None
 
     @property
@@ -106,8 +106,8 @@ def run(
 
     def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         if multigrid is not None and penalised:
-            problem.take(x)
-            multigrid.hold(problem.nodal.springs())
+            problem.set_state(x)
+            multigrid.truncate(problem.nodal.penalty_diagonal())
         else:
             problem.jacobian(x, penalised=penalised)
 
@@ -128,11 +128,11 @@ def run(
             snes.ksp.setConvergenceTest(Inexact(stopping))
         snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
         finished = attempt(lambda: snes.solve(None, x), snes, x, residual)
-    problem.take(x)
+    problem.set_state(x)
     reason = snes.getConvergedReason() if finished else PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
-        time.perf_counter() - start, reason, stopping.blunt, stopping.before,
+        time.perf_counter() - start, reason, stopping.roundoff_limited, stopping.before,
     )  # fmt: skip
     for owner in (snes, x, residual):
         owner.destroy()
@@ -162,8 +162,8 @@ def require(outcome: Outcome, problem: Problem, eps: float | None, tolerance: fl
         eps = None if outcome.reason == MEANINGLESS else eps
         raise NotConverged(outcome.solver, reason, outcome.iterations, eps=eps, h=problem.level.h)
     if tolerance < LIMIT and outcome.active is not None:  # otherwise it is a start for a finer level
-        found = complaint(problem, outcome.active)
-        if outcome.blunt:
+        found = violation(problem, outcome.active)
+        if outcome.roundoff_limited:
             stiffness = stiffness_of(problem, exact_bounds=outcome.solver == "vi")
             if not determined(problem, outcome.active, stiffness, outcome.history[-1].unbalanced):
                 found = in_words(MEANINGLESS)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.moments import INERTIA, RATE
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.time_discretization import INERTIA, RATE
 from fenicsx_obstacle.parallel import largest
 
 DEPTH = {"euler": 1, "bdf2": 2}  # of how many earlier moments a scheme makes u_t

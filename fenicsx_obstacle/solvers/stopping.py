@@ -20,18 +20,18 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.meaning import EPSILON, ROOM, determined, stiffness_of
+from fenicsx_obstacle.solvers.meaning import EPSILON, ROUNDOFF_MARGIN, determined, stiffness_of
 from fenicsx_obstacle.solvers.shrinking import Shrinking
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
-BLUNT = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
+ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
 FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
-NOTHING = 1e-30
+NEGLIGIBLE_FORCE = 1e-30
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
-GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
+ACTIVE_SET_GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
 MEANINGLESS = PETSc.SNES.ConvergedReason.DIVERGED_DTOL  # nor 'balanced, but not determined by the data'
 TOO_MANY = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
@@ -57,7 +57,7 @@ class Step:
 
 
 # told of each step, with the obstacle that holds each owned point of I: -1 lower, 1 upper, 0 none (collective)
-Watch = Callable[[Problem, Step, np.ndarray], None]
+StepMonitor = Callable[[Problem, Step, np.ndarray], None]
 
 
 @dataclass
@@ -74,8 +74,8 @@ class Stopping:
         patience: Steps after which to give up.
         touching: How near to a bound a node touches it (bounds only).
         shrinking: Checks that active sets shrink, where they must.
-        watch: Is told of each step.
-        blunt: Balance was only reached up to the round-off of w.
+        monitor: Called after each step.
+        roundoff_limited: Balance was only reached up to the round-off of w.
         exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
         before: Which obstacle held each owned node at the last state, -1 lower, 1 upper, 0 none; before the first one
             what an earlier attempt has found, if there was one.
@@ -91,8 +91,8 @@ class Stopping:
     patience: int = 10**9
     touching: float = 0.0
     shrinking: Shrinking | None = None
-    watch: Watch | None = None
-    blunt: bool = False
+    monitor: StepMonitor | None = None
+    roundoff_limited: bool = False
     exact: bool = False
     before: np.ndarray | None = None
     history: list[Step] = field(default_factory=list)
@@ -106,7 +106,7 @@ class Stopping:
         elastic = problem.elastic.array_r
         active, residual = self._active(elastic)
         changed = active != self.before if self.before is not None else active != 0
-        forces = problem.load + total(comm, np.abs(elastic[problem.fixed | problem.bearing(active != 0)]))
+        forces = problem.load + total(comm, np.abs(elastic[problem.fixed | problem.active_dofs(active != 0)]))
         unbalanced = total(comm, np.abs(residual))
         krylov = snes.getLinearSolveIterations()
         step = Step(
@@ -117,27 +117,31 @@ class Stopping:
             krylov=krylov - self._krylov,
         )
         self.history.append(step)
-        if self.watch is not None:
-            self.watch(problem, step, active)
+        if self.monitor is not None:
+            self.monitor(problem, step, active)
         _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
                   iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip
         self.before, self._krylov = active, krylov
         if not np.isfinite(unbalanced):  # on all ranks, being a sum over them
             return releases.NOT_A_NUMBER
         if self.shrinking is not None and self.shrinking.broken(snes.ksp, active != 0, elastic):
-            return GREW
+            return ACTIVE_SET_GREW
         # balance in this scale holds only with the right active set; nodes that still change then
         # carry no force (contact without pressure)
-        left = ROOM * self.round_off()
+        left = ROUNDOFF_MARGIN * self.round_off()
         nothing_acts = problem.affine and forces <= left  # a film that runs away is steep, and its forces are bounded
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
         balanced = unbalanced <= max(self.tolerance * forces, floor)
-        self.blunt = floor > BLUNT * forces
+        self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where w is blunt it is counted anew first; a load that it absorbs seems balanced at once
-            self.blunt |= far and left > BLUNT * forces
-            if self.tolerance >= LIMIT or self.blunt or determined(problem, active, self._stiffness(), unbalanced):
+            self.roundoff_limited |= far and left > ROUNDOFF_LIMITED * forces
+            if (
+                self.tolerance >= LIMIT
+                or self.roundoff_limited
+                or determined(problem, active, self._stiffness(), unbalanced)
+            ):
                 return CONVERGED
             if problem.affine:
                 return MEANINGLESS  # the next step would solve the same system
@@ -201,11 +205,11 @@ class Stopping:
         comm = self.problem.level.comm
         gaps = []
         for gap, obstacle in zip(self.problem.gaps(), self.problem.obstacles(), strict=True):
-            heights = np.abs(obstacle)
-            digit = EPSILON * max(largest(comm, np.where(np.isfinite(heights), heights, 0.0)), 0.0)
+            u_values = np.abs(obstacle)
+            digit = EPSILON * max(largest(comm, np.where(np.isfinite(u_values), u_values, 0.0)), 0.0)
             gaps.append(np.where(np.abs(gap) > digit, np.abs(gap), np.inf).min(initial=np.inf))
         nearest = smallest(comm, gaps)
-        return NOTHING * nearest * total(comm, self._stiffness()) if np.isfinite(nearest) else 0.0
+        return NEGLIGIBLE_FORCE * nearest * total(comm, self._stiffness()) if np.isfinite(nearest) else 0.0
 
     def _stiffness(self) -> np.ndarray:
         """Diagonal of A at owned free dofs; without springs that stand for bounds: what they hold does not move."""
@@ -230,6 +234,6 @@ def in_words(reason: int) -> str:
         MEANINGLESS: "round-off decides u: the forces that its round-off leaves are beyond 1 % of those that the data "
         "exert, so that nothing holds u, or the equation is nearly singular",
         CYCLING: "the active sets repeat themselves",
-        GREW: "an active set grew on an M-matrix, which shows an error in this program or its libraries",
+        ACTIVE_SET_GREW: "an active set grew on an M-matrix, which shows an error in this program or its libraries",
     }
     return f"{words.get(reason, 'the nonlinear solver gave up')} ({names.get(reason, reason)})"

@@ -14,10 +14,10 @@ from fenicsx_obstacle.solvers.linear import user_has_set
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome, require, run
-from fenicsx_obstacle.solvers.stopping import TOLERANCE, Stopping, Watch
+from fenicsx_obstacle.solvers.stopping import TOLERANCE, StepMonitor, Stopping
 
 # without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function
-LOST = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
+LINE_SEARCH_FAILED = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
 NEAR = 1e-6  # the same contact, but for nodes that press very little
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
@@ -29,7 +29,7 @@ def solve_vi(
     least: int = 0,
     tolerance: float = TOLERANCE,
     patience: int | None = None,
-    watch: Watch | None = None,
+    monitor: StepMonitor | None = None,
 ) -> Outcome:
     """Solve a(u, v - u) >= f(v - u) for all v between the obstacles, from the present state (collective).
 
@@ -39,7 +39,7 @@ def solve_vi(
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
         patience: Steps to take at most, for affine problems.
-        watch: Is told of each step.
+        monitor: Called after each step.
 
     Returns:
         The converged outcome.
@@ -47,16 +47,16 @@ def solve_vi(
     Raises:
         NotConverged: With PETSc's reason.
     """
-    how: dict[str, Any] = {"least": least, "tolerance": tolerance, "watch": watch}
+    how: dict[str, Any] = {"least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
     limited = user_has_set(problem.options_of("vi") + "snes_max_it")  # a limit is kept
     if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, multigrid, how), problem, None, tolerance)
-    start = problem.heights().x.array
+    start = problem.solution().x.array
     outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})
     if not outcome.converged:
-        problem.refer(start)
+        problem.set_reference(start)
         outcome = joined(outcome, _from_penalty(problem, how))
     return require(outcome, problem, None, tolerance)
 
@@ -65,7 +65,7 @@ def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
     """All attempts, w counting from what a node touches."""
     outcome = _attempts(problem, multigrid, how)
     for _ in range(COUNTED_ANEW):
-        if not outcome.converged or not problem.refer_to_contact(blunt=outcome.blunt):
+        if not outcome.converged or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
             break
         outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0, "before": outcome.active}))
     return outcome
@@ -74,7 +74,7 @@ def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
 def _from_penalty(problem: Problem, how: dict[str, Any]) -> Outcome:
     """From the solution with a small eps. PETSc's line search goes by the norm of the residual, which for what is not
     linear has minima of its own; the penalty has the energy, which has none."""
-    first = solve_penalty(problem, NEAR * soft_eps(problem), watch=how["watch"])
+    first = solve_penalty(problem, NEAR * soft_eps(problem), monitor=how["monitor"])
     return joined(first, _settled(problem, None, how))
 
 
@@ -82,7 +82,7 @@ def _attempts(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]
     """PETSc's line search; where it fails, because round-off is all that is left, full steps from the same start."""
     start = problem.w.x.array.copy()
     outcome = _attempt(problem, multigrid, how, VI)
-    if outcome.reason in LOST:
+    if outcome.reason in LINE_SEARCH_FAILED:
         problem.w.x.array[:] = start  # PETSc looks for a local minimum then, with x as its work space
         outcome = joined(outcome, _attempt(problem, multigrid, how, {**VI, "snes_linesearch_type": "basic"}))
     return outcome
@@ -97,7 +97,7 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any],
     # fixed dofs are no contact, even where the boundary value touches the obstacle
     lower.array[~problem.touchable], upper.array[~problem.touchable] = -INFINITE, INFINITE
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
-    problem.take(x)
+    problem.set_state(x)
     touching = 1e-12 * _height(problem)
     options = {**options, "snes_vi_zero_tolerance": touching}
     stopping = Stopping(problem, exact_bounds=True, touching=touching, **how)

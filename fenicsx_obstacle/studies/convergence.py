@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, on_root
@@ -161,10 +161,10 @@ class Study:
 
 
 class _Bench:
-    """A workbench with its reference solution."""
+    """A solver context with its reference solution."""
 
     def __init__(self, scene: Scene, comm: MPI.Comm):
-        self.scene, self.work = scene, Workbench(scene, comm)
+        self.scene, self.work = scene, SolverContext(scene, comm)
         self._reference: Answer | None = None
         self._distance: Distance | None = None
 

@@ -20,7 +20,7 @@ from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import changed
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
@@ -128,54 +128,54 @@ class Ladder:
             going = [choice for choice in members if choice.name not in self.ends]
             if not going:
                 return
-            bench: Bench | str | None = None
+            context: Bench | str | None = None
             try:
                 for choice in going:
                     scene = self._scene_of(choice, size)
                     key = self._key(scene, choice.name)
                     row = on_root(self.comm, self._find, key)
                     if row is None:
-                        bench = bench or self._bench(scene)
-                        row = self._keep(key, self._row_of(choice, bench, scene))
+                        context = context or self._bench(scene)
+                        row = self._keep(key, self._row_of(choice, context, scene))
                     if choice.solve.get("eps") == "h^2" and self._fixed is None:
                         self._fixed = row.get("eps")
                     found[choice.name].append(row)
                     yield row
                     self._end(choice, found[choice.name], scene)
             finally:
-                if isinstance(bench, Bench):
-                    bench.close()
+                if isinstance(context, Bench):
+                    context.close()
                     self.truth.forget()
 
     def _bench(self, scene: Scene) -> Bench | str:
-        """A workbench whose forms are compiled already, or why there is none (collective)."""
+        """A solver context whose forms are compiled already, or why there is none (collective)."""
         try:
             key = scene.pair.name, scene.options.start
             if key not in self._warm:
                 self._warm.add(key)
                 for method in ("penalty", "vi"):
-                    with closing(Workbench(scene, self.comm)) as bench, suppress(NotConverged, InputError):
-                        bench.answer(replace(bench.options, method=method, eps="auto"))
+                    with closing(SolverContext(scene, self.comm)) as context, suppress(NotConverged, InputError):
+                        context.answer(replace(context.options, method=method, eps="auto"))
             return Bench(scene, self.comm)
         except InputError as error:
             return without_name(error, self.full)
 
-    def _row_of(self, choice: Choice, bench: Bench | str, scene: Scene) -> Row:
+    def _row_of(self, choice: Choice, context: Bench | str, scene: Scene) -> Row:
         """A row, or why there is none (collective)."""
         row: Row = {"choice": choice.name, "adaptive": False, "element": scene.pair.name}
-        if isinstance(bench, str):
-            return {**row, "reason": bench}
+        if isinstance(context, str):
+            return {**row, "reason": context}
         try:
             forget_peak_memory(self.comm)
-            answer = bench.work.answer(scene.options)
+            answer = context.work.answer(scene.options)
         except (NotConverged, InputError) as error:
-            return {**row, "dofs": bench.work.problem.level.dofs, "reason": without_name(error, self.full)}
-        row |= self._figures(bench.work, answer, bench.before, bench.distance)
-        row |= {"poisson_seconds": bench.poisson, "seconds": bench.work.mesh_seconds + row["solve"]}
-        row["parts"] = bench.parts(answer)
+            return {**row, "dofs": context.work.problem.level.dofs, "reason": without_name(error, self.full)}
+        row |= self._figures(context.work, answer, context.before, context.distance)
+        row |= {"poisson_seconds": context.poisson, "seconds": context.work.mesh_seconds + row["solve"]}
+        row["parts"] = context.parts(answer)
         return row
 
-    def _figures(self, work: Workbench, answer: Answer, before: float, distance: Distance) -> Row:
+    def _figures(self, work: SolverContext, answer: Answer, before: float, distance: Distance) -> Row:
         """What every row has (collective)."""
         memory, record = peak_memory_mb(self.comm) - before - self.truth.occupied, answer.record
         seconds, occupied = record["seconds"], forget_peak_memory(self.comm)
@@ -246,19 +246,19 @@ class Ladder:
             scene = penalised[0].on(size)
             keys = [self._key(scene, f"map {k}") for k in range(MAP_EPS)]
             stored = [on_root(self.comm, self._find, key) for key in keys]
-            bench = None if all(stored) else self._bench(scene)
-            if isinstance(bench, str):
+            context = None if all(stored) else self._bench(scene)
+            if isinstance(context, str):
                 return
-            if bench is not None and bench.work.problem.level.dofs > self.budget.unknowns:
-                bench.close()
+            if context is not None and context.work.problem.level.dofs > self.budget.unknowns:
+                context.close()
                 return
             for k, (key, row) in enumerate(zip(keys, stored, strict=True)):
                 if row is None:
-                    assert bench is not None
-                    row = self._keep(key, place(bench, scene, self.truth, k))
+                    assert context is not None
+                    row = self._keep(key, place(context, scene, self.truth, k))
                 yield row
-            if bench is not None:
-                bench.close()
+            if context is not None:
+                context.close()
                 self.truth.forget()
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
@@ -278,8 +278,8 @@ class Ladder:
         """h^2/mu on the first mesh (collective)."""
         if self._fixed is None:
             first = next(uniform_meshes(self.scene))
-            with closing(Workbench(first, self.comm)) as bench:
-                self._fixed = penalty_parameter(bench.problem, first.options_with(eps="h^2"))
+            with closing(SolverContext(first, self.comm)) as context:
+                self._fixed = penalty_parameter(context.problem, first.options_with(eps="h^2"))
         return self._fixed
 
     def _key(self, scene: Scene, kind: str) -> str:

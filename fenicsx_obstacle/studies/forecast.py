@@ -18,7 +18,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.adapt import Refinement
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
@@ -26,7 +26,7 @@ from fenicsx_obstacle.solvers.options import SolverOptions
 
 SECONDS = 3.0  # of calibration, and the larger mesh after it
 SETTLED = 5  # meshes at the end of the calibration that tell how things go on
-LEAST = 4  # meshes at least
+MIN_MESHES = 4  # meshes at least
 ORDERS = (0.7, 1.1)  # of the bound in 1/unknowns, over that of smooth solutions: what is believed
 Path = Sequence[dict[str, Any]]
 
@@ -76,7 +76,7 @@ def forecast(scene: Scene, tol: float, *, seconds: float = SECONDS, comm: MPI.Co
             last = refinement.path[-1]
             if last["relative"] is None:
                 raise InputError(f"{scene.source}: u is 0 so far: a relative tolerance means nothing")
-            enough = last["seconds"] > seconds and len(refinement.path) >= LEAST
+            enough = last["seconds"] > seconds and len(refinement.path) >= MIN_MESHES
             if comm.bcast(last["relative"] <= tol):
                 break
             if comm.bcast(enough):
@@ -85,7 +85,7 @@ def forecast(scene: Scene, tol: float, *, seconds: float = SECONDS, comm: MPI.Co
     return comm.bcast(continued(refinement.path, tol, scene.pair.degree, probe))
 
 
-def _larger(work: Workbench, options: SolverOptions) -> dict[str, float]:
+def _larger(work: SolverContext, options: SolverOptions) -> dict[str, float]:
     """What the mesh with all cells refined takes (collective)."""
     start = time.perf_counter()
     work.forget_estimator()

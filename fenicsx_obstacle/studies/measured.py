@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
@@ -22,19 +22,19 @@ from fenicsx_obstacle.parallel import forget_peak_memory, largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.solvers.newton import smallest_eps
+from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
-from fenicsx_obstacle.solvers.yardstick import poisson_seconds
 from fenicsx_obstacle.studies.truth import Truth, sizes_of
 
 EPSILON = float(np.finfo(float).eps)
 
 
 class Bench:
-    """A workbench, the solution of the inequality on its mesh, and what a Poisson solve takes there."""
+    """A solver context, the solution of the inequality on its mesh, and what a Poisson solve takes there."""
 
     def __init__(self, scene: Scene, comm: MPI.Comm):
         self.before = forget_peak_memory(comm)
-        self.work = Workbench(scene, comm)
+        self.work = SolverContext(scene, comm)
         self._reference: Answer | None = None
         self.distance = Distance(self.work.problem)
         self.poisson = comm.bcast(poisson_seconds(self.work.problem.level))
@@ -60,13 +60,13 @@ class Bench:
         return {"eps": {"energy": self.distance.energy(e), "l2": self.distance.l2(e), "max": largest(comm, np.abs(e))}}
 
 
-def floor_of(bench: Workbench, answer: Answer) -> float:
+def floor_of(context: SolverContext, answer: Answer) -> float:
     """About what unbalanced forces and round-off leave of u, relative to it (collective).
 
     Systems are solved until forces balance to 1e-10 of those that act, and heights are rounded: machine epsilon times
     the stiffness of each node and its height, with signs at random.
     """
-    problem, comm = bench.problem, answer.level.comm
+    problem, comm = context.problem, answer.level.comm
     step = answer.history[-1]
     if step.forces <= 0:
         return EPSILON
@@ -116,19 +116,19 @@ def too_many(budget: Budget) -> str:
     return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"
 
 
-def place(bench: Bench, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
+def place(context: Bench, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
     """One place of the map over h and eps: k powers of ten below 1/mu L^2 (collective)."""
-    problem = bench.work.problem
+    problem = context.work.problem
     h = problem.level.h
     unit = penalty_parameter(problem, scene.options) / h**2  # 1/mu
     eps = unit * problem.data.extent**2 * 10.0**-k
     row: dict[str, Any] = {"choice": "map", "h": h, "eps": eps, "paper": unit * h**2, "auto": unit * h**2 / 100,
                 "floor": smallest_eps(problem)}  # fmt: skip
     try:
-        answer = bench.work.answer(replace(scene.options, eps=eps))
+        answer = context.work.answer(replace(scene.options, eps=eps))
     except (NotConverged, InputError) as error:
         return {**row, "reason": without_name(error, scene)}
-    row |= {"errors": truth.errors(bench.work, answer), "sizes": sizes_of(bench.distance, answer)}
+    row |= {"errors": truth.errors(context.work, answer), "sizes": sizes_of(context.distance, answer)}
     return {**row, "line": answer.record.get("round_off", {}).get("line")}
 
 

@@ -24,7 +24,7 @@ NORMS = {
 TOLERANCES = tuple(10.0**-k for k in range(1, 7))
 FAR = 20.0  # times beyond the last error of a choice its line is continued: to a tenth of twice the smallest, at most
 TRUSTED = 3.0  # errors below so many times what the reference itself may be off say nothing
-NOTHING = 1e-9  # of the domain, or of the force scale: no contact to be measured
+NEGLIGIBLE_SIZE = 1e-9  # of the domain, or of the force scale: no contact to be measured
 STEEPEST = 1.5  # no error is believed to fall faster than unknowns^-1.5, order 3 in h: signs change, and hits are lucky
 FLAT = 0.02  # slope of log error over log seconds below which it does not fall
 
@@ -130,7 +130,7 @@ def norms(rows: Rows) -> list[str]:
 def _there(rows: Rows, norm: str) -> bool:
     """Whether there is anything to measure: no area where contact is a point."""
     size = truth(rows).get(norm, solved(rows)[-1]["sizes"].get(norm))
-    return norm not in ("force", "area") or abs(size or 0.0) > NOTHING
+    return norm not in ("force", "area") or abs(size or 0.0) > NEGLIGIBLE_SIZE
 
 
 def curves(rows: Rows, norm: str) -> list[Curve]:

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance, Exact
@@ -46,20 +46,20 @@ class ExactTruth:
         self.solution = scene.exact
         self._contact = contact_truth(scene.model, scene.exact, meshes.coarsest(scene, comm))
         self.record: dict[str, Any] = {"exact": True, **self._contact}
-        self._exact: tuple[Workbench, Exact] | None = None
+        self._exact: tuple[SolverContext, Exact] | None = None
         self.occupied = 0.0
 
-    def errors(self, bench: Workbench, answer: Answer) -> Errors:
+    def errors(self, context: SolverContext, answer: Answer) -> Errors:
         """By norm; `pressure` too where the scene knows it (collective)."""
-        if self._exact is None or self._exact[0] is not bench:
-            self._exact = bench, Exact(bench.problem, self.solution)
+        if self._exact is None or self._exact[0] is not context:
+            self._exact = context, Exact(context.problem, self.solution)
         found = self._exact[1].errors(answer.u, answer.pressure, answer.record["eps"])
         norms = {"energy": "energy", "l2": "l2", "max": "max", "pressure_l2": "pressure"}
         errors = {name: found[key] for key, name in norms.items() if key in found}
         return errors | _contact_errors(answer, self._contact)
 
     def forget(self) -> None:
-        """Let go of a workbench."""
+        """Let go of a solver context."""
         self._exact, self.occupied = None, 0.0
 
 
@@ -77,7 +77,7 @@ class Reference:
         self._nearby: tuple[Level, Nearby] | None = None
         self.occupied = 0.0
 
-    def errors(self, _: Workbench, answer: Answer) -> Errors:
+    def errors(self, _: SolverContext, answer: Answer) -> Errors:
         """By norm; the maximum is over the points (collective)."""
         answer = on_simplices(answer)
         if self._nearby is None or self._nearby[0] is not answer.level:
@@ -171,8 +171,8 @@ def _uniform(
     """Likewise on uniform meshes, at least two (collective)."""
     found: list[Answer] = []
     for finer in sizes(scene):
-        with closing(Workbench(finer, comm)) as bench:
-            found = [*found[-1:], bench.answer()]
+        with closing(SolverContext(finer, comm)) as context:
+            found = [*found[-1:], context.answer()]
         record = found[-1].record
         growth = 2.0 ** found[-1].level.mesh.topology.dim
         last = growth * record["seconds"]["total"] > FINER * seconds or growth * record["dofs"] > FINER * unknowns

@@ -46,7 +46,7 @@ class Drift(Effect):
     unit = "force/area"
     symmetric = False
     convex = False
-    leans = True
+    upwinded = True
     dimension = (-1, 0, 1)
 
     @classmethod

@@ -22,7 +22,7 @@ class Foundation(Effect):
     equation = "foundation u"
     left = True
     term = "+ int foundation u v"
-    leans = True
+    upwinded = True
     unit = "force/volume"
     holds = True
     dimension = (-2, 0, 1)

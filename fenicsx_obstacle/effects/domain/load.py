@@ -19,7 +19,7 @@ class Load(Effect):
     key = "load"
     equation = "load"
     term = "- int load v"
-    leans = True
+    upwinded = True
     unit = "force/area"
     dimension = (-2, 1, 1)
 

@@ -5,10 +5,10 @@ chosen. Where a theorem needs what an operator has not, the figure is given and 
 
 - balance, signs, complementarity and the law of the penalty are the discrete problem itself: any operator;
 - uniqueness and the distance of the penalty from the inequality need (F(u) - F(v)) . (u - v) > 0, F(u) = a(u, .): all
-  tensions, and drift where the symmetric part of its matrix is positive definite (`Ground.held`);
+  tensions, and drift where the symmetric part of its matrix is positive definite (`ReferenceProblem.held`);
 - energies exist for all effects but drift, and are compared where they are convex;
-- what is said node by node needs the maximum principle (`Ground.monotone`): matrices with the signs of an M-matrix,
-  with drift too, and soft obstacles beside them, never a tension that depends on the slope.
+- what is said node by node needs the maximum principle (`ReferenceProblem.monotone`): matrices with the signs of an
+  M-matrix, with drift too, and soft obstacles beside them, never a tension that depends on the slope.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _equilibrium(s: Solved) -> Finding:
     """(3.4) with v = 1: load, contact and edge reactions of the whole membrane; the load is integrated anew."""
     g = s.ground
     problem, data = g.problem, g.problem.data
-    one, u = fem.Constant(problem.level.mesh, PETSc.ScalarType(1.0)), problem.heights()
+    one, u = fem.Constant(problem.level.mesh, PETSc.ScalarType(1.0)), problem.solution()
     u.x.array[: problem.level.owned] = s.w + s.r
     u.x.scatter_forward()
     net = 0.0  # a(u, 1) - f(1)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.estimation.solved import EPSILON, Ground, Solved
+from fenicsx_obstacle.estimation.solved import EPSILON, ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.range import NO_SOLUTION
-from fenicsx_obstacle.solvers.stopping import NOTHING
+from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.verification.hard.invariants import Finding, beside_inequality, falling, of_one, same, violated
 from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, asked, row_of
@@ -67,13 +67,13 @@ def judge(
         return
     start = time.perf_counter()
     try:
-        bench = Workbench(scene, comm)
+        context = SolverContext(scene, comm)
     except InputError as error:
         expected = bool(refuse) and refuse in str(error)
         yield row_of(scene, "", None, REFUSED if expected else FAILED, start, message=str(error))
         return
-    with closing(bench), closing(Ground(bench.problem)) as ground:
-        court = _Court(scene, bench, ground, refuse)
+    with closing(context), closing(ReferenceProblem(context.problem)) as ground:
+        court = _Verifier(scene, context, ground, refuse)
         yield from court.sweep(epsilons, methods)
         if starts:
             yield from court.other_starts()
@@ -81,11 +81,11 @@ def judge(
             yield from court.other_units(comm)
 
 
-class _Court:
+class _Verifier:
     """Judges the answers of one problem (all methods collective)."""
 
-    def __init__(self, scene: Scene, bench: Workbench, ground: Ground, refuse: str):
-        self.scene, self.bench, self.ground, self.refuse = scene, bench, ground, refuse
+    def __init__(self, scene: Scene, context: SolverContext, ground: ReferenceProblem, refuse: str):
+        self.scene, self.context, self.ground, self.refuse = scene, context, ground, refuse
         self.known: dict[tuple[str, float | str | None], Trial] = {}
 
     def sweep(self, epsilons: Sequence[float | str], methods: Sequence[str]) -> Iterator[Row]:
@@ -106,17 +106,17 @@ class _Court:
                 continue
             for words in ("cold start", "scattered start"):
                 start = time.perf_counter()
-                problem = self.bench.problem
-                heights = problem.cold_start()
+                problem = self.context.problem
+                u_values = problem.cold_start()
                 if words == "scattered start":
-                    heights = heights + 10 * self.known[method, eps].solved.range * _scatter(problem.level.points)
-                problem.refer(heights)
+                    u_values = u_values + 10 * self.known[method, eps].solved.range * _scatter(problem.level.points)
+                problem.set_reference(u_values)
                 try:
                     outcome = solve_vi(problem) if eps is None else solve_penalty(problem, TRIAL)
                 except NotConverged as error:
                     yield row_of(self.scene, method, eps, FAILED, start, message=f"{words}: {error}", trial=words)
                     continue
-                solved = take(self.bench, self.ground, eps)
+                solved = take(self.context, self.ground, eps)
                 findings = [*of_one(solved), *same(self.known[method, eps].solved, solved, words)]
                 record = {"newton_iterations": outcome.iterations}
                 yield self._verdict(method, eps, start, findings, record, words)
@@ -128,22 +128,22 @@ class _Court:
             gap[np.isfinite(gap)] for trial in self.known.values() for gap in (trial.solved.below, trial.solved.above)
         ]
         far = max((largest(comm, np.abs(gap)) for gap in gaps), default=0.0)
-        size = size if size > NOTHING**0.5 * far else far  # a u of round-off has no size
+        size = size if size > NEGLIGIBLE_FORCE**0.5 * far else far  # a u of round-off has no size
         for units in all_units(self.scene, size):
             start = time.perf_counter()
             scene = units.of(self.scene)
-            with closing(Workbench(scene, comm)) as bench, closing(Ground(bench.problem)) as ground:
+            with closing(SolverContext(scene, comm)) as context, closing(ReferenceProblem(context.problem)) as ground:
                 for method, eps in (("vi", None), ("penalty", TRIAL)):
                     if (method, eps) not in self.known:
                         continue
                     options = asked(scene, method, None if eps is None else eps * units.eps)
                     try:
-                        answer = bench.answer(options)
+                        answer = context.answer(options)
                     except (InputError, NotConverged) as error:
                         yield row_of(self.scene, method, eps, FAILED, start, message=str(error), trial=units.name)
                         continue
                     record = dict(answer.record)
-                    solved = take(bench, ground, record["eps"])
+                    solved = take(context, ground, record["eps"])
                     findings = [*of_one(solved), *_in_units(units, self.known[method, eps], solved, record)]
                     yield self._verdict(method, eps, start, findings, record, units.name)
                     start = time.perf_counter()
@@ -151,7 +151,7 @@ class _Court:
     def _judged(self, method: str, eps: float | str | None, before: Sequence[Trial]) -> Iterator[Row]:
         start = time.perf_counter()
         try:
-            answer = self.bench.answer(asked(self.scene, method, eps))
+            answer = self.context.answer(asked(self.scene, method, eps))
         except InputError as error:
             yield row_of(self.scene, method, eps, REFUSED if FLOOR in str(error) else FAILED, start, message=str(error))
             return
@@ -162,7 +162,7 @@ class _Court:
             return
         record = dict(answer.record)
         number = record["eps"]
-        solved = take(self.bench, self.ground, number)
+        solved = take(self.context, self.ground, number)
         findings = of_one(solved)
         vi = self.known.get(("vi", None))
         if number is not None and vi is not None:
@@ -189,9 +189,9 @@ class _Court:
         return row_of(self.scene, method, eps, verdict, start, record, findings, message, trial)
 
 
-def take(bench: Workbench, ground: Ground, eps: float | None) -> Solved:
-    """The state that a workbench has just solved for, with its contact pressure."""
-    p = residual_pressure(bench.problem) if eps is None else penalty_pressure(bench.problem)
+def take(context: SolverContext, ground: ReferenceProblem, eps: float | None) -> Solved:
+    """The state that a solver context has just solved for, with its contact pressure."""
+    p = residual_pressure(context.problem) if eps is None else penalty_pressure(context.problem)
     return ground.take(p, eps)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.discrete.moments import INERTIA
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.time_discretization import INERTIA
 from fenicsx_obstacle.effects.field import fields_in
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.estimation.solved import Ground, Solved
+from fenicsx_obstacle.estimation.solved import ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure
@@ -30,17 +30,17 @@ def judge_moving(
     """Solve a scene with time by SNES VI, and by each method for each eps; a row for each answer (collective)."""
     known: tuple[Answer, Solved] | None = None
     ways = [("vi", None), *((method, eps) for eps in epsilons for method in methods)]
-    with closing(Workbench(scene, comm)) as bench:
+    with closing(SolverContext(scene, comm)) as context:
         for method, eps in ways:
             start = time.perf_counter()
             try:
-                answer = bench.answer(asked(scene, method, eps))
+                answer = context.answer(asked(scene, method, eps))
             except (InputError, NotConverged) as error:
                 verdict = REFUSED if FLOOR in str(error) else FAILED
                 yield row_of(scene, method, eps, verdict, start, message=str(error))
                 continue
-            problem = bench.problem
-            with closing(Ground(problem)) as ground:  # of the last step
+            problem = context.problem
+            with closing(ReferenceProblem(problem)) as ground:  # of the last step
                 number = None if eps is None else float(problem.eps.value)
                 p = residual_pressure(problem) if eps is None else penalty_pressure(problem)
                 solved = ground.take(p, number)
@@ -61,9 +61,9 @@ def _energies(answer: Answer) -> list[Finding]:
     Implicit Euler's step minimises energy plus a distance to the state before; with inertia elastic forces do no work
     over a step, and contact only against the motion.
     """
-    scene, course = answer.scene, answer.course
-    assert course is not None and scene.time is not None
-    energy = course.column("energy")
+    scene, time_history = answer.scene, answer.time_history
+    assert time_history is not None and scene.time is not None
+    energy = time_history.column("energy")
     model = scene.model
     given = [model.lower, model.upper, *(part.value for part in model.boundary)]
     rests = not any(field.moves for field in fields_in([*(effect.inputs for effect in model.effects), *given]))
@@ -82,11 +82,11 @@ def _beside_inequality(answer: Answer, solved: Solved, exact: Answer, vi: Solved
     by: u_eps moved out by its largest penetration is a supersolution of the inequality's steps, whose u is one of the
     penalised steps. So for one obstacle 0 <= u_h - u_eps <= penetration, mirrored for an upper one.
     """
-    assert answer.course is not None and answer.scene.time is not None
+    assert answer.time_history is not None and answer.scene.time is not None
     g = vi.ground
-    deepest = float(np.nanmax(answer.course.column("penetration")))
+    deepest = float(np.nanmax(answer.time_history.column("penetration")))
     off = answer.u.x.array - exact.u.x.array
-    steps = len(answer.course.rows)
+    steps = len(answer.time_history.rows)
     room = steps * max(largest(g.comm, solved.z + vi.z), 0.0)
     claimed = solved.ground.monotone and answer.scene.time.scheme in ("euler", "equilibria")
     return [

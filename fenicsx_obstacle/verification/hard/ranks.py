@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.compute import Workbench
-from fenicsx_obstacle.estimation.solved import Ground
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors, gathered
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.verification.hard.cases import case
@@ -29,13 +29,13 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
     """u, p, how far they may be off, and the energy of each method, at nodes in the order of places, on rank 0;
     empty elsewhere (collective)."""
     found: Fields = {}
-    with closing(Workbench(scene, comm)) as bench, closing(Ground(bench.problem)) as ground:
-        level = bench.problem.level
+    with closing(SolverContext(scene, comm)) as context, closing(ReferenceProblem(context.problem)) as ground:
+        level = context.problem.level
         points = gathered(level.comm, level.points.T[: level.owned])
         order = None if points is None else _by_place(points)
         for method in ("vi", *METHODS):
-            bench.answer(replace(bench.options, method=method, eps=TRIAL))
-            solved = take(bench, ground, None if method == "vi" else TRIAL)
+            context.answer(replace(context.options, method=method, eps=TRIAL))
+            solved = take(context, ground, None if method == "vi" else TRIAL)
             energy = np.array([solved.energy or 0.0, energy_round_off(solved) if solved.energy is not None else 0.0])
             for name, values in (("u", solved.w + solved.r), ("p", solved.p), ("z", solved.z), ("q", solved.q)):
                 whole = gathered(level.comm, values)
@@ -51,7 +51,7 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
     return found
 
 
-def _matrix(ground: Ground, order: np.ndarray | None) -> Fields:
+def _matrix(ground: ReferenceProblem, order: np.ndarray | None) -> Fields:
     """The entries of the matrix that are not 0, between free nodes, in the order of places (one rank)."""
     assert order is not None
     starts, columns, values = ground.A.getValuesCSR()

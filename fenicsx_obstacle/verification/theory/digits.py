@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.linear import DIRECT, defaults
@@ -34,9 +34,9 @@ def digits(comm: MPI.Comm) -> Found:
     errors: dict[str, list[float]] = {GAP: [], RESIDUAL: [], PLAIN: []}
     lost = []
     direct = defaults("penalty_", DIRECT), defaults("vi_", DIRECT)
-    with direct[0], direct[1], closing(Workbench(sample("disk", 32), comm)) as bench:
-        problem = bench.problem
-        vi = bench.answer(replace(bench.options, method="vi")).pressure.x.array[: problem.level.owned]
+    with direct[0], direct[1], closing(SolverContext(sample("disk", 32), comm)) as context:
+        problem = context.problem
+        vi = context.answer(replace(context.options, method="vi")).pressure.x.array[: problem.level.owned]
         size = largest(comm, np.abs(vi))
         last_digit = largest(comm, np.spacing(np.abs(problem.obstacles()[1])))
         for eps in EPS:
@@ -67,7 +67,7 @@ def _pressures(problem: Problem) -> dict[str, np.ndarray]:
     """p_eps of the present state in three forms, at owned dofs; the last residual must be the one of this state."""
     own, eps = problem.level.owned, float(problem.eps.value)
     p = penalty_pressure(problem)
-    u, upper = problem.heights().x.array[:own], np.broadcast_to(problem.obstacles()[1], len(problem.w.x.array))[:own]
+    u, upper = problem.solution().x.array[:own], np.broadcast_to(problem.obstacles()[1], len(problem.w.x.array))[:own]
     return {
         GAP: p,
         RESIDUAL: np.where(p != 0, problem.elastic.array_r / problem.weights, 0.0),

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
@@ -58,8 +58,8 @@ def entered(history: Sequence[Step]) -> int:
 
 def linear_step(comm: MPI.Comm) -> list[Finding]:
     """The second step from no contact solves (A + chi D/eps) u = f + chi D g/eps, chi where the first is beyond g."""
-    with closing(Workbench(sample("disk", 32), comm)) as bench:
-        problem = bench.problem
+    with closing(SolverContext(sample("disk", 32), comm)) as context:
+        problem = context.problem
         problem.eps.value = 1e-4
         x = problem.state()
         _step(problem, x)
@@ -99,7 +99,7 @@ def _step(problem: Problem, x: PETSc.Vec) -> None:
 
 def _excess(problem: Problem, x: PETSc.Vec) -> np.ndarray:
     """u - g at owned dofs."""
-    problem.take(x)
+    problem.set_state(x)
     return np.where(problem.fixed, 0.0, -problem.gaps()[1])
 
 
@@ -124,8 +124,8 @@ def nesting(comm: MPI.Comm) -> list[Finding]:
 
 def _runs(scene: Scene, comm: MPI.Comm) -> list[Answer]:
     options = replace(scene.options, method="successive")
-    with closing(Workbench(scene, comm)) as bench:
-        return [bench.answer(replace(options, eps=eps)) for eps in (1e-2, 1e-6, 1e-10)]
+    with closing(SolverContext(scene, comm)) as context:
+        return [context.answer(replace(options, eps=eps)) for eps in (1e-2, 1e-6, 1e-10)]
 
 
 def _sheared(comm: MPI.Comm) -> Scene:
@@ -173,13 +173,13 @@ def counts(comm: MPI.Comm, sides: Sequence[int] = CELLS) -> tuple[list[Finding],
 
 def _counted(scene: Scene, comm: MPI.Comm) -> dict[tuple[str, float | str], int]:
     """Steps from each start at each eps."""
-    with closing(Workbench(scene, comm)) as bench:
+    with closing(SolverContext(scene, comm)) as context:
         counts = {}
         for start, method in ((COLD, "successive"), (NESTED, "penalty")):
             for eps in (SMALL, "h^2"):
                 options = scene.options_with(method=method, eps=eps)
-                counts[start, eps] = bench.answer(options).record["newton_iterations"]
-        problem = bench.problem
-        problem.refer(problem.cold_start())
+                counts[start, eps] = context.answer(options).record["newton_iterations"]
+        problem = context.problem
+        problem.set_reference(problem.cold_start())
         counts[FALLING, SMALL] = sum(solve_penalty(problem, eps).iterations for eps in CONTINUED)
     return counts

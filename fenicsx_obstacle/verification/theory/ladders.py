@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.scenes.catalogue import scene
 from fenicsx_obstacle.scenes.scene import Scene
@@ -41,11 +41,11 @@ class Ladder:
     changes: Mapping[str, Any] = field(default_factory=dict)
     cells: Sequence[int] = (32, 64, 128)
 
-    def benches(self, comm: MPI.Comm) -> Iterator[Workbench]:
-        """A workbench for each mesh, the coarsest first (collective)."""
+    def benches(self, comm: MPI.Comm) -> Iterator[SolverContext]:
+        """A solver context for each mesh, the coarsest first (collective)."""
         for n in self.cells:
-            with closing(Workbench(scene(self.name).change({"mesh.cells": n, **self.changes}), comm)) as bench:
-                yield bench
+            with closing(SolverContext(scene(self.name).change({"mesh.cells": n, **self.changes}), comm)) as context:
+                yield context
 
 
 @dataclass
@@ -78,14 +78,14 @@ class Gap:
 def gap(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm) -> Gap:
     """Solve on each mesh for each eps (collective)."""
     found = Gap(ladder)
-    for bench in ladder.benches(comm):
-        problem = bench.problem
-        distance, reference = Distance(problem), bench.answer(solved_with(bench.scene, VI))
+    for context in ladder.benches(comm):
+        problem = context.problem
+        distance, reference = Distance(problem), context.answer(solved_with(context.scene, VI))
         found.h.append(problem.level.h)
         found.size.append(distance.pressure(reference.pressure.x.array))
         steep = distance.energy(reference.pressure.x.array)  # the nodes of I are those of V_h
         for value in epsilons:
-            answer = bench.answer(solved_with(bench.scene, value))
+            answer = context.answer(solved_with(context.scene, value))
             e, d = answer.u.x.array - reference.u.x.array, answer.pressure.x.array - reference.pressure.x.array
             eps = answer.record["eps"]
             found.eps.setdefault(value, []).append(eps)
@@ -116,15 +116,15 @@ class Errors:
 def errors(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: bool = False) -> Errors:
     """Solve on each mesh for each eps, or `VI` (collective); the dual norm costs another linear solve."""
     found = Errors(ladder)
-    for bench in ladder.benches(comm):
-        assert bench.exact is not None
-        found.h.append(bench.problem.level.h)
-        distance = Distance(bench.problem)
+    for context in ladder.benches(comm):
+        assert context.exact is not None
+        found.h.append(context.problem.level.h)
+        distance = Distance(context.problem)
         for value in epsilons:
-            answer = bench.answer(solved_with(bench.scene, value))
+            answer = context.answer(solved_with(context.scene, value))
             norms = {**answer.record["errors"], "close": distance.energy(_nodal_error(answer))}
             if dual:
-                norms["dual"] = bench.exact.dual.error(answer.pressure, answer.record["eps"])
+                norms["dual"] = context.exact.dual.error(answer.pressure, answer.record["eps"])
             lists = found.errors.setdefault(value, {})
             for name, norm in norms.items():
                 lists.setdefault(name, []).append(norm)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.compute import Workbench
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -59,16 +59,16 @@ def approach(scene: Scene, comm: MPI.Comm, epsilons: Sequence[float] = EPS) -> A
     """Solve the variational inequality of a scene with one obstacle, and (3.4) for each eps (collective)."""
     seen = Approach(scene.name)
     direct = [defaults(prefix, DIRECT) for prefix in ("penalty_", "vi_")]
-    with direct[0], direct[1], closing(Workbench(scene, comm)) as bench:
-        problem = bench.problem
+    with direct[0], direct[1], closing(SolverContext(scene, comm)) as context:
+        problem = context.problem
         distance, D, own = Distance(problem), problem.weights, problem.level.owned
         side = 1.0 if problem.above is not None else -1.0
-        reference = bench.answer(replace(bench.options, method="vi"))
+        reference = context.answer(replace(context.options, method="vi"))
         p, height = reference.pressure.x.array[:own], reference.record["u_range"]
         limit, most = total(comm, D * p**2), largest(comm, np.abs(p))
         before = None
         for eps in epsilons:
-            answer = bench.answer(replace(bench.options, eps=eps))
+            answer = context.answer(replace(context.options, eps=eps))
             excess = side * (answer.u.x.array - reference.u.x.array)
             mine = answer.pressure.x.array[:own]
             seen.energy.append(distance.energy(excess))
@@ -148,14 +148,14 @@ def extremes(comm: MPI.Comm) -> list[Finding]:
 
 def _solved(scene: Scene, comm: MPI.Comm) -> tuple[float, float]:
     """Largest |u_eps| and |p_eps| at eps = 1e-6."""
-    with closing(Workbench(scene, comm)) as bench:
-        answer = bench.answer(replace(bench.options, eps=1e-6))
+    with closing(SolverContext(scene, comm)) as context:
+        answer = context.answer(replace(context.options, eps=1e-6))
     return largest(comm, np.abs(answer.u.x.array)), largest(comm, np.abs(answer.pressure.x.array))
 
 
 def _refused(scene: Scene, comm: MPI.Comm) -> bool:
     try:
-        Workbench(scene, comm).close()
+        SolverContext(scene, comm).close()
     except InputError:
         return True
     return False

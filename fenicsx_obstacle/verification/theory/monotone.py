@@ -100,8 +100,8 @@ class Line:
         own = self.level.owned
         columns = [self.level.points[0, :own], *(f.x.array[:own] for f in functions.values())]
         rows = np.concatenate(self.comm.allgather(np.column_stack(columns)))
-        x, *heights = rows[np.argsort(rows[:, 0])][::10].T
-        curves = [Curve(name, x, y) for name, y in zip(functions, heights, strict=True)]
+        x, *u_values = rows[np.argsort(rows[:, 0])][::10].T
+        curves = [Curve(name, x, y) for name, y in zip(functions, u_values, strict=True)]
         return Panel(title, "x", "height, g = 0", curves, ("linear", "linear"))
 
     def random_pairs(self) -> list[tuple[fem.Function, fem.Function]]:

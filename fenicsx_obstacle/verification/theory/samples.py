@@ -36,7 +36,7 @@ class Small:
 
     Attributes:
         met: The active sets for which a linear system was asked for, in their order.
-        shrinks: Whether the matrix has no positive off-diagonal entry, so that active sets must shrink.
+        active_sets_shrink: Whether the matrix has no positive off-diagonal entry, so that active sets must shrink.
     """
 
     def __init__(self, A: ArrayLike, b: ArrayLike):
@@ -51,7 +51,7 @@ class Small:
         self.touchable = ~self.fixed
         self.below, self.above = None, np.zeros(n)
         self.constrained = self.affine = self.has_energy = self.symmetric = True
-        self.shrinks = bool(np.all(self.matrix - np.diag(np.diag(self.matrix)) <= 0))
+        self.active_sets_shrink = bool(np.all(self.matrix - np.diag(np.diag(self.matrix)) <= 0))
         self.A = PETSc.Mat().createDense(n, comm=MPI.COMM_SELF)
         self.A.setUp()
         self.elastic, self.reaction = self.A.createVecs()
@@ -67,10 +67,10 @@ class Small:
     def obstacles(self) -> tuple[float, np.ndarray]:
         return -np.inf, np.zeros(len(self.b))
 
-    def refer(self, heights: np.ndarray) -> None:
-        self.w.x.array[:] = heights
+    def set_reference(self, u_values: np.ndarray) -> None:
+        self.w.x.array[:] = u_values
 
-    def refer_to_contact(self, *, blunt: bool = False) -> bool:
+    def update_reference(self, *, roundoff_limited: bool = False) -> bool:
         return False
 
     def state(self) -> PETSc.Vec:
@@ -78,7 +78,7 @@ class Small:
         x.array[:] = self.w.x.array
         return x
 
-    def take(self, x: PETSc.Vec) -> None:
+    def set_state(self, x: PETSc.Vec) -> None:
         self.w.x.array[:] = x.array_r
 
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
@@ -86,18 +86,18 @@ class Small:
 
     pressed_gaps = gaps
 
-    def bearing(self, active: np.ndarray) -> np.ndarray:
+    def active_dofs(self, active: np.ndarray) -> np.ndarray:
         return active
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec, *, penalised: bool = True) -> None:
-        self.take(x)
+        self.set_state(x)
         w = self.w.x.array
         self.elastic.array[:] = self.matrix @ w - self.b
         self.reaction.array[:] = np.maximum(w, 0) / self.eps.value
         out.array[:] = self.elastic.array_r + self.reaction.array_r
 
     def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
-        self.take(x)
+        self.set_state(x)
         n, active = range(len(self.b)), self.w.x.array > 0
         self.met.append(tuple(active.tolist()))
         self.A.setValues(n, n, (self.matrix + np.diag(active / self.eps.value)).ravel())

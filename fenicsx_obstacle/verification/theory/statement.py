@@ -14,7 +14,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.words import nearest
 
-ROOM = 0.15  # between rates that count as the same
+RATE_MARGIN = 0.15  # between rates that count as the same
 CLOSE = 0.05  # between constants that count as the same, relative
 _MODULES: tuple[str, ...] = (  # in the order of the paper
     "signs", "monotone", "limits", "iteration", "digits", "algebra", "in_eps", "stability", "in_h", "totals",
@@ -158,11 +158,11 @@ def rate(where: str, quantity: str, claimed: float, expected: float, x: Sequence
         y: Errors.
     """
     seen = slope(x, y)
-    if abs(seen - expected) > ROOM:
+    if abs(seen - expected) > RATE_MARGIN:
         verdict = "FAILS"
     else:
-        verdict = "sharp" if abs(expected - claimed) <= ROOM / 2 else "holds with room"
-        verdict = verdict if expected >= claimed - ROOM / 2 else "needs hypothesis"
+        verdict = "sharp" if abs(expected - claimed) <= RATE_MARGIN / 2 else "holds with room"
+        verdict = verdict if expected >= claimed - RATE_MARGIN / 2 else "needs hypothesis"
     return Finding(where, quantity, f"order {claimed:.3g}", expected, seen, verdict)
 
 

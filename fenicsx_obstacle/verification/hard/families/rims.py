@@ -27,7 +27,7 @@ FREE_ENDS = ("x == 0 and y < {c}", "y == 1 and x > {c}", "x == 0 and y < {c} or 
 
 
 @dataclass(frozen=True)
-class Rim(Family):
+class DirichletData(Family):
     """Values on the boundary of a square that jump or bend at a place, or two tables that give a corner two values.
 
     Attributes:
@@ -61,7 +61,7 @@ class Rim(Family):
 
 
 @st.composite
-def rims(draw: st.DrawFn) -> Rim:
+def rims(draw: st.DrawFn) -> DirichletData:
     """Jumps inside edges and at corners, and values that bend only."""
     kind = draw(st.sampled_from(["torn", "torn", "bent", "corner"]))
     size = draw(st.sampled_from([1.0, -2.0, 1e-4, 1e5]))
@@ -74,7 +74,7 @@ def rims(draw: st.DrawFn) -> Rim:
         boundary = [{"value": value}]
         if s != "(0.6*x + 0.8*y)" and draw(st.booleans()):
             boundary = [{"on": "bottom" if s == "x" else "left", "value": value}]
-    return Rim(draw(grids()), draw(bounds()), tuple(boundary), kind != "bent", kind == "corner")
+    return DirichletData(draw(grids()), draw(bounds()), tuple(boundary), kind != "bent", kind == "corner")
 
 
 @dataclass(frozen=True)

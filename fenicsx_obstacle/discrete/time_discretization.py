@@ -11,7 +11,7 @@ NO_STEP = 1e-9  # of the whole time
 
 
 @dataclass(frozen=True)
-class Moments:
+class TimeDiscretization:
     """What is known of time.
 
     Attributes:

@@ -28,7 +28,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Course:
+class TimeHistory:
     """All steps of a scene with [time].
 
     Attributes:
@@ -43,9 +43,9 @@ class Course:
         """A column of the rows, not-a-number where there is none."""
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
 
-    def renumbered(self, old: np.ndarray, new: np.ndarray | None) -> Course:
+    def renumbered(self, old: np.ndarray, new: np.ndarray | None) -> TimeHistory:
         """With frames in the order of points `new`, their nodes stood at `old`."""
-        return Course(self.rows, tuple(renumbered(self.frames, old, new)))
+        return TimeHistory(self.rows, tuple(renumbered(self.frames, old, new)))
 
 
 def to_arrays(frames: Sequence[Frame]) -> dict[str, np.ndarray]:

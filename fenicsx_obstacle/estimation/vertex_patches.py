@@ -17,7 +17,7 @@ from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous
 from fenicsx_obstacle.parallel import largest
 
 
-class Fans:
+class VertexPatches:
     """The fans of all owned vertices, in arrays ordered by step: the first corners of all fans, then the second ones.
 
     Fans stand in order of decreasing length, so that step k is one slice, and a walk along all fans at once is a loop
@@ -82,11 +82,11 @@ class Fans:
         """Walk along all fans at once and lay their corners out by step (local)."""
         first = np.ones(len(after), dtype=bool)
         first[after[after >= 0]] = False
-        unseen, fans, steps = np.ones(len(after), dtype=bool), 0, list[tuple[np.ndarray, np.ndarray, int]]()
+        unseen, patches, steps = np.ones(len(after), dtype=bool), 0, list[tuple[np.ndarray, np.ndarray, int]]()
         starts, closed = np.flatnonzero(first), list[np.ndarray]()
         while True:
-            here, fan, step = starts, fans + np.arange(len(starts)), 0
-            fans += len(starts)
+            here, fan, step = starts, patches + np.arange(len(starts)), 0
+            patches += len(starts)
             while len(here):
                 steps.append((fan, here, step))
                 unseen[here] = False
@@ -100,12 +100,12 @@ class Fans:
                 break
             # what goes round begins anywhere, one fan of each vertex at a time
             starts = left[np.unique(a[left], return_index=True)[1]]
-        length = np.zeros(fans, dtype=np.int64)
+        length = np.zeros(patches, dtype=np.int64)
         for fan, _, _ in steps:
             length[fan] += 1
-        rank = np.empty(fans, dtype=np.int64)
+        rank = np.empty(patches, dtype=np.int64)
         by_length = np.argsort(-length, kind="stable")
-        rank[by_length] = np.arange(fans)
+        rank[by_length] = np.arange(patches)
         counts = [np.count_nonzero(length > k) for k in range(length.max(initial=0))]
         ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         self.steps = [slice(start, end) for start, end in pairwise(ends.tolist())]
@@ -113,8 +113,8 @@ class Fans:
         for fan, here, step in steps:
             self._order[ends[step] + rank[fan]] = here
         self.closed = np.concatenate(closed)[by_length]
-        self.last = ends[length[by_length] - 1] + np.arange(fans)
-        head = self._order[:fans]
+        self.last = ends[length[by_length] - 1] + np.arange(patches)
+        head = self._order[:patches]
         self.vertex = a[head]
         self.entry_held, self.exit_held = entry_held[head], exit_held[self._order[self.last]]
 
@@ -153,20 +153,20 @@ class Fans:
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """Likewise the largest, 0 if that is more (local)."""
-        fans, found = np.zeros(len(self.vertex)), np.zeros(self.owned)
+        patches, found = np.zeros(len(self.vertex)), np.zeros(self.owned)
         for step in self.steps:
             count = step.stop - step.start
-            np.maximum(fans[:count], values[step], out=fans[:count])
-        np.maximum.at(found, self.vertex, fans)
+            np.maximum(patches[:count], values[step], out=patches[:count])
+        np.maximum.at(found, self.vertex, patches)
         return found
 
     def smallest(self, values: np.ndarray) -> np.ndarray:
         """The smallest value over the corners of each owned vertex, infinite without one (local)."""
-        fans, found = np.full(len(self.vertex), np.inf), np.full(self.owned, np.inf)
+        patches, found = np.full(len(self.vertex), np.inf), np.full(self.owned, np.inf)
         for step in self.steps:
             count = step.stop - step.start
-            np.minimum(fans[:count], values[step], out=fans[:count])
-        np.minimum.at(found, self.vertex, fans)
+            np.minimum(patches[:count], values[step], out=patches[:count])
+        np.minimum.at(found, self.vertex, patches)
         return found
 
     def walk(self, drops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,9 +15,9 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.course import Course, Frame, Row
-from fenicsx_obstacle.discrete.moments import EQUILIBRIA, INERTIA, NO_STEP, Moments
+from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import fields_of
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -31,7 +31,7 @@ EVERY = 20.0  # seconds between states on the disk
 CROSSES = 1e-9  # of the heights: what a start may be beyond an obstacle
 
 
-class March:
+class TimeStepper:
     """A scene on its way through time.
 
     Attributes:
@@ -61,7 +61,7 @@ class March:
         self.problem, self.below = problem, below
         self._solve, self._state, self._reported, self._fields = solve, state, reported, fields
         assert problem.model.time is not None
-        self.moments: Moments = problem.model.time
+        self.moments: TimeDiscretization = problem.model.time
         self.rows, self.frames = list[Row](), list[Frame]()
         self._newton = self._krylov = self._rejected = 0
         self._kinetic_energy: Any = None
@@ -126,9 +126,9 @@ class March:
         return outcomes[-1]
 
     @property
-    def course(self) -> Course:
+    def time_history(self) -> TimeHistory:
         """Rows and frames so far."""
-        return Course(tuple(self.rows), tuple(self.frames))
+        return TimeHistory(tuple(self.rows), tuple(self.frames))
 
     @property
     def counts(self) -> dict[str, Any]:
@@ -140,23 +140,23 @@ class March:
     def _begin(self, restart: Path | None) -> None:
         problem, moments = self.problem, self.moments
         if restart is not None:
-            self.steps, course = checkpoint.read(restart, problem.level, moments)
-            self.rows, self.frames = list(course.rows), list(course.frames)
-            self._move(self.steps.times[0], self.steps.heights[0])
+            self.steps, time_history = checkpoint.read(restart, problem.level, moments)
+            self.rows, self.frames = list(time_history.rows), list(time_history.frames)
+            self._move(self.steps.times[0], self.steps.u_values[0])
             self._remember()
             return
         if moments.order == EQUILIBRIA:
             self.steps = Steps(moments.order, moments.scheme, 0.0, problem.cold_start())
-            problem.refer(self.steps.heights[0])
+            problem.set_reference(self.steps.u_values[0])
             with self._at(0.0):
                 outcomes = self._solve()
-            self.steps.heights = [self._heights()]
+            self.steps.u_values = [self._heights()]
             self._count(outcomes)
             self._row(0.0, None, outcomes)
             return
         self.steps = Steps(moments.order, moments.scheme, 0.0, self._start(), self._velocity())
-        self._move(0.0, self.steps.heights[0])
-        self.steps.heights = [self._heights()]  # with the boundary values
+        self._move(0.0, self.steps.u_values[0])
+        self.steps.u_values = [self._heights()]  # with the boundary values
         self._remember()
         self._row(0.0, None, [])
 
@@ -213,14 +213,14 @@ class March:
 
     def _step(self, t: float) -> list[Outcome]:
         self.steps.prepare(self.problem, t)
-        self._move(t, self.steps.heights[0])
+        self._move(t, self.steps.u_values[0])
         return self._solve()
 
-    def _move(self, t: float, heights: np.ndarray) -> None:
+    def _move(self, t: float, u_values: np.ndarray) -> None:
         """Let all levels have the data of a moment."""
         assert self.problem.data.moment is not None
         self.problem.data.moment.t = t
-        changed = self.problem.move(heights)
+        changed = self.problem.move(u_values)
         if changed or self.moments.order == EQUILIBRIA:
             for problem in reversed(self.below):  # algebraic levels take their data from the finer one
                 problem.move(problem.cold_start())
@@ -280,4 +280,4 @@ class March:
 
     def _keep(self, folder: Path | None) -> None:
         if folder is not None:
-            checkpoint.write(folder, self.problem.level, self.steps, self.course)
+            checkpoint.write(folder, self.problem.level, self.steps, self.time_history)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.course import Course, Frame
+from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
 from fenicsx_obstacle.show.boundary import Patch
 from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, blank, figure, heading, plain, save, write_gif
 from fenicsx_obstacle.show.maps import hatch_obstacles, triangles
@@ -35,20 +35,22 @@ def draw_course(answer: Answer, arrays: Arrays, path: Path) -> str:
     Returns:
         One line: what is drawn.
     """
-    course, name = _course(answer), plain(_moments(answer).name)
-    columns = [column for column in _columns(course) if np.isfinite(course.column(column)).any()]
-    fields = bool(course.frames) and _drawable(arrays)
+    time_history, name = _course(answer), plain(_moments(answer).name)
+    columns = [column for column in _columns(time_history) if np.isfinite(time_history.column(column)).any()]
+    fields = bool(time_history.frames) and _drawable(arrays)
     heights = [3.4] * fields + [2.1] * -(-len(columns) // 3)  # fields in one row, then three figures in each
     page = blank(10.0, sum(heights) + 0.5)
     grid = page.add_gridspec(len(heights), 6, height_ratios=heights)
     if fields:
-        chosen = np.unique(np.linspace(0, len(course.frames) - 1, SHOWN).round().astype(int))
+        chosen = np.unique(np.linspace(0, len(time_history.frames) - 1, SHOWN).round().astype(int))
         draw = _lines if arrays["cells"].shape[1] == 2 else _maps
-        draw(page, grid, answer, arrays, [course.frames[k] for k in chosen])
+        draw(page, grid, answer, arrays, [time_history.frames[k] for k in chosen])
     for number, column in enumerate(columns):
         row, place = divmod(number, 3)
         axis = page.add_subplot(grid[fields + row, 2 * place : 2 * place + 2])
-        axis.plot(course.column("t"), course.column(column), color=COLOURS[number % len(COLOURS)], linewidth=1.6)
+        axis.plot(
+            time_history.column("t"), time_history.column(column), color=COLOURS[number % len(COLOURS)], linewidth=1.6
+        )
         axis.set_xlabel(name)
         axis.set_title(plain(column.replace("_", " ")), fontsize=9)
     page.suptitle(heading(title_of(answer.scene.tables.title, answer.scene.name)), fontsize=12)
@@ -62,9 +64,9 @@ def animate(answer: Answer, arrays: Arrays, path: Path) -> str:
     Returns:
         One line: what is drawn.
     """
-    course, (page, draw) = _course(answer), moving(answer, arrays)
-    write_gif(page, path, PER_SECOND, course.frames, draw)
-    return f"{path}: {len(course.frames)} moments"
+    time_history, (page, draw) = _course(answer), moving(answer, arrays)
+    write_gif(page, path, PER_SECOND, time_history.frames, draw)
+    return f"{path}: {len(time_history.frames)} moments"
 
 
 def moving(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
@@ -89,9 +91,9 @@ def _drawable(arrays: Arrays) -> bool:
     return dim == int(arrays["gdim"]) and dim < 3
 
 
-def _course(answer: Answer) -> Course:
-    assert answer.course is not None
-    return answer.course
+def _course(answer: Answer) -> TimeHistory:
+    assert answer.time_history is not None
+    return answer.time_history
 
 
 def _moments(answer: Answer) -> Any:
@@ -99,9 +101,9 @@ def _moments(answer: Answer) -> Any:
     return answer.scene.time
 
 
-def _columns(course: Course) -> list[str]:
+def _columns(time_history: TimeHistory) -> list[str]:
     """Names of the figures: those of [report] first."""
-    names = list(dict.fromkeys(name for row in course.rows for name in row if name not in COUNTS))
+    names = list(dict.fromkeys(name for row in time_history.rows for name in row if name not in COUNTS))
     return [name for name in names if name not in USUAL] + [name for name in names if name in USUAL[:-1]]
 
 

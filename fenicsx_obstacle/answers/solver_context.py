@@ -18,8 +18,8 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.moments import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.figures import course_of, figures_of
@@ -32,20 +32,20 @@ from fenicsx_obstacle.solvers.choose import Method, chain, hierarchy, method_of,
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
+from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import Watch
-from fenicsx_obstacle.solvers.yardstick import poisson_seconds
+from fenicsx_obstacle.solvers.stopping import StepMonitor
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.course import Course
-    from fenicsx_obstacle.answers.march import March
+    from fenicsx_obstacle.answers.time_history import TimeHistory
+    from fenicsx_obstacle.answers.time_stepper import TimeStepper
     from fenicsx_obstacle.estimation.bound import Bound, Estimator
     from fenicsx_obstacle.scenes.functionals import Report
 
 _log = logging.getLogger(__name__)
 
 
-class Workbench:
+class SolverContext:
     """A scene's mesh and problem, kept for several solves that differ in their options only.
 
     Attributes:
@@ -59,7 +59,7 @@ class Workbench:
         scene: Scene,
         comm: MPI.Comm = MPI.COMM_WORLD,
         level: levels.Level | None = None,
-        before: Workbench | None = None,
+        before: SolverContext | None = None,
         options: SolverOptions | None = None,
     ):
         """Assemble (collective).
@@ -68,7 +68,7 @@ class Workbench:
             scene: What to solve.
             comm: Communicator; a mesh of the scene's own brings its own.
             level: The scene's mesh, where it is made already.
-            before: A workbench on the level below, whose solution is the start.
+            before: A solver context on the level below, whose solution is the start.
             options: Of the solves, instead of those of the scene.
         """
         self.scene, self.options = scene, options or scene.options
@@ -98,14 +98,14 @@ class Workbench:
         """Free matrices and solvers; answers stay (collective)."""
         close([self])
 
-    def refined(self, marked: np.ndarray) -> Workbench:
-        """A workbench on the mesh with marked owned cells refined, which starts from the solution here (collective).
+    def refined(self, marked: np.ndarray) -> SolverContext:
+        """A solver context on the mesh with marked owned cells refined; it starts from the solution here (collective).
 
         Raises:
             InputError: For other cells than intervals and triangles.
         """
         level = self.problem.level
-        return Workbench(self.scene, level.comm, levels.refined_where(level, marked), self, self.options)
+        return SolverContext(self.scene, level.comm, levels.refined_where(level, marked), self, self.options)
 
     @property
     def exact(self) -> Exact | None:
@@ -126,7 +126,7 @@ class Workbench:
 
             self._estimator = Estimator(self.problem)
             if self.problem.affine:
-                self._estimator.lend_load()
+                self._estimator.use_estimator_load()
         return self._estimator
 
     def forget_estimator(self) -> None:
@@ -141,18 +141,18 @@ class Workbench:
         bound: bool = False,
         restart: Path | None = None,
         keep: Path | None = None,
-        watch: Watch | None = None,
+        monitor: StepMonitor | None = None,
         errors: bool = True,
     ) -> Answer:
         """Solve (collective).
 
         Args:
-            options: How; by default as the workbench was made for.
+            options: How; by default as the solver context was made for.
             yardstick: Time one linear Poisson solve as well.
             bound: Bound the energy error as well.
             restart: With [time]: folder with the state to begin from.
             keep: With [time]: folder for states on the way.
-            watch: Is told of each Newton step, on all levels.
+            monitor: Called after each Newton step, on all levels.
             errors: Measure them, if the scene has an exact solution.
 
         Raises:
@@ -176,25 +176,25 @@ class Workbench:
             below = [grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]]
             for one in (problem, *reversed(below)):
                 one.move(one.cold_start())
-        method, course = method_of(problem, options), None
-        if watch is not None:
-            method = replace(method, solve=partial(method.solve, watch=watch))
+        method, time_history = method_of(problem, options), None
+        if monitor is not None:
+            method = replace(method, solve=partial(method.solve, monitor=monitor))
         if scene.time is None:
             outcomes = self._at_rest(method, grids)
             last = outcomes[-1]
             counts = {"newton_total": sum(o.iterations for o in outcomes),
                       "krylov_total": sum(o.krylov for o in outcomes)}  # fmt: skip
         else:
-            march = self._march(method, grids)
-            last = march.run(restart, keep)
-            course, counts = march.course, march.counts
+            stepper = self._time_stepper(method, grids)
+            last = stepper.run(restart, keep)
+            time_history, counts = stepper.time_history, stepper.counts
         state = state_of(problem, method)
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         certified = None if estimator is None else estimator.bound()
-        answer = self._answer(options, last, counts, method, state, seconds, certified, course)
+        answer = self._answer(options, last, counts, method, state, seconds, certified, time_history)
         return self.measured(answer) if errors else answer
 
     def measured(self, answer: Answer) -> Answer:
@@ -204,17 +204,17 @@ class Workbench:
     def _at_rest(self, method: Method, grids: Sequence[Multigrid | Problem]) -> list[Outcome]:
         """Solve from a cold start, or from the coarsest level on (collective)."""
         if not grids:
-            self.problem.refer(self.problem.cold_start())
+            self.problem.set_reference(self.problem.cold_start())
             return [method.solve(self.problem)]
         stiffness = np.inf if method.eps is None else 1.0 / method.eps
         if self._solved_below:
-            new = 2 if self.problem.level.pair.stacks else 1
+            new = 2 if self.problem.level.pair.has_p1_coarse_space else 1
             return solve_nested(grids[-new:], method.solve, stiffness, self._hierarchy()[-1 - new].problem)
         return solve_nested(grids, method.solve, stiffness)
 
-    def _march(self, method: Method, grids: Sequence[Multigrid | Problem]) -> March:
+    def _time_stepper(self, method: Method, grids: Sequence[Multigrid | Problem]) -> TimeStepper:
         """The scene's way through time (collective)."""
-        from fenicsx_obstacle.answers.march import March  # only where a scene has time
+        from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
 
         problem, scene = self.problem, self.scene
         assert scene.time is not None
@@ -224,7 +224,7 @@ class Workbench:
             solve: Callable[[], list[Outcome]] = partial(self._at_rest, method, grids)
         else:  # the last moment is the best start
             solve = lambda: [method.solve(problem, multigrid=grid)]  # noqa: E731
-        return March(problem, below, solve, partial(state_of, problem, method), self._reported, self._fields)
+        return TimeStepper(problem, below, solve, partial(state_of, problem, method), self._reported, self._fields)
 
     def _reported(self, state: State) -> dict[str, float | None]:
         """The figures of [report] (collective)."""
@@ -242,10 +242,10 @@ class Workbench:
             self.setup_seconds += time.perf_counter() - start
         return self._problems
 
-    def _above(self, before: Workbench) -> list[Multigrid]:
+    def _above(self, before: SolverContext) -> list[Multigrid]:
         """The multigrid of all levels, those of the mesh below taken over (collective)."""
         below, level = before._hierarchy(), self.problem.level
-        if level.pair.stacks:  # P1 on this mesh is above P1 on the other
+        if level.pair.has_p1_coarse_space:  # P1 on this mesh is above P1 on the other
             assert level.coarse is not None
             below = below[:-1]
             below = [*below, Multigrid(Problem(Data(self.problem.model, level.coarse)), below[-1])]
@@ -268,7 +268,7 @@ class Workbench:
         state: State,
         seconds: float,
         bound: Bound | None,
-        course: Course | None,
+        time_history: TimeHistory | None,
     ) -> Answer:
         problem, level, scene, eps = self.problem, self.problem.level, self.scene, method.eps
         seconds += self.setup_seconds
@@ -292,7 +292,9 @@ class Workbench:
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
         scene = scene.with_options(options)
-        return replace(self._fields(state), history=history, record=record, bound=bound, course=course, scene=scene)
+        return replace(
+            self._fields(state), history=history, record=record, bound=bound, time_history=time_history, scene=scene
+        )
 
     def _fields(self, state: State) -> Answer:
         """The fields of an answer, without figures."""
@@ -319,10 +321,12 @@ def _with_errors(answer: Answer, exact: Exact) -> Answer:
     return replace(answer, record=record, error=error)
 
 
-def close(benches: Sequence[Workbench]) -> None:
-    """Free the matrices and solvers of workbenches; answers stay (collective)."""
-    meshes = [level for bench in benches for level in bench.problem.level.downward]  # communicators live until the end
-    for bench in benches:
-        del bench.problem
-        bench._grids = bench._problems = bench._report = bench._exact = bench._estimator = None
+def close(benches: Sequence[SolverContext]) -> None:
+    """Free the matrices and solvers of solver contexts; answers stay (collective)."""
+    meshes = [
+        level for context in benches for level in context.problem.level.downward
+    ]  # communicators live until the end
+    for context in benches:
+        del context.problem
+        context._grids = context._problems = context._report = context._exact = context._estimator = None
     releases.free(level.comm for level in meshes)

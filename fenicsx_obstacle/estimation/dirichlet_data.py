@@ -27,7 +27,7 @@ class _Difference:
     """d on parts of edges: polynomials of one degree, and how far they may be from it.
 
     Attributes:
-        edges: Place in `Rim.cells`.
+        edges: Place in `DirichletData.cells`.
         share: Of the edge's length.
         start: Of the part, in parts of the edge.
         degree: Of the polynomials.
@@ -45,7 +45,7 @@ class _Difference:
     slope: np.ndarray = field(repr=False)
 
 
-class Rim:
+class DirichletData:
     """Boundary values along the edges where u is given (d = g - g_h, zero at the nodes).
 
     Attributes:
@@ -56,7 +56,7 @@ class Rim:
         most: An upper bound.
         cells: Cells with an edge where d is not zero, once for each edge.
         opposite: Vertex opposite to that edge.
-        dip: Bound of |d|, shape (all owned cells,).
+        deviation: Bound of |d|, shape (all owned cells,).
         volume: Integral of the cones over each cell,
         volume_rest: and how far it may be from that.
     """
@@ -100,10 +100,10 @@ class Rim:
         self.sampled = total(comm, self._sampled) > 0
         # one cone keeps between its ends, two in a corner may together leave them
         self.twice = total(comm, np.count_nonzero(np.bincount(self.cells) > 1)) > 0
-        self.dip, self.volume, self.volume_rest = (np.zeros(cells) for _ in range(3))
+        self.deviation, self.volume, self.volume_rest = (np.zeros(cells) for _ in range(3))
         for d in self._differences:
             cell = self.cells[d.edges]
-            np.maximum.at(self.dip, cell, np.abs(d.coefficients).max(axis=1) + d.rest)
+            np.maximum.at(self.deviation, cell, np.abs(d.coefficients).max(axis=1) + d.rest)
             # (H/3) int d: the cone is (1 - t/H) d
             measure = 2 / 3 * triangles.area[cell] * d.share
             np.add.at(self.volume, cell, measure * d.coefficients.mean(axis=1))
