@@ -16,7 +16,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_click",
-    "house",
+    "packages",
     "plain_docstrings",
 ]
 exclude_patterns = ["_extensions", "out"]

@@ -13,7 +13,7 @@ NOT_REACHED = 4
 
 
 REMEDIES = {
-    "penalty": "; a larger eps, or --method vi, may do",
+    "penalty": "; a larger eps, or the method vi, may do",
     "successive": "; a larger eps, or --method penalty, may do",
 }
 

@@ -223,7 +223,7 @@ def test_the_library_loads_no_verification():
     code = (
         "import sys, fenicsx_obstacle as f\n"
         "assert all(hasattr(f, name) for name in f.__all__)\n"
-        "f.solve(f.Scene.read('ball'), cells=8)\n"
+        "f.solve('ball', cells=8)\n"
         "assert 'fenicsx_obstacle.problems.solution' in sys.modules\n"
         "assert 'fenicsx_obstacle.verification' not in sys.modules"
     )

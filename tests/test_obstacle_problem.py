@@ -390,3 +390,55 @@ def test_meshes_that_are_none():
         InputError, match=r"a quadrilateral at \(0.3, 0.3, 0\) has no area at a corner, or is not convex"
     ):
         ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)
+
+
+def test_a_solution_stays_what_it_was():
+    """The next solve changes the caller's u, not the u of a solution that is kept."""
+    own = Membrane()
+    problem = own.problem()
+    first = problem.solve(eps=1e-6)
+    kept = first.u.x.array.copy()
+    own.f.value = 4.0
+    second = problem.solve(eps=1e-6)
+    assert np.array_equal(first.u.x.array, kept) and largest(COMM, np.abs(second.u.x.array - kept)) > 0.01
+    assert np.array_equal(own.u.x.array, second.u.x.array)
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_a_load_that_is_no_number_is_named_with_its_place(method):
+    """F is looked at where a solver fails: the message has the place, not advice about eps."""
+    own = Membrane()
+    load = fem.Function(own.V)
+    load.x.array[np.linalg.norm(own.V.tabulate_dof_coordinates()[:, :2] - 0.5, axis=1) < 1e-6] = np.nan
+    problem = ObstacleProblem(own.F - load * own.v * ufl.dx, own.u, bcs=own.bc, upper=own.g)
+    with pytest.raises(InputError, match="a coefficient or a load in it, is not a finite number: it is nan at"):
+        problem.solve(eps=1e-6, method=method)
+
+
+def test_common_mistakes():
+    """A residual with the wrong sign, u given everywhere, options and monitors of another kind: one sentence each."""
+    own = Membrane()
+    with pytest.raises(InputError, match="F has the wrong sign"):
+        ObstacleProblem(-own.F, own.u, bcs=own.bc, upper=own.g).solve()
+    every = fem.dirichletbc(fem.Function(own.V), np.arange(len(own.u.x.array), dtype=np.int32))
+    with pytest.raises(InputError, match="u is given at every node"):
+        ObstacleProblem(own.F, own.u, bcs=every, upper=own.g).solve()
+    with pytest.raises(InputError, match="petsc_options = '-ksp_type cg': expected a dict"):
+        own.problem(petsc_options="-ksp_type cg")
+    with pytest.raises(InputError, match="monitor = 3: expected a function"):
+        own.problem().solve(monitor=3)
+    for wrong, message in (({"lower": lambda x: 0 * x[0]}, "the obstacle = "), ({"lower": 0, "eps": "auto"}, "eps = ")):
+        with pytest.raises(InputError, match=f"penalty: {message}.*expected a number"):
+            penalty(own.u, own.v, **{"eps": 1e-3, **wrong})
+
+
+def test_an_infinite_obstacle_gets_a_remedy():
+    """PETSc's -inf for 'no obstacle here' is a large number here."""
+    own = Membrane(cells=4)
+    for side, far in (("lower", -1e20), ("upper", 1e20)):
+        g = fem.Function(own.V)
+        g.x.array[:] = np.copysign(np.inf, far)
+        with pytest.raises(InputError, match=f"take {far:.0e} where there is no obstacle".replace("+", "")):
+            ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g})
+        g.x.array[:] = far
+        assert ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g}).solve().area == 0

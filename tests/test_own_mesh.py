@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 import ufl
 from conftest import COMM, membrane
-from dolfinx import fem
+from dolfinx import fem, io
 from dolfinx import mesh as dmesh
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Answer, InputError, Scene, releases, solve
+from fenicsx_obstacle.discrete.cells import corners, facet_corners, sides
+from fenicsx_obstacle.parallel import largest, smallest, total
 
 STIFF = 3.0
 
@@ -16,8 +19,9 @@ STIFF = 3.0
 class Own:
     """A unit square: left and right sides tagged 1 and 2, cells left and right of x = 1/2 tagged 5 and 6."""
 
-    def __init__(self, cells=16):
-        self.mesh = mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [cells, cells])
+    def __init__(self, cells=16, cell="triangle"):
+        kind = getattr(dmesh.CellType, cell)
+        self.mesh = mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [cells, cells], kind)
         mesh.topology.create_connectivity(1, 2)
         sides = [dmesh.locate_entities_boundary(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 1)]
         facets, order = np.concatenate(sides), np.argsort(np.concatenate(sides))
@@ -117,6 +121,77 @@ def test_changed_and_saved(folder):
     assert np.isclose(solve(read.scene.change({"boundary": [{"value": 0}], "effects.tension": 1})).area, 0.5, atol=0.5)
 
 
+def parts_of(level):
+    """Number of facets or cells, and extreme coordinates x, of each named part."""
+    mesh, comm = level.mesh, level.comm
+    vertices, members, found = corners(mesh), np.array(facet_corners(mesh)), {}
+    for name, facets in level.facets.items():
+        cells, numbers, _ = sides(mesh, facets)
+        x = vertices[cells[:, None], members[numbers], 0]
+        found[name] = len(cells), x
+    found |= {name: (len(cells), vertices[cells, :, 0]) for name, cells in level.groups.items()}
+    # nodes of P2 are off in the last digit
+    return {
+        name: (total(comm, count), round(smallest(comm, x), 12), round(largest(comm, x), 12))
+        for name, (count, x) in found.items()
+    }
+
+
+@pytest.mark.parametrize(("element", "cell"), [("P1", "triangle"), ("P2", "triangle"), ("Q1", "quadrilateral")])
+def test_named_parts_are_saved(element, cell, folder):
+    """Named facets and cells are read with the answer, by all ranks or by one, and the scene of the folder knows them.
+
+    So the read answer has the flux of a tension by materials, and its scene is solved again.
+    """
+    own = Own(8, cell)
+    mu = {"soft": 1, "hard": STIFF}
+    scene = own.scene(tension=mu, facet_names={"rim / left": 1, "rim": 1, "both": [1, 2]}).change({"solve.eps": 1e-6})
+    answer = solve(scene, element=element)
+    answer.save(folder)
+    read = Answer.read(folder)
+    half = 32 if cell == "quadrilateral" else 64
+    known = {
+        "rim / left": (8, 0, 0), "rim": (8, 0, 0), "both": (16, 0, 1), "soft": (half, 0, 0.5), "hard": (half, 0.5, 1)
+    }  # fmt: skip
+    assert parts_of(answer.level) == known and parts_of(read.level) == known
+    assert parts_of(Answer.read(folder, MPI.COMM_SELF).level) == known
+    points = np.array([[0.21, 0.13], [0.47, 0.52], [0.5, 0.37], [0.71, 0.94]])
+    assert np.allclose(read.at(points, "flux"), answer.at(points, "flux"), rtol=1e-10, atol=1e-13)
+    again = solve(read.scene)
+    assert np.isclose(again.energy, answer.energy, rtol=1e-10) and parts_of(again.level) == known
+
+
+def test_hexahedra_are_saved(folder):
+    """A mesh of hexahedra of the caller's own is saved, read, and solved again from the folder of its answer."""
+    mesh = dmesh.create_unit_cube(COMM, 4, 3, 3, cell_type=dmesh.CellType.hexahedron)
+    answer = solve(Scene(mesh=mesh, tension=1, load=-4, lower=-0.02))
+    answer.save(folder)
+    read = Answer.read(folder)
+    assert read.force == answer.force and np.isclose(read.at([0.4, 0.3, 0.6]), answer.at([0.4, 0.3, 0.6]), rtol=1e-12)
+    assert np.isclose(solve(read.scene).energy, answer.energy, rtol=1e-9)
+
+
+def test_quadrilaterals_of_a_file(folder):
+    """A mesh of quadrilaterals that DOLFINx has written as XDMF, by its scene: the solution on the mesh itself."""
+    mesh = dmesh.create_unit_square(COMM, 5, 4, cell_type=dmesh.CellType.quadrilateral)
+    with io.XDMFFile(COMM, str(folder / "mesh.xdmf"), "w") as file:
+        file.write_mesh(mesh)
+    given = {"tension": 1, "load": -4, "lower": -0.05}
+    there = Scene(mesh={"file": str(folder / "mesh.xdmf")}, **given).change({"solve.element": "Q1"})
+    assert np.isclose(solve(there).energy, solve(Scene(mesh=mesh, **given)).energy, rtol=1e-10)
+
+
+def test_named_parts_of_a_refined_mesh_are_saved(folder):
+    """The parts of an adaptive mesh are those of the mesh that it was refined from, and so after reading."""
+    own = Own(4)
+    scene = own.scene(tension={"soft": 1, "hard": 2}, boundary=[{"on": ["rim", "far"], "value": 0}])
+    answer = solve(scene, tol=0.1)
+    answer.save(folder)
+    known, read = parts_of(answer.level), parts_of(Answer.read(folder).level)
+    assert answer.record["cells_total"] > 32 and known == read
+    assert known["rim"][1:] == (0, 0) and known["far"][1:] == (1, 1) and known["soft"][1:] == (0, 0.5)
+
+
 def exact(x, y):
     return np.sin(np.pi * x) * np.sin(np.pi * y)
 
@@ -147,3 +222,15 @@ def test_exact_solution_as_ufl():
 def test_mistakes(given, words):
     with pytest.raises(InputError, match=words):
         solve(Own(4).scene(**given))
+
+
+def test_tags_as_keys_and_data_in_time():
+    """Numbers of tags are keys as their texts are; names come first; a callable of t needs time."""
+    own = Own(cells=8)
+    given = {"mesh": own.mesh, "cell_tags": own.cell_tags, "load": -1, "lower": -0.1}
+    by_number, by_text = (solve(Scene(**given, tension=tension)) for tension in ({5: 1, 6: 20}, {"5": 1, "6": 20}))
+    assert by_number.energy == by_text.energy
+    with pytest.raises(InputError, match=r"cell_names = \{5: 'soft'\}: expected names with their tags"):
+        Scene(**given, tension=1, cell_names={5: "soft"})
+    with pytest.raises(InputError, match="takes x and t, and the scene has no time"):
+        solve(Scene(**{**given, "load": lambda x, t: -t + 0 * x[0]}, tension=1))

@@ -67,6 +67,15 @@ def facet_vertices(dim: int) -> list[list[int]]:
     return [[i] if dim == 1 else [j for j in range(dim + 1) if j != i] for i in range(dim + 1)]
 
 
+def facet_corners(mesh: dmesh.Mesh) -> list[list[int]]:
+    """Vertices of each facet of a cell of any kind, in DOLFINx's order."""
+    dim = mesh.topology.dim
+    if releases.cell_name(mesh) in SIMPLICES:
+        return facet_vertices(dim)
+    # the coordinates of a vertex on the reference cell are the digits of its number
+    return sorted([v for v in range(2**dim) if v >> axis & 1 == side] for axis in range(dim) for side in (0, 1))
+
+
 def own_cells(mesh: dmesh.Mesh) -> int:
     """Number of owned cells; they are the first ones."""
     return mesh.topology.index_map(mesh.topology.dim).size_local

@@ -295,7 +295,8 @@ class OfExpression(Field):
     def on(self, level: Level) -> Field:
         if foreign(self.ufl, level.mesh.ufl_domain()):
             raise InputError(
-                f"{self.source} is an expression on another mesh: interpolate it there, and give that Function"
+                f"{self.source} is a UFL expression, which is known on its own mesh only, not on a refined or another "
+                "one: give a formula, a callable or a Function"
             )
         here = OfExpression(self.ufl, self.source)
         sampled = fem.Function(releases.functionspace(level.mesh, "DG", 2))

@@ -1,4 +1,4 @@
-"""Meshes from files: Gmsh with its physical names, XDMF with its numbered tags."""
+"""Meshes from files: Gmsh with its physical names, XDMF with its numbered tags or, from `Solution.save`, names."""
 
 from __future__ import annotations
 
@@ -16,16 +16,14 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import meshing
-from fenicsx_obstacle.discrete.cells import cell_facets, facet_vertices, own_cells
+from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.gmsh_model import Arrays
+from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
 from fenicsx_obstacle.discrete.soundness import validate_mesh
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
 CELLS = {2: "interval", 3: "triangle", 4: "tetrahedron"}  # by vertices
-
-
-Groups = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ def read(path: Path, comm: MPI.Comm) -> MeshFile:
     """The mesh of a file, with its named parts (collective).
 
     Raises:
-        InputError: If the file is missing, broken, or has cells other than straight simplices.
+        InputError: If the file is missing, broken, or has curved cells, or from Gmsh other cells than simplices.
     """
     on_root(comm, _check, path)
     return _gmsh(path, comm) if path.suffix in (".msh", ".geo") else _xdmf(path, comm)
@@ -82,7 +80,7 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
     if comm.rank == 0:
         points, cells = kept[0].points, kept[0].cells
     mesh = releases.create_mesh(comm, cells, points, CELLS[vertices])
-    numbers = _local_facets(mesh, facets)
+    numbers = local_facets(mesh, facets)
     named = {name: np.unique(numbers[(facet_part == k) & (numbers >= 0)]) for k, name in enumerate(parts)}
     groups = Groups()
     if materials:
@@ -91,28 +89,12 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
     return MeshFile(mesh, named, groups, straight, remarks)
 
 
-def _local_facets(mesh: dmesh.Mesh, facets: np.ndarray) -> np.ndarray:
-    """Local number of each facet given by vertices of the input, -1 where this rank does not have it."""
-    dim = mesh.topology.dim
-    inputs = np.asarray(mesh.geometry.input_global_indices)
-    marked = np.isin(inputs, facets)
-    corners, table = releases.geometry_dofs(mesh), cell_facets(mesh)
-    known: dict[tuple[int, ...], int] = {}
-    for number, members in enumerate(facet_vertices(dim)):
-        side = corners[:, members]
-        cells = np.flatnonzero(marked[side].all(axis=1))
-        keys = np.sort(inputs[side[cells]], axis=1).tolist()
-        known.update(zip(map(tuple, keys), table[cells, number].tolist(), strict=True))
-    found = [known.get(tuple(row), -1) for row in np.sort(facets, axis=1).tolist()]
-    return np.array(found, dtype=np.int32)
-
-
 def _xdmf(path: Path, comm: MPI.Comm) -> MeshFile:
-    grid, tags = on_root(comm, _grids, path)
-    facets, groups = Groups(), Groups()
+    grid, tags, parts = on_root(comm, _grids, path)
     try:
         with io.XDMFFile(comm, str(path), "r") as file:
             mesh = releases.from_xdmf(file, grid)
+            facets, groups = named(mesh, parts)
             dim = mesh.topology.dim
             for name in tags:
                 found = file.read_meshtags(mesh, name=name)
@@ -121,7 +103,7 @@ def _xdmf(path: Path, comm: MPI.Comm) -> MeshFile:
                     facets |= {str(tag): found.find(tag) for tag in values}
                 elif found.dim == dim:
                     groups |= {str(tag): _owned(mesh, found.find(tag)) for tag in values}
-    except RuntimeError as error:
+    except (RuntimeError, LookupError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
     return MeshFile(mesh, facets, groups)
 
@@ -130,8 +112,8 @@ def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
     return cells[cells < own_cells(mesh)]
 
 
-def _grids(path: Path) -> tuple[str, list[str]]:
-    """Names of the mesh, and of the tags on it."""
+def _grids(path: Path) -> tuple[str, list[str], Groups]:
+    """Names of the mesh, and of the tags on it; and what `named_parts.parts_of` has saved of it."""
     try:
         tree = ElementTree.parse(path)
     except ElementTree.ParseError as error:
@@ -140,12 +122,27 @@ def _grids(path: Path) -> tuple[str, list[str]]:
     if not grids:
         raise InputError(f"{path}: holds no mesh")
     points, cells = (_array(path, grids[0].find(f"{part}/DataItem"), part) for part in ("Geometry", "Topology"))
-    if cells.shape[1] in (2, 3, 4) and cells.dtype.kind in "iu":  # others are refused by their kind
+    topology = grids[0].find("Topology")
+    kind = "" if topology is None else topology.get("TopologyType", "")
+    # cells other than simplices are checked with the mesh
+    if cells.shape[1] in (2, 3, 4) and cells.dtype.kind in "iu" and kind.lower() != "quadrilateral":
         try:
             validate_mesh(points, cells)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-    return grids[0].get("Name", "mesh"), [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]
+    tags = [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]
+    return grids[0].get("Name", "mesh"), tags, _parts(path, grids[0].find("Topology/DataItem"))
+
+
+def _parts(path: Path, item: ElementTree.Element | None) -> Groups:
+    """The group `parts` of the file that holds the cells, if that is one of ours."""
+    assert item is not None
+    if item.get("Format") != "HDF":
+        return {}
+    with h5py.File(path.parent / (item.text or "").strip().partition(":")[0]) as file:
+        if "parts/names" not in file:
+            return {}
+        return {name: values[()] for name, values in file["parts"].items()}
 
 
 def _array(path: Path, item: ElementTree.Element | None, part: str) -> np.ndarray:

@@ -269,8 +269,8 @@ class ReferenceProblem:
 
     def _nearest(self, gap: np.ndarray, obstacle: np.ndarray | float) -> float:
         """The smallest gap above the last digit of an obstacle: what is below it touches (collective)."""
-        u_values = np.abs(obstacle)
-        digit = EPSILON * max(largest(self.comm, np.where(np.isfinite(u_values), u_values, 0.0)), 0.0)
+        levels = np.abs(obstacle)
+        digit = EPSILON * max(largest(self.comm, np.where(np.isfinite(levels), levels, 0.0)), 0.0)
         return float(np.abs(gap[np.abs(gap) > digit]).min(initial=np.inf))
 
     def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import Rule, facet_of, nodal_rule
 from fenicsx_obstacle.releases import called
+from fenicsx_obstacle.words import shown
 
 
 def positive_part(t: Any) -> Any:
@@ -52,6 +53,9 @@ def penalty(
     arguments = ufl.algorithms.extract_arguments(v)
     if not arguments:
         raise InputError("penalty: v must be a test function, or a scalar part of one")
+    for g in (lower, upper):
+        if g is not None and not isinstance(g, ufl.core.expr.Expr):
+            _real(g, "penalty: the obstacle")
     space = arguments[0].ufl_function_space()
     domain = space.ufl_domain()
     measure = ufl.Measure("dx", domain=domain) if measure is None else measure
@@ -95,7 +99,7 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
     if lower is None and upper is None:
         raise InputError("contact_pressure: give an obstacle, lower= or upper=")
     space = u.function_space
-    value = float(getattr(eps, "value", eps))
+    value = _real(getattr(eps, "value", eps), "contact_pressure: eps")
     _check(value)
     p = fem.Function(space, name="p")
     u_values = u.x.array
@@ -114,7 +118,7 @@ def _nodal(g: Any, space: Any) -> Any:
     if isinstance(g, fem.Function) and g.function_space == space:
         return g.x.array
     if not isinstance(g, ufl.core.expr.Expr):
-        return float(g)
+        return _real(g, "contact_pressure: the obstacle")
     nodal = fem.Function(space)
     nodal.interpolate(expression(g, space))
     return nodal.x.array
@@ -131,8 +135,15 @@ def _constant(domain: Any, eps: Any) -> Any:
         return eps
     from dolfinx import fem
 
-    _check(float(eps))
-    return fem.Constant(domain, PETSc.ScalarType(float(eps)))
+    value = _real(eps, "penalty: eps")
+    _check(value)
+    return fem.Constant(domain, PETSc.ScalarType(value))
+
+
+def _real(value: Any, place: str) -> float:
+    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+        raise InputError(f"{place} = {shown(value)}: expected a number, a Constant, a Function or UFL")
+    return float(value)
 
 
 def _check(eps: float) -> None:

@@ -17,9 +17,10 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.levels import Level, of_pair
+from fenicsx_obstacle.discrete.named_parts import named
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
-from fenicsx_obstacle.io.paraview import to_hdf5, xdmf_mesh
+from fenicsx_obstacle.io.paraview import SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
 from fenicsx_obstacle.parallel import gathered
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 OWN_MESH = ("element.xdmf", "element.h5")  # a mesh of the caller's own, where fields.xdmf has cut cells
 OF_Q = ("pressure", "contact")  # fields of Q_h, the others are of V_h
-_SIMPLEX = {2: "interval", 3: "triangle", 4: "tetrahedron"}
 _VERTICES = {"interval": 2, "triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
 
 Arrays = Mapping[str, np.ndarray]
@@ -62,32 +62,37 @@ def own_mesh(points: np.ndarray, element: Arrays) -> dict[str, bytes]:
 
     Args:
         points: Coordinates of all nodes, shape (n, gdim).
-        element: What `element_of` returned.
+        element: What `element_of` returned, and the named parts of the mesh.
     """
     used, cells = _vertices(element)
-    text = xdmf_mesh(OWN_MESH[1], points[used], cells)
-    return dict(zip(OWN_MESH, (text.encode(), to_hdf5({"points": points[used], "cells": cells})), strict=True))
+    cell = element["cell"].item().decode()
+    cells = in_vtk_order(cells, cell)
+    text = xdmf_mesh(OWN_MESH[1], points[used], cells, cell)
+    parts = _renumbered({name: values for name, values in element.items() if name.startswith("parts/")}, used)
+    arrays = {"points": points[used], "cells": cells, **parts}
+    return dict(zip(OWN_MESH, (text.encode(), to_hdf5(arrays)), strict=True))
 
 
-def mesh_of(arrays: Arrays, element: Arrays, gdim: int, h: float, comm: MPI.Comm, pair: Pair) -> Level:
-    """The mesh of a saved solution with the spaces of its pair (collective).
+def mesh_of(arrays: Arrays, element: Arrays, parts: Arrays, h: float, comm: MPI.Comm, pair: Pair) -> Level:
+    """The mesh of a saved solution with the spaces of its pair, and with its named parts (collective).
 
     Args:
         arrays: Those of fields.h5, the same on every rank.
         element: Those of its group `element`; none of P1 simplices.
-        gdim: Number of coordinates.
+        parts: Those of its group `parts`, or `element/parts`; none where no part has a name.
         h: Mesh size.
         comm: Communicator.
         pair: V_h, the rule I and Q_h.
     """
     points, cells = arrays["points"], arrays["cells"]
-    cell = _SIMPLEX[cells.shape[1]]
+    cell = SIMPLEX[cells.shape[1]]
     if element:
         cell = element["cell"].item().decode()
         used, cells = _vertices(element)
-        points = points[used]
+        points, parts = points[used], _renumbered(parts, used)
     mine = slice(None) if comm.rank == 0 else slice(0, 0)
-    return of_pair(Level(releases.create_mesh(comm, cells[mine], points[mine, :gdim], cell), h), pair)
+    mesh = releases.create_mesh(comm, cells[mine], points[mine, : int(arrays["gdim"])], cell)
+    return of_pair(Level(mesh, h, *named(mesh, parts)), pair)
 
 
 def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Function]:
@@ -120,3 +125,8 @@ def _vertices(element: Arrays) -> tuple[np.ndarray, np.ndarray]:
     nodes = element["cells"][:, : _VERTICES[element["cell"].item().decode()]]
     used, numbers = np.unique(nodes, return_inverse=True)
     return used, numbers.reshape(nodes.shape)
+
+
+def _renumbered(parts: Arrays, used: np.ndarray) -> Arrays:
+    """Named parts in terms of the vertices alone, whose rows among all nodes are given; facets are tables."""
+    return {name: np.searchsorted(used, values) if values.ndim == 2 else values for name, values in parts.items()}

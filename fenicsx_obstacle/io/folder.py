@@ -14,6 +14,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, pairs
 from fenicsx_obstacle.io.element import OWN_MESH, element_of, mesh_of, restored
@@ -37,14 +40,21 @@ def save(solution: Solution, folder: Path) -> None:
         InputError: If the folder cannot be written.
     """
     arrays, element = gather(solution), element_of(solution)
-    comm = solution.level.comm
+    level = solution.level
+    comm, nests = level.comm, level.pair.nested_hierarchy
+    # cut cells are none of the mesh: its parts go with the true ones
+    parts = parts_of(level, _cells(level) if nests else solution.cut.nodes)
+    parts = {f"parts/{name}": values for name, values in parts.items()}
+    element |= {} if nests else parts
     with new_files(comm, folder) as scratch:
 
         def write() -> None:
             contents = {
                 "answer.json": (json.dumps(dict(solution.record), indent=1) + "\n").encode(),
                 "history.csv": history_csv(solution.history),
-                "fields.h5": to_hdf5(arrays | {f"element/{name}": values for name, values in element.items()}),
+                "fields.h5": to_hdf5(
+                    {**arrays, **(parts if nests else {}), **{f"element/{name}": v for name, v in element.items()}}
+                ),
                 "fields.xdmf": xdmf(arrays, {None: arrays}).encode(),
                 **solution.files(folder, arrays, element),
             }
@@ -86,7 +96,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         InputError: If it holds none, or a damaged one.
     """
 
-    def load() -> tuple[dict[str, Any], dict[str, np.ndarray], dict[str, np.ndarray], tuple[Step, ...]]:
+    def load() -> tuple[dict[str, Any], Groups, Groups, Groups, tuple[Step, ...]]:
         if folder.is_file():
             raise InputError(f"{folder}: a file, not the folder of a saved answer")
         for name in ("answer.json", "fields.h5", *needed, "history.csv"):
@@ -95,6 +105,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         try:
             with h5py.File(folder / "fields.h5") as file:
                 arrays, element = _datasets(file), _datasets(file.get("element", {}))
+                parts = _datasets(file.get("element/parts" if element else "parts", {}))
         except (OSError, ValueError) as error:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
         missing = {"points", "cells", "gdim", "u", "pressure", "contact"} - set(arrays)
@@ -103,18 +114,19 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         if missing:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(sorted(missing))}")
         record = _record(folder)
-        return record, arrays, element, _steps(folder / (steps_in_time if "time" in record else "history.csv"), record)
+        steps = _steps(folder / (steps_in_time if "time" in record else "history.csv"), record)
+        return record, arrays, element, parts, steps
 
-    record, arrays, element, steps = on_root(comm, load)
+    record, arrays, element, parts, steps = on_root(comm, load)
     # version 0.1 kept the nodal values on cut cells alone: what it saved of other elements is P1
     name = record.get("element", "P1")
     if name not in pairs():
         raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
     pair = pairs()[name] if element or pairs()[name].nested_hierarchy else P1
-    level = mesh_of(arrays, element, int(arrays["gdim"]), record["h"], comm, pair)
     try:
+        level = mesh_of(arrays, element, parts, record["h"], comm, pair)
         fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)
-    except InputError as error:
+    except (InputError, LookupError, ValueError) as error:
         raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
     optional = {name: fields.get(name) for name in ("lower", "upper")}
     return Saved({**fields, **optional, "level": level, "history": steps, "record": record}, arrays["points"])
@@ -159,11 +171,7 @@ def gather(solution: Solution) -> dict[str, np.ndarray]:
     solution = solution.plain
     level = solution.level
     comm, owned = level.comm, level.owned
-    own_cells = level.mesh.topology.index_map(level.mesh.topology.dim).size_local
-    numbering = level.V.dofmap.index_map
-    dofs = releases.cell_dofs(level.V)[:own_cells]
-    cells = np.asarray(numbering.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
-    parts = {"points": level.points.T[:owned], "cells": cells}
+    parts = {"points": level.points.T[:owned], "cells": _cells(level)}
     parts |= {name: function.x.array[:owned].real for name, function in solution.functions().items()}
     found = {name: gathered(comm, values) for name, values in parts.items()}
     if comm.rank != 0:
@@ -174,6 +182,13 @@ def gather(solution: Solution) -> dict[str, np.ndarray]:
         arrays["gap"] = np.min(gaps, axis=0)
     arrays["gdim"] = np.array(level.mesh.geometry.dim)
     return arrays
+
+
+def _cells(level: Level) -> np.ndarray:
+    """Global dofs of V_h in each owned cell."""
+    dofs = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
+    found = level.V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel())
+    return np.asarray(found).reshape(dofs.shape)
 
 
 def history_csv(steps: tuple[Step, ...]) -> bytes:

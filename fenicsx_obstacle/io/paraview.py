@@ -8,7 +8,13 @@ import h5py
 import numpy as np
 
 FRAMES = ("frames.h5", "frames.xdmf")  # the fields at the moments of a scene with [time]
-_TOPOLOGY = {2: "Polyline", 3: "Triangle", 4: "Tetrahedron"}
+SIMPLEX = {2: "interval", 3: "triangle", 4: "tetrahedron"}  # by vertices
+_TOPOLOGY = {
+    "interval": "Polyline", "triangle": "Triangle", "tetrahedron": "Tetrahedron",
+    "quadrilateral": "Quadrilateral", "hexahedron": "Hexahedron",
+}  # fmt: skip
+# VTK goes around a face where DOLFINx counts by coordinates
+_IN_VTK = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
 
 
 def to_hdf5(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -27,7 +33,7 @@ def xdmf(mesh: Mapping[str, np.ndarray], moments: Mapping[float | None, Mapping[
         mesh: `points` and `cells`, which fields.h5 holds.
         moments: Fields at each moment, of frames.h5; or those of fields.h5 at None.
     """
-    points, ground = mesh["points"], _mesh("fields.h5", mesh["points"], mesh["cells"])
+    points, ground = mesh["points"], _mesh("fields.h5", mesh["points"], mesh["cells"], SIMPLEX[mesh["cells"].shape[1]])
     grids = ""
     for number, (t, fields) in enumerate(moments.items()):
         place = "fields.h5:/" if t is None else f"frames.h5:/{number:04d}/"
@@ -45,19 +51,24 @@ def xdmf(mesh: Mapping[str, np.ndarray], moments: Mapping[float | None, Mapping[
     return _document(grids)
 
 
-def xdmf_mesh(file: str, points: np.ndarray, cells: np.ndarray) -> str:
-    """A mesh alone, whose points, shape (n, gdim), and cells an HDF5 file holds."""
-    return _document(f'<Grid Name="mesh" GridType="Uniform">\n{_mesh(file, points, cells)}</Grid>\n')
+def xdmf_mesh(file: str, points: np.ndarray, cells: np.ndarray, cell: str) -> str:
+    """A mesh alone, whose points, shape (n, gdim), and cells, `in_vtk_order`, an HDF5 file holds."""
+    return _document(f'<Grid Name="mesh" GridType="Uniform">\n{_mesh(file, points, cells, cell)}</Grid>\n')
+
+
+def in_vtk_order(cells: np.ndarray, cell: str) -> np.ndarray:
+    """Vertices of cells, given in DOLFINx's order, as XDMF has them."""
+    return cells[:, _IN_VTK.get(cell, slice(None))]
 
 
 def _document(grids: str) -> str:
     return f'<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n{grids}</Domain></Xdmf>\n'
 
 
-def _mesh(file: str, points: np.ndarray, cells: np.ndarray) -> str:
+def _mesh(file: str, points: np.ndarray, cells: np.ndarray, cell: str) -> str:
     shape, (count, gdim) = " ".join(map(str, cells.shape)), points.shape
     return (
-        f'<Topology TopologyType="{_TOPOLOGY[cells.shape[1]]}" NumberOfElements="{len(cells)}" '
+        f'<Topology TopologyType="{_TOPOLOGY[cell]}" NumberOfElements="{len(cells)}" '
         f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
         f'Format="HDF">{file}:/cells</DataItem></Topology>\n'
         f'<Geometry GeometryType="{"XYZ"[:gdim]}"><DataItem Dimensions="{count} {gdim}" NumberType="Float" '

@@ -76,7 +76,8 @@ class ObstacleProblem:
     Attributes:
         u: The unknown: start and solution.
         A: The matrix of the last linear system, for experts; rows of Dirichlet dofs are those of the identity.
-        b: The residual of F at the last state without contact; at Dirichlet dofs the reaction of the support.
+        b: The residual F(u; v_i) at the last u, without the contact forces; at Dirichlet dofs the reaction of the
+            support.
     """
 
     name = "ObstacleProblem"  # in messages
@@ -102,7 +103,7 @@ class ObstacleProblem:
         Args:
             F: Residual without contact, a linear form in one test function; linear in u or not.
             u: Unknown of F, a continuous Lagrange Function of degree 1 or 2. It holds the start, and then the solution.
-                Where nothing but contact holds it the start is in contact instead.
+                If u is given nowhere and only the obstacle supports it, the iteration starts from contact instead.
             bcs: Dirichlet conditions, a list or a single one.
             lower: Obstacle below, taken at the nodes: a number; a Constant; a Function, also of another space, or on
                 another mesh that covers this one; UFL without u; or a callable of x, shape (3, n), as
@@ -187,6 +188,9 @@ class ObstacleProblem:
     ) -> None:
         """Assemble what stays (collective)."""
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
+        if options is not None and not isinstance(options, Mapping):
+            wanted = "expected a dict, such as {'ksp_type': 'cg'}"
+            raise InputError(f"{self.name}: petsc_options = {shown(options)}: {wanted}")
         self._options = {} if options is None else dict(options)
         self._estimator: Estimator | None = None
         started = time.perf_counter()
@@ -256,9 +260,9 @@ class ObstacleProblem:
         kept = [None if side is None else side.copy() for side in shown_sides]
         state = found.state
         tension = self._data.model.elastic.tension_at(self.u, self._data)
-        return Solution(
-            level, self.u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension
-        )
+        u = self.u.copy()  # what the next solve finds does not change this solution
+        u.name = self.u.name
+        return Solution(level, u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
@@ -266,6 +270,8 @@ class ObstacleProblem:
         if not 0 < rtol < 1:
             raise InputError(f"{self.name}: rtol = {rtol:g}: expected a number between 0 and 1")
         value = number_of(eps, self.name)
+        if monitor is not None and not callable(monitor):
+            raise InputError(f"{self.name}: monitor = {shown(monitor)}: expected a function of a number and a Step")
         with self._settings():
             self._begin()
             if method != "vi":
@@ -273,8 +279,12 @@ class ObstacleProblem:
                 options = SolverOptions(method, self._automatic() if by_itself else value, source=f"{self.name}:")
             problem = self._problem
             way = method_of(problem, options)
-            monitor = None if monitor is None else _Numbered(monitor, problem)
-            outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
+            numbered = None if monitor is None else _Numbered(monitor, problem)
+            try:
+                outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
+            except NotConverged:
+                self._refuse_no_number()
+                raise
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         return Solved(outcome, way, state)
@@ -392,10 +402,38 @@ class ObstacleProblem:
         good = (diagonal > 0) & (weights > 0)
         everywhere = np.concatenate(problem.level.comm.allgather(weights[good] / diagonal[good]))
         if not len(everywhere):
+            free, negative = (total(problem.level.comm, number) for number in (len(weights), np.sum(diagonal < 0)))
+            if not free:
+                raise InputError(f"{self.name}: u is given at every node: nothing is left to be solved for")
+            if negative == free:
+                raise InputError(
+                    f"{self.name}: every diagonal entry of the derivative of F is negative: F has the wrong sign; "
+                    "write F = a(u, v) - f(v) with a(v, v) > 0"
+                )
+            self._refuse_no_number()
             raise InputError(
                 f"{self.name}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number"
             )
         return SHARE * float(np.median(everywhere))
+
+    def _refuse_no_number(self) -> None:
+        """Name the place where F is not finite, if there is one (collective).
+
+        Raises:
+            InputError: With the place.
+        """
+        problem, form = self._problem, self._form
+        if form is None:
+            return
+        residual = fem.Function(problem.level.V)
+        with np.errstate(all="ignore"):
+            vector = fem.petsc.assemble_vector(releases.form(form.F))
+        vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        residual.x.array[: problem.level.owned] = vector.array_r
+        residual.x.scatter_forward()
+        vector.destroy()
+        words = f"{self.name}: F at the start, through a coefficient or a load in it,"
+        self._data.refuse_infinite(residual, words=words)
 
     def _refuse_no_minimum(self) -> None:
         """A convex energy gives the derivative of F a positive diagonal (collective)."""

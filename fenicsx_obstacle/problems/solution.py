@@ -92,7 +92,7 @@ class Solution:
 
     Attributes:
         level: The mesh and its spaces.
-        u: Solution, in the unit of the heights.
+        u: Solution, in the unit of the obstacles; a copy, which later solves do not change.
         pressure: Contact pressure p in Q_h, in the unit of the load; <= 0 against the upper obstacle.
         contact: 1 at the points of I in contact, else 0; in Q_h.
         lower: Nodal lower obstacle, or None.
@@ -328,7 +328,7 @@ class Solution:
             figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
         if r["free"] == 0:
             figures.append("u is given at every node: take more cells")
-        linear = "GMRES step" if "peclet" in r else "CG step"
+        linear = "linear step"
         steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
         if "time" in r:
             steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"
@@ -345,7 +345,7 @@ class Solution:
         if r["penetration"] > LARGE_PENETRATION * r["u_range"]:
             large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
             share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
-            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or --method vi")
+            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or the method vi")
         lines += self._round_off()
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))

@@ -31,7 +31,11 @@ def plain(value: Any, objects: Objects, place: str = "") -> Any:
         objects[name] = value
         return name
     if isinstance(value, Mapping):
-        return {key: plain(part, objects, f"{place}.{key}" if place else str(key)) for key, part in value.items()}
+        found = {}
+        for key, part in value.items():
+            name = str(key) if isinstance(key, int | np.integer) else key  # the number of a tag
+            found[name] = plain(part, objects, f"{place}.{name}" if place else str(name))
+        return found
     if isinstance(value, list | tuple):
         return [plain(part, objects, f"{place}[{number}]") for number, part in enumerate(value)]
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
@@ -127,7 +131,11 @@ def _named(mesh: Any, tags: Any, names: Any, dim: int, kind: str) -> dict[str, n
         raise InputError(f"scene: {kind}_names = {shown(names)}: expected a dict, such as {{'rim': 1}}")
     found = {}
     for name, number in names.items():
-        there = [tags.find(int(one)) for one in (number if isinstance(number, list | tuple) else (number,))]
+        numbers = number if isinstance(number, list | tuple) else (number,)
+        if not isinstance(name, str) or not all(isinstance(one, int | np.integer) for one in numbers):
+            got = f"{shown(name)}: {shown(number)}"
+            raise InputError(f"scene: {kind}_names = {{{got}}}: expected names with their tags, such as {{'rim': 1}}")
+        there = [tags.find(int(one)) for one in numbers]
         found[str(name)] = np.unique(np.concatenate(there)).astype(np.int32)
         if total(mesh.comm, len(found[str(name)])) == 0:
             raise InputError(f"scene: {kind}_names: '{name}' = {number}: no {kind} has this tag")

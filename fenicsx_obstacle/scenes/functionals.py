@@ -51,7 +51,7 @@ class Report:
         """
         dim, pair = self.level.mesh.geometry.dim, self.level.pair
         if not pair.nested_hierarchy:
-            raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}")
+            raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}: take P1")
         if self.data.model.elastic.isotropic_tension is None:
             for formula in self.scene.report.values():
                 if {"flux", NORMAL_FLUX} & formula.names:

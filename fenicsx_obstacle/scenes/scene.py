@@ -178,6 +178,7 @@ class Scene(Vocabulary):
         """The scene of a mesh of the caller's own, with that mesh in a file."""
         new = Scene.__new__(Scene)
         raw = {**msgspec.to_builtins(self.tables), "mesh": {"file": file}}
+        raw["solve"]["element"] = self.pair.name  # which the cells of the mesh may have chosen
         new._fill(raw, self.source, self.folder, None, self.objects)
         return new
 
@@ -323,7 +324,10 @@ class Scene(Vocabulary):
     def field(self, value: float | str, place: str) -> Field:
         """A number, a formula or an object as a datum; `place` is its table and key."""
         if stands_for_an_object(value):
-            return field_of(str(value), self.objects, f"{self.source}: {place}")
+            found = field_of(str(value), self.objects, f"{self.source}: {place}")
+            if found.moves and self.tables.time is None:
+                raise InputError(f"{found.source}: the callable takes x and t, and the scene has no time: give time=")
+            return found
         return FormulaField(self.formula(value, place), self)
 
     def _model(self) -> Model:

@@ -114,7 +114,7 @@ def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
     if eps < floor:
         raise InputError(
             f"{place}: below the floor of round-off, {floor:.2g} on this mesh, where contact "
-            "gives way by less than the last digit of heights around it; take a larger eps, or its limit, --method vi"
+            "gives way by less than the last digit of heights around it; take a larger eps, or its limit, the method vi"
         )
     return eps
 

@@ -22,14 +22,14 @@ class Steps:
 
     Attributes:
         times: The last moments, the newest first.
-        heights: u there, ghosts included.
+        u_values: u there, ghosts included.
         velocity: u_t at the newest, with inertia.
         impulse: a(u, .) - f at the newest, at owned nodes, with inertia.
     """
 
     def __init__(self, order: int, scheme: str, t: float, u: np.ndarray, velocity: np.ndarray | None = None):
         self.order, self.depth = order, DEPTH.get(scheme, 1)
-        self.times, self.heights, self.velocity = [t], [u], velocity
+        self.times, self.u_values, self.velocity = [t], [u], velocity
         self.impulse: np.ndarray | None = None
 
     def prepare(self, problem: Problem, t: float) -> None:
@@ -44,13 +44,13 @@ class Steps:
             weights = difference([t, *self.times[:used]])
             moment.first = weights[0]
             problem.data.motion.past.x.array[:] = -sum(
-                w * u for w, u in zip(weights[1:], self.heights[:used], strict=True)
+                w * u for w, u in zip(weights[1:], self.u_values[:used], strict=True)
             )
         elif self.order == INERTIA:
             # twice rho (v1 - v0)/dt + (A u0 + A u1)/2 = f + p with v1 = 2 (u1 - u0)/dt - v0
             moment.first, moment.second = 2 / dt, 4 / dt**2
             assert self.velocity is not None and self.impulse is not None
-            motion, u = problem.data.motion, self.heights[0]
+            motion, u = problem.data.motion, self.u_values[0]
             motion.past.x.array[:] = 2 / dt * u
             motion.past_twice.x.array[:] = 4 / dt**2 * (u + dt * self.velocity)
             problem.forms.impulse = -self.impulse
@@ -58,9 +58,9 @@ class Steps:
     def accept(self, t: float, u: np.ndarray) -> None:
         """Let u be the heights of a new moment."""
         if self.velocity is not None:
-            self.velocity = 2 / (t - self.times[0]) * (u - self.heights[0]) - self.velocity
+            self.velocity = 2 / (t - self.times[0]) * (u - self.u_values[0]) - self.velocity
         self.times = [t, *self.times][: self.depth + 1]
-        self.heights = [u, *self.heights][: self.depth + 1]
+        self.u_values = [u, *self.u_values][: self.depth + 1]
 
     def error(self, problem: Problem, t: float, u: np.ndarray) -> float:
         """What the step to t adds to the error of u at most, about: from how far it ends from an extrapolation.
@@ -71,7 +71,7 @@ class Steps:
         used = self._used()
         known = min(used + 1, len(self.times))
         weights = extrapolation(t, self.times[:known])
-        foreseen = sum(w * heights for w, heights in zip(weights, self.heights[:known], strict=True))
+        foreseen = sum(w * u_values for w, u_values in zip(weights, self.u_values[:known], strict=True))
         c = difference([t, *self.times[:used]])[0]
         off = np.abs(u - foreseen)
         off[problem.data.fixed[0]] = 0.0  # data

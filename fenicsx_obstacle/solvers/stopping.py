@@ -205,8 +205,8 @@ class Stopping:
         comm = self.problem.level.comm
         gaps = []
         for gap, obstacle in zip(self.problem.gaps(), self.problem.obstacles(), strict=True):
-            u_values = np.abs(obstacle)
-            digit = EPSILON * max(largest(comm, np.where(np.isfinite(u_values), u_values, 0.0)), 0.0)
+            levels = np.abs(obstacle)
+            digit = EPSILON * max(largest(comm, np.where(np.isfinite(levels), levels, 0.0)), 0.0)
             gaps.append(np.where(np.abs(gap) > digit, np.abs(gap), np.inf).min(initial=np.inf))
         nearest = smallest(comm, gaps)
         return NEGLIGIBLE_FORCE * nearest * total(comm, self._stiffness()) if np.isfinite(nearest) else 0.0
