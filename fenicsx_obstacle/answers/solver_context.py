@@ -28,7 +28,7 @@ from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
-from fenicsx_obstacle.solvers.choose import Method, chain, method_of, nested, stepwise
+from fenicsx_obstacle.solvers.choose import Method, chain, hierarchy, method_of, nested, stepwise
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
@@ -161,8 +161,9 @@ class SolverContext:
         """
         problem, scene, options = self.problem, self.scene, options or self.options
         estimator = self.estimator if bound else None  # refuses before anything is solved
-        levels_serve = nested(scene.effects, scene.pair, options) and problem.level.coarse is not None
-        grids: Sequence[Multigrid | Problem] = self._hierarchy() if levels_serve else []
+        grids: Sequence[Multigrid | Problem] = []
+        if nested(scene.effects, scene.pair, options):
+            grids = found if len(found := self._hierarchy()) > 1 else []
         at_rest = scene.time is None or scene.time.order == EQUILIBRIA
         if at_rest and stepwise(scene.effects, scene.pair, options) and problem.level.coarse is not None:
             grids = self._chain()
@@ -172,7 +173,8 @@ class SolverContext:
         moment = problem.data.moment
         if scene.time is not None and moment is not None and moment.t > 0:  # an earlier march has left data at its end
             moment.go_back(scene.time)
-            for one in (*(grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]), problem):
+            below = [grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]]
+            for one in (problem, *reversed(below)):
                 one.move(one.cold_start())
         method, time_history = method_of(problem, options), None
         if monitor is not None:
@@ -253,7 +255,7 @@ class SolverContext:
         """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""
         if self._grids is None:
             start = time.perf_counter()
-            self._grids = multigrid.chain(chain(self.problem))
+            self._grids = multigrid.chain(hierarchy(self.problem))
             self.setup_seconds += time.perf_counter() - start
         return self._grids
 

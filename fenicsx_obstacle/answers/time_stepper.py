@@ -222,7 +222,7 @@ class TimeStepper:
         self.problem.data.moment.t = t
         changed = self.problem.move(u_values)
         if changed or self.moments.order == EQUILIBRIA:
-            for problem in self.below:
+            for problem in reversed(self.below):  # algebraic levels take their data from the finer one
                 problem.move(problem.cold_start())
 
     def _heights(self) -> np.ndarray:

@@ -269,8 +269,8 @@ class Nodal(Forms):
         return A
 
     def _hold_fixed(self, A: PETSc.Mat) -> None:
-        own = self.data.level.V.dofmap.index_map.local_range[0]
-        A.zeroRowsColumns((own + self.fixed).astype(PETSc.IntType), 1.0)
+        first, _ = A.getOwnershipRange()
+        A.zeroRowsColumns((first + self.fixed).astype(PETSc.IntType), 1.0)
         A.getDiagonal(self._changed)
         self.diagonal = self._changed.array.copy()
         self._held = HELD * self.diagonal

@@ -21,6 +21,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import point_cells
 from fenicsx_obstacle.discrete.limit_load import check_limit_load
 from fenicsx_obstacle.discrete.signs import is_m_matrix
+from fenicsx_obstacle.discrete.transfer import Transfer, to_parents
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -237,6 +238,12 @@ class Problem:
         self.set_state(x)
         self.forms.jacobian(self.A, penalised=self.constrained and penalised)
         return self.A
+
+    @cached_property
+    def transfer(self) -> Transfer:
+        """Interpolation from the next coarser problem; by default from the mesh that this one was refined from (first
+        use is collective)."""
+        return to_parents(self.level)
 
     @property
     def nodal(self) -> Nodal:

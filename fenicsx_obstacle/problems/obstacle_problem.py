@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,17 +17,21 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.galerkin import coarse_problems
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.parallel import smallest, total
+from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.problems.figures import course_of, figures_of
 from fenicsx_obstacle.problems.own_form import OfForm, check_form, conditions, number_of, obstacle
 from fenicsx_obstacle.problems.solution import Seconds, Solution
 from fenicsx_obstacle.problems.state import State, state_of
-from fenicsx_obstacle.solvers.choose import Method, method_of
+from fenicsx_obstacle.solvers import multigrid
+from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
 from fenicsx_obstacle.solvers.linear import overriding
+from fenicsx_obstacle.solvers.multigrid import Multigrid
+from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
@@ -35,6 +40,7 @@ from fenicsx_obstacle.words import shown
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Estimator
 
+PATIENCE = 5  # steps from a start of the caller's before the coarse levels give one
 SHARE = 0.01  # of the median of D_i/A_ii: eps = "auto"
 Monitor = Callable[[int, Step], None]
 
@@ -62,7 +68,8 @@ class ObstacleProblem:
     coefficients in it stay the same.
 
     Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
-    values are taken anew, and the iteration starts from u. So a loop over time steps is a loop.
+    values are taken anew, and the iteration starts from u. So a loop over time steps is a loop. Where F is linear and
+    symmetric, and u is one number or turns out to be a bad start, algebraic coarse levels give a better one.
 
     All methods are collective.
 
@@ -110,7 +117,7 @@ class ObstacleProblem:
             petsc_options_prefix: Of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
             petsc_options: Options without the prefix; they go before those of the command line, and hold for this
                 problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
-                symmetric, else GMRES.
+                symmetric, else GMRES; multigrid on algebraic levels where F is linear and symmetric.
             form_compiler_options: As for dolfinx.fem.form.
             jit_options: As for dolfinx.fem.form.
 
@@ -155,7 +162,7 @@ class ObstacleProblem:
 
         Args:
             model: Effects, obstacles and boundary values, none of which depends on time.
-            level: Mesh and spaces; of a refined one only the finest is used.
+            level: Mesh and spaces; those of the levels below it give a start.
             petsc_options_prefix: As for the class.
             petsc_options: Likewise.
 
@@ -192,6 +199,8 @@ class ObstacleProblem:
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = [] if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
+        self._grids: list[Multigrid] | None = None
+        self._solved_before = False
 
     @property
     def A(self) -> PETSc.Mat:
@@ -217,7 +226,7 @@ class ObstacleProblem:
         bound: bool = False,
         monitor: Monitor | None = None,
     ) -> Solution:
-        """Solve from u on (collective).
+        """Solve from u on, or from coarse levels (collective).
 
         Args:
             eps: Penalty parameter in units of u/p, a number or a Constant; "auto" takes a hundredth of the median of
@@ -270,17 +279,53 @@ class ObstacleProblem:
                 options = SolverOptions(method, self._automatic() if by_itself else value, source=f"{self.name}:")
             problem = self._problem
             way = method_of(problem, options)
-            numbered = None if monitor is None else _Numbered(monitor)
-            if way.eps is not None:
-                self._press(way.eps)
+            numbered = None if monitor is None else _Numbered(monitor, problem)
             try:
-                outcome = way.solve(problem, tolerance=rtol, monitor=numbered)
+                outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
             except NotConverged:
                 self._refuse_no_number()
                 raise
             state = state_of(problem, way)
-        self.u.x.array[:], self._pressure = state.u.x.array, state.p
+        self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         return Solved(outcome, way, state)
+
+    def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
+        """Solve from u, or from the coarsest level on where u is no start or a bad one (collective)."""
+        problem = self._problem
+        grids = self._levels() if nested(problem.model.effects, problem.level.pair, options) else []
+        spent = 0
+        if len(grids) < 2 or self._has_start():
+            if way.eps is not None:
+                self._press(way.eps)
+            if len(grids) < 2:
+                return solve(problem)
+            try:
+                return solve(problem, multigrid=grids[-1], patience=PATIENCE)
+            except NotConverged as error:
+                spent = error.iterations
+        outcome = solve_nested(grids, solve, np.inf if way.eps is None else 1.0 / way.eps)[-1]
+        return replace(outcome, iterations=spent + outcome.iterations)
+
+    def _levels(self) -> list[Multigrid]:
+        """Multigrid of all levels, with the data of now (collective)."""
+        if self._grids is None:
+            own = self._form is not None  # on the caller's mesh and in the caller's space alone
+            problems = [*coarse_problems(self._problem), self._problem] if own else hierarchy(self._problem)
+            self._grids = multigrid.chain(problems)
+        elif self._form is not None:
+            for grid in reversed(self._grids[:-1]):
+                grid.problem.renew(stiffness=False)  # which algebraic levels notice themselves
+        return self._grids
+
+    def _has_start(self) -> bool:
+        """Whether u is more than one number, or contact alone holds it (collective)."""
+        problem = self._problem
+        if problem.floating or self._solved_before:
+            return True
+        if self._form is None:
+            return False
+        free, comm = self.u.x.array[: problem.level.owned][~problem.fixed], problem.level.comm
+        return largest(comm, free) > smallest(comm, free)
 
     @contextmanager
     def _settings(self) -> Iterator[None]:
@@ -401,14 +446,15 @@ class ObstacleProblem:
 
 
 class _Numbered:
-    """A monitor as solvers take it."""
+    """A monitor as solvers take it: of the steps on the finest level."""
 
-    def __init__(self, monitor: Monitor):
-        self.monitor, self.number = monitor, 0
+    def __init__(self, monitor: Monitor, finest: Problem):
+        self.monitor, self.finest, self.number = monitor, finest, 0
 
     def __call__(self, problem: Problem, step: Step, active: np.ndarray) -> None:
-        self.monitor(self.number, step)
-        self.number += 1
+        if problem is self.finest:
+            self.monitor(self.number, step)
+            self.number += 1
 
 
 def _values_in(form: ufl.Form) -> list[np.ndarray]:

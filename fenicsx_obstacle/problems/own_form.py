@@ -92,7 +92,7 @@ class OfForm(Effect):
             return None
         return ufl.replace(self.J, {self.u: u, self.J.arguments()[0]: v})
 
-    def heights(self, data: Any) -> list[Any]:
+    def u_values(self, data: Any) -> list[Any]:
         return [0.0]
 
     def energy(self, u: Any, data: Any) -> ufl.Form | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from textwrap import fill
 
+from fenicsx_obstacle.discrete.galerkin import SMALLEST
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
@@ -13,6 +14,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
 from fenicsx_obstacle.show.steps import steps_of
 from fenicsx_obstacle.solvers.choose import (
+    ALGEBRAIC,
     AUGMENTED,
     DIRECT_SOLVER,
     GENERAL_SOLVER,
@@ -213,7 +215,7 @@ def _solver(scene: Scene) -> list[str]:
         AUGMENTED if method == "vi" and not pair.nodal else _method(scene),
         _steps(scene),
         "stops when the unbalanced forces, summed, are below 1e-10 of the acting ones, with the final active set",
-        f"each step: {NESTED}; {LINEAR_SOLVER} where the mesh has one level only"
+        f"each step: {NESTED}; {ALGEBRAIC}; {LINEAR_SOLVER} on meshes of less than {SMALLEST} unknowns that have none"
         if nested(scene.effects, scene.pair, scene.options)
         else f"each step: {_linear_solver(scene)}, {_levels(scene)}",
         f"PETSc options after -- override: -{prefix}_ksp_type preonly -{prefix}_pc_type lu",

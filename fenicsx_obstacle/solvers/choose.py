@@ -11,6 +11,7 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.galerkin import coarse_problems
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -34,6 +35,7 @@ NONLINEAR_WORDS = (
     "a line search on the energy, full steps where round-off hides descent; obstacles that harden should both fail",
 )
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
+ALGEBRAIC = "where the mesh has no coarser one levels are algebraic, with interpolation exact for linear functions"
 WITHOUT_HYPRE = f"GAMG, and up to {LARGEST} unknowns MUMPS in its place, because this PETSc has no hypre"
 AMG = "hypre BoomerAMG" if releases.AMG == "hypre" else WITHOUT_HYPRE
 LINEAR_SOLVER = f"conjugate gradients with algebraic multigrid ({AMG})"
@@ -43,15 +45,15 @@ AUGMENTED = "penalty solves with augmented obstacles g + eps p: the quadratic pr
 
 
 def nested(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> bool:
-    """Whether a problem is solved from the coarsest level of its mesh on, where it has more than one.
+    """Whether a problem is solved from the coarsest level on: that of its mesh, or an algebraic one below it.
 
     Truncated multigrid needs stiffness matrices that hold still (affine effects), symmetric and definite, and contact
-    at the nodes of spaces that nest, or of P2, which begins with P1 on the same mesh. (3.4)* is the paper's own
+    at the vertices, or that of P2, which begins with P1 on the same mesh. (3.4)* is the paper's own
     iteration, which starts without contact; `start = "cold"` asks for the same of the other methods. Whatever is not
     nested is solved with `LINEAR_SOLVER`, `GENERAL_SOLVER` or, where the pair is not nodal, `DIRECT_SOLVER`.
     """
     simple = all(effect.affine and effect.symmetric and effect.convex for effect in effects)
-    serves = pair.nested_hierarchy or pair.has_p1_coarse_space
+    serves = pair.at_vertices or pair.has_p1_coarse_space
     return simple and serves and options.start == "nested" and options.method != "successive"
 
 
@@ -65,7 +67,7 @@ def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> b
 
 
 def chain(problem: Problem) -> list[Problem]:
-    """The problems from the coarsest level to this one (collective); only this one where the others do not serve."""
+    """The problems from the coarsest mesh to this one (collective); only this one where the others do not serve."""
     problems = [problem]
     for level in problem.level.downward[1:]:
         try:
@@ -74,6 +76,19 @@ def chain(problem: Problem) -> list[Problem]:
         except InputError:  # data that only the fine levels resolve
             break
     return problems
+
+
+def hierarchy(problem: Problem) -> list[Problem]:
+    """The problems of all levels, the coarsest first, with algebraic ones below the coarsest mesh (collective).
+
+    Without obstacles BoomerAMG is as good, where there is hypre.
+
+    Args:
+        problem: That truncated multigrid serves.
+    """
+    problems = chain(problem)
+    pays = problem.constrained or releases.AMG != "hypre"
+    return [*(coarse_problems(problems[0]) if pays else []), *problems]
 
 
 def penalty_parameter(problem: Problem, options: SolverOptions) -> float:

@@ -12,12 +12,10 @@ changes nothing but diagonals.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete import parents
 from fenicsx_obstacle.discrete.problem import Problem
 
 STIFFER = 10.0  # times the membrane around a node: such a spring holds it, nothing coarser moves it
@@ -49,12 +47,9 @@ class Multigrid:
         self.problem, self.coarser = problem, coarser
         self._moves, self._force = problem.A.createVecs()  # 1 where a correction may move a node; what that meets
         if coarser is not None:
-            level = problem.level
-            ends = level.ends
-            self._whole = parents.prolongation(ends, level.V, coarser.problem.level.V)
+            self._transfer = problem.transfer
+            self._whole = self._transfer.P
             self.P = self._whole.duplicate()
-            self._same = np.flatnonzero(ends[:, 0] == ends[:, 1])
-            self._twin = ends[self._same, 0]
             self._carried = coarser._force.duplicate()
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
@@ -74,7 +69,7 @@ class Multigrid:
         """At owned coarse nodes, from what is carried down: infinite at the twins of held ones."""
         assert self.coarser is not None
         coarse = self.coarser
-        held = self._twins_held()
+        held = self._transfer.inject((self._moves.array_r == 0).astype(float)) > 0
         coarse._moves.array[:] = ~(held | coarse.problem.fixed)
         coarse._shift()
         penalty_diagonal = np.maximum(self._carried.array_r - coarse._force.array_r, 0.0)
@@ -88,21 +83,6 @@ class Multigrid:
         if penalty_diagonal is not None:
             np.add(self._force.array, penalty_diagonal, out=self._force.array, where=self._moves.array_r > 0)
         self._force.pointwiseMult(self._force, self._moves)
-
-    def _twins_held(self) -> np.ndarray:
-        """Which owned coarse nodes coincide with a held or fixed one."""
-        flags = self._flags
-        with flags.localForm() as local:
-            local.set(0.0)
-            local.array[self._twin] = self._moves.array_r[self._same] == 0
-        flags.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        return flags.array_r > 0
-
-    @cached_property
-    def _flags(self) -> PETSc.Vec:
-        """Ghosted vector of the coarser level."""
-        assert self.coarser is not None
-        return self.coarser.problem.elastic.duplicate()
 
     def install(self, pc: PETSc.PC) -> None:
         """Make a PC the cycle over all levels; options of `SMOOTHER` under its prefix say how."""

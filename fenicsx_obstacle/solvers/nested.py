@@ -6,19 +6,23 @@ steps. From the next coarser level contact is right up to a layer or two, whatev
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from dolfinx import fem
 
+from fenicsx_obstacle.discrete.galerkin import GalerkinProblem
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.relaxation import relax
 from fenicsx_obstacle.solvers.snes import Outcome
 
+_log = logging.getLogger(__name__)
 # on coarse levels, whose discretisation error is larger by far: a step, and this unbalanced force
-ON_THE_WAY = {"least": 1, "tolerance": 1e-2}
+ON_THE_WAY: dict[str, Any] = {"least": 1, "tolerance": 1e-2}
 
 
 def solve_nested(
@@ -40,7 +44,8 @@ def solve_nested(
         The outcome of each level, the finest last.
 
     Raises:
-        NotConverged: On the finest level. A coarse state is a start, converged or not, if the problem is affine.
+        NotConverged: On the finest level, where the coarsest level is algebraic from a cold start too. A coarse state
+            is a start, converged or not, if the problem is affine.
     """
     outcomes: list[Outcome] = []
     for grid in grids:
@@ -54,16 +59,27 @@ def solve_nested(
                 none = np.zeros(len(problem.weights))
                 relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
         finest = grid is grids[-1]
+        unwatched = {"monitor": None} if isinstance(problem, GalerkinProblem) else {}  # it has no mesh to be shown on
         try:
-            outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY)))
-        except NotConverged:
+            outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY | unwatched)))
+        except NotConverged as error:
             if finest:
-                raise
+                if not _algebraic(grids):
+                    raise
+                _log.info("not solved from algebraic levels: a cold start goes on")
+                problem.set_reference(problem.cold_start())
+                last = solve(problem)
+                outcomes.append(replace(last, iterations=error.iterations + last.iterations))
             if not problem.affine:  # it may be anywhere
                 before = None
                 continue
         before = problem
     return outcomes
+
+
+def _algebraic(grids: Sequence[Multigrid | Problem]) -> bool:
+    first = grids[0]
+    return isinstance(first.problem if isinstance(first, Multigrid) else first, GalerkinProblem)
 
 
 def begin_from(problem: Problem, coarse: Problem) -> None:
@@ -72,16 +88,16 @@ def begin_from(problem: Problem, coarse: Problem) -> None:
     Where both ends of an edge are in contact its middle is: distances, not heights are interpolated there, or
     the middle of a curved obstacle's edge would start far off.
     """
-    ends, own = problem.level.ends, problem.level.owned
-    u_values = fem.Function(problem.level.V)
-    u_values.x.array[:own] = (coarse.w.x.array + coarse.reference.x.array)[ends].mean(axis=1)
-    u_values.x.scatter_forward()
-    problem.set_reference(u_values.x.array)
+    transfer, own, theirs_own = problem.transfer, problem.level.owned, coarse.level.owned
+    problem.w.x.array[:own] = transfer.interpolate((coarse.w.x.array + coarse.reference.x.array)[:theirs_own])
+    problem.w.x.scatter_forward()
+    problem.set_reference(problem.w.x.array.copy())
     w = problem.w.x.array
     for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
         if ours is None or theirs is None:
             continue
-        distance = sign * (coarse.w.x.array - theirs.x.array)
-        touching = np.all(distance[ends] <= 0, axis=1) & ~problem.fixed
-        w[:own][touching] = ours.x.array[:own][touching] + sign * distance[ends[touching]].mean(axis=1)
+        distance = sign * (coarse.w.x.array - theirs.x.array)[:theirs_own]
+        touching = transfer.all_of(distance <= 0) & ~problem.fixed
+        between = transfer.interpolate(np.minimum(distance, 0.0))
+        w[:own][touching] = ours.x.array[:own][touching] + sign * between[touching]
     problem.w.x.scatter_forward()

@@ -46,6 +46,7 @@ def solve_penalty(
     multigrid: Multigrid | None = None,
     least: int = 0,
     tolerance: float = TOLERANCE,
+    patience: int | None = None,
     monitor: StepMonitor | None = None,
 ) -> Outcome:
     """Solve (3.4) from the problem's present state (collective).
@@ -63,6 +64,7 @@ def solve_penalty(
         multigrid: Preconditioner; by default algebraic multigrid.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
+        patience: Steps to take at most, for affine problems.
         monitor: Called after each step.
 
     Returns:
@@ -74,7 +76,9 @@ def solve_penalty(
     problem.eps.value = eps
     if successive:
         problem.set_reference(problem.cold_start())
-    how = {"unchanged": successive, "least": least, "tolerance": tolerance, "monitor": monitor}
+    how: dict[str, Any] = {"unchanged": successive, "least": least, "tolerance": tolerance, "monitor": monitor}
+    if patience is not None:
+        how["patience"] = patience
     limited = user_has_set(problem.options_of("penalty") + "snes_max_it")  # a limit is kept
     if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, how, multigrid), problem, eps, tolerance)

@@ -28,6 +28,7 @@ def solve_vi(
     multigrid: Multigrid | None = None,
     least: int = 0,
     tolerance: float = TOLERANCE,
+    patience: int | None = None,
     monitor: StepMonitor | None = None,
 ) -> Outcome:
     """Solve a(u, v - u) >= f(v - u) for all v between the obstacles, from the present state (collective).
@@ -37,6 +38,7 @@ def solve_vi(
         multigrid: Preconditioner; by default algebraic multigrid.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
+        patience: Steps to take at most, for affine problems.
         monitor: Called after each step.
 
     Returns:
@@ -45,7 +47,9 @@ def solve_vi(
     Raises:
         NotConverged: With PETSc's reason.
     """
-    how = {"least": least, "tolerance": tolerance, "monitor": monitor}
+    how: dict[str, Any] = {"least": least, "tolerance": tolerance, "monitor": monitor}
+    if patience is not None:
+        how["patience"] = patience
     limited = user_has_set(problem.options_of("vi") + "snes_max_it")  # a limit is kept
     if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, multigrid, how), problem, None, tolerance)

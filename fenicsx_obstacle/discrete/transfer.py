@@ -1,0 +1,67 @@
+"""Interpolation from a coarse level to the next finer one, and injection back: what nested levels have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete import parents
+from fenicsx_obstacle.discrete.levels import Level
+
+Injection = Callable[[np.ndarray], np.ndarray]
+
+
+class Transfer:
+    """Interpolation P, one row for each owned dof of the finer level.
+
+    Attributes:
+        P: The matrix; rows of nodes that coincide with a coarse node have one entry, 1.
+        inject: Owned values of the finer level at the coarse nodes, which coincide with finer ones (collective).
+    """
+
+    def __init__(self, P: PETSc.Mat, inject: Injection):
+        self.P, self.inject = P, inject
+
+    @cached_property
+    def _vectors(self) -> tuple[PETSc.Vec, PETSc.Vec]:
+        return self.P.createVecs()
+
+    def interpolate(self, coarse: np.ndarray) -> np.ndarray:
+        """P times owned coarse values (collective)."""
+        right, left = self._vectors
+        right.array[:] = coarse
+        self.P.mult(right, left)
+        return left.array.copy()
+
+    def restrict(self, fine: np.ndarray) -> np.ndarray:
+        """The transpose of P times owned fine values (collective)."""
+        right, left = self._vectors
+        left.array[:] = fine
+        self.P.multTranspose(left, right)
+        return right.array.copy()
+
+    def all_of(self, coarse: np.ndarray) -> np.ndarray:
+        """Whether a condition on coarse nodes holds at all those that a fine node is interpolated from (collective)."""
+        return self.interpolate((~coarse).astype(float)) == 0
+
+
+def to_parents(level: Level) -> Transfer:
+    """Interpolation from the mesh that a mesh was refined from, or from P1 on the same mesh to P2 (collective)."""
+    assert level.coarse is not None
+    ends, coarse = level.ends, level.coarse.V
+    same = np.flatnonzero(ends[:, 0] == ends[:, 1])
+    coincident, found = ends[same, 0], fem.Function(coarse)
+    own = coarse.dofmap.index_map.size_local
+
+    def inject(fine: np.ndarray) -> np.ndarray:
+        found.x.array[:] = 0.0
+        found.x.array[coincident] = fine[same]  # of all fine nodes one coincides with a coarse node
+        releases.add_ghosts(found)
+        return found.x.array[:own].copy()
+
+    return Transfer(parents.prolongation(ends, level.V, coarse), inject)

@@ -1,0 +1,303 @@
+"""Algebraic coarse levels: an obstacle problem on a mesh without a hierarchy takes as few steps as on one with it."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, slow_except
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+
+from fenicsx_obstacle import Scene, releases, solve
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.galerkin import COARSEST, GalerkinProblem, coarse_problems
+from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+
+R = 0.6979651482233736  # of the contact set of the ball
+BALL = {
+    "tension": 1, "lower": "where(r < 0.9, sqrt(1 - r^2), sqrt(0.19) - 0.9/sqrt(0.19)*(r - 0.9))",
+    "boundary": [{"value": f"{R}^2/sqrt(1 - {R}^2)*ln({R}*exp(1/{R}^2 - 1)/r)"}],
+}  # fmt: skip
+
+
+def shaken(mesh, share, width):
+    """Interior vertices moved by a share of the width of a cell, the same on all ranks."""
+    x, dim = mesh.geometry.x, mesh.geometry.dim
+    inside = np.all((x[:, :dim] > x_low(mesh) + 1e-9) & (x[:, :dim] < x_high(mesh) - 1e-9), axis=1)
+    waves = np.stack([np.sin(1e4 * (k + 1) * (x @ [1.0, 1.7, 2.3]) + k) for k in range(dim)], axis=1)
+    x[inside, :dim] += share * width * waves[inside]
+    return mesh
+
+
+def x_low(mesh):
+    return np.array([-largest(mesh.comm, -axis) for axis in mesh.geometry.x.T])[: mesh.geometry.dim]
+
+
+def x_high(mesh):
+    return np.array([largest(mesh.comm, axis) for axis in mesh.geometry.x.T])[: mesh.geometry.dim]
+
+
+def square(cells, comm=COMM, low=-2.0, high=2.0):
+    corners = [np.full(2, low), np.full(2, high)]
+    return shaken(dmesh.create_rectangle(comm, corners, [cells, cells]), 0.2, (high - low) / cells)
+
+
+def cube(cells, comm=COMM):
+    mesh = dmesh.create_box(comm, [np.full(3, -1.0), np.full(3, 1.0)], [cells] * 3)
+    return shaken(mesh, 0.2, 2 / cells)
+
+
+def interval(cells):
+    return shaken(dmesh.create_interval(COMM, cells, [-1.0, 1.0]), 0.25, 2 / cells)
+
+
+def quadrilaterals(cells):
+    kind = dmesh.CellType.quadrilateral
+    mesh = dmesh.create_rectangle(COMM, [np.full(2, -2.0), np.full(2, 2.0)], [cells, cells], cell_type=kind)
+    return shaken(mesh, 0.15, 4 / cells)
+
+
+def sphere(cells):
+    """Part of a sphere around the north pole, whose rim is four arcs."""
+    flat = square(cells, low=-1.0, high=1.0)
+    cut, nodes = releases.geometry_dofs(flat), flat.geometry.x
+    own = flat.topology.index_map(2).size_local
+    points = nodes / np.sqrt(1 + (nodes**2).sum(axis=1, keepdims=True))
+    points[:, 2] = 1 / np.sqrt(1 + (nodes**2).sum(axis=1))
+    numbers = flat.geometry.input_global_indices
+    everywhere = np.concatenate(COMM.allgather(np.column_stack([numbers, points])))
+    _, first = np.unique(everywhere[:, 0], return_index=True)
+    table = everywhere[first, 1:]
+    mine = np.array_split(np.arange(len(table)), COMM.size)[COMM.rank]
+    return releases.create_mesh(COMM, np.asarray(numbers)[cut[:own]], table[mine], "triangle")
+
+
+def counts(answer):
+    return answer.record["newton_iterations"], answer.record["krylov_iterations"]
+
+
+def difference(one, other):
+    """Of two solutions on one mesh, over the range of values."""
+    u, v = one.u.x.array, other.u.x.array
+    return largest(COMM, np.abs(u - v)) / (largest(COMM, u) + largest(COMM, -u))
+
+
+@pytest.mark.parametrize(("method", "eps"), [("penalty", "auto"), ("penalty", 1e-12), ("vi", "auto")])
+def test_counts_do_not_grow_when_h_halves(method, eps):
+    """O(1) Newton steps on a mesh that has no coarser one, from 1.7e3 to 2.6e4 unknowns."""
+    found = [counts(solve(Scene(mesh=square(cells), **BALL), method=method, eps=eps)) for cells in (40, 80, 160)]
+    newton, krylov = zip(*found, strict=True)
+    assert max(newton) <= 6 and max(krylov) <= 20
+    assert newton[-1] - newton[0] <= 2
+
+
+def test_a_mesh_from_gmsh(folder):
+    """Delaunay triangles: few steps, and the error of the exact solution halves with h."""
+
+    def draw(size):
+        import gmsh
+
+        gmsh.initialize([], False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.occ.addRectangle(-2, -2, 0, 4, 4)
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+        gmsh.model.mesh.generate(2)
+        gmsh.write(str(folder / f"{size}.msh"))
+        gmsh.finalize()
+
+    errors = []
+    for size in (0.1, 0.05):
+        on_root(COMM, draw, size)
+        answer = solve(Scene(mesh={"file": str(folder / f"{size}.msh")}, **BALL,
+                             exact=f"where(r < {R}, sqrt(1 - r^2), {BALL['boundary'][0]['value']})"))  # fmt: skip
+        assert counts(answer)[0] <= 6 and counts(answer)[1] <= 20
+        errors.append(answer.record["errors"]["energy"])
+    assert 1.7 < errors[0] / errors[1] < 2.4
+
+
+SCENES = {
+    "ball": lambda: Scene(mesh=square(48), **BALL),
+    "upper": lambda: Scene(mesh=square(48), tension=2, load=8, upper="0.5 + 0.2*x"),
+    "both": lambda: Scene(mesh=square(48), tension=1, load="20*sin(2*x)", lower=-0.3, upper="0.4 - 0.05*x^2"),
+    "foundation": lambda: Scene(mesh=square(48), tension=1, foundation=3, load=-4, lower="-0.5 - 0.1*y"),
+    "spring and free boundary": lambda: Scene(
+        mesh=square(48), tension=1, load=-1, lower="-0.4 - 0.1*x",
+        boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "spring": 2}],
+    ),
+    "anisotropic": lambda: Scene(mesh=square(48), tension=[[4, 1], [1, 1]], load=-3, lower=-0.4),
+    "boundary obstacle": lambda: Scene(
+        mesh=square(48), tension=1, load=-0.3,
+        boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "lower": "-2 + 0.5*y"}],
+    ),
+    "held by contact alone": lambda: Scene(
+        mesh=square(48), tension=1, load=-1, lower="0.2*cos(2*x) + 0.1*y", boundary=[]
+    ),
+    "interval": lambda: Scene(mesh=interval(2000), tension=1, load=-8, lower="-1 - 0.2*x"),
+    "cube": lambda: Scene(mesh=cube(13), tension=1, load=-8, lower="-0.4 + 0.1*x*y"),
+    "quadrilaterals": lambda: Scene(mesh=quadrilaterals(48), **BALL),
+    "surface": lambda: Scene(mesh=sphere(48), tension=1, load=-1, lower="0.9*z - 1.3", boundary=[{"value": "-x^2"}]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", slow_except(list(SCENES), "ball", "boundary obstacle", "cube", "surface"))
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_the_solution_is_that_of_a_cold_start(name, method):
+    """To the tolerance of the solver, whatever the data, in few steps on the finest level."""
+    scene = SCENES[name]()
+    ours, cold = solve(scene, method=method), solve(scene, method=method, start="cold")
+    assert difference(ours, cold) <= 1e-9
+    assert ours.record["contact"]["area"] == pytest.approx(cold.record["contact"]["area"], rel=1e-9)
+    assert ours.record["newton_total"] > ours.record["newton_iterations"]  # it has levels
+    assert counts(ours)[0] <= 6 and counts(ours)[1] <= 20
+
+
+@pytest.mark.parametrize("element", ["P2", "P1-voronoi"])
+def test_other_elements_on_triangles(element):
+    """P2 is above the algebraic levels of P1 on the same mesh."""
+    scene = Scene(mesh=square(48), tension=1, load=8, upper="0.5 + 0.2*x")
+    if element != "P2":
+        scene = Scene(mesh=dmesh.create_rectangle(COMM, [np.full(2, -2.0), np.full(2, 2.0)], [48, 48]), tension=1,
+                      load=8, upper="0.5 + 0.2*x")  # fmt: skip
+    ours, cold = solve(scene, element=element), solve(scene, element=element, start="cold")
+    assert difference(ours, cold) <= 1e-9
+    assert counts(ours)[0] <= 6 < counts(cold)[0]
+
+
+def levels_of(mesh, **data):
+    """The problem of a scene, and its algebraic levels from the finest on."""
+    context = SolverContext(Scene(mesh=mesh, **{"tension": 1, "lower": -1, **data}))
+    return context.problem, coarse_problems(context.problem)[::-1]
+
+
+@pytest.mark.parametrize(("mesh", "dim"), [(lambda: interval(2000), 1), (lambda: square(60), 2), (lambda: cube(12), 3)])
+def test_interpolation_reproduces_linear_functions(mesh, dim):
+    """Constants at each node to round-off; linear functions at nearly all, and nowhere off by more than a few cells."""
+    problem, levels = levels_of(mesh())
+    x = problem.level.points.T[: problem.level.owned, :dim]
+    for coarse in levels:
+        transfer = coarse.finer.transfer
+        assert largest(COMM, np.abs(transfer.interpolate(np.ones(coarse.level.owned)) - 1)) < 1e-12
+        theirs = np.stack([transfer.inject(np.ascontiguousarray(axis)) for axis in x.T], axis=1)
+        found = np.stack([transfer.interpolate(np.ascontiguousarray(axis)) for axis in theirs.T], axis=1)
+        off = np.abs(found - x).max(axis=1, initial=0.0)
+        exact = total(COMM, np.count_nonzero(off < 1e-6)) / coarse.finer.level.dofs
+        assert exact > (0.85 if dim < 3 or coarse is levels[0] else 0.5)
+        spacing = 2 * (4.0 if dim == 2 else 2.0) / coarse.level.dofs ** (1 / dim)
+        assert largest(COMM, off) < spacing
+        x = theirs
+    assert total(COMM, len(x)) <= max(COARSEST.values())
+
+
+def test_given_values_are_interpolated_from_given_values():
+    """So that a coarse correction is 0 where u is given; and no coarse weight is negative."""
+    problem, levels = levels_of(square(60), boundary=[{"where": "x < 0", "value": 0}])
+    for coarse in levels:
+        transfer = coarse.finer.transfer
+        leak = transfer.interpolate((~coarse.fixed).astype(float))
+        assert largest(COMM, np.abs(leak[coarse.finer.fixed])) == 0
+        assert largest(COMM, -coarse.weights) <= 0
+        assert total(COMM, coarse.weights) == pytest.approx(total(COMM, problem.weights))
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_counts_are_those_of_one_rank(method):
+    """The coarse nodes do not depend on the ranks, and counts hardly do."""
+    ours = solve(Scene(mesh=square(80), **BALL), method=method)
+    alone = solve(Scene(mesh=square(80, MPI.COMM_SELF), **BALL), method=method)
+    assert np.all(np.abs(np.subtract(counts(ours), counts(alone))) <= 2)
+    assert ours.record["contact"]["area"] == pytest.approx(alone.record["contact"]["area"], rel=1e-9)
+    assert ours.record["energy"] == pytest.approx(alone.record["energy"], rel=1e-9)
+    levels = [[one.level.dofs for one in levels_of(square(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]
+    assert levels[0] == levels[1]
+
+
+def by_hand(points, cells):
+    """A mesh of triangles, all on the last rank."""
+    last = COMM.rank == COMM.size - 1
+    cells, points = (cells, points) if last else (cells[:0], points[:0])
+    return releases.create_mesh(COMM, cells, points, "triangle", stay=True)
+
+
+def grid(cells, slit):
+    """Points and triangles of (-1, 1)^2; with a slit from the left side to the middle, of nodes at the same places."""
+    n = cells + 1
+    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n))
+    numbers = np.arange(n * n).reshape(n, n)
+    lower, upper = numbers[:-1].copy(), numbers[1:]
+    points = np.column_stack([x.ravel(), y.ravel()])
+    if slit:
+        middle, length = cells // 2, cells // 2
+        lower[middle, :length] = n * n + np.arange(length)  # for the cells above
+        points = np.vstack([points, points[numbers[middle, :length]]])
+    squares = np.stack([lower[:, :-1], lower[:, 1:], upper[:, :-1], upper[:, 1:]], axis=2).reshape(-1, 4)
+    return points, np.vstack([squares[:, [0, 1, 3]], squares[:, [0, 3, 2]]])
+
+
+def test_ranks_without_cells():
+    """They work along."""
+    scene = Scene(mesh=by_hand(*grid(48, slit=False)), tension=1, load=-4, lower="-0.3 - 0.1*x")
+    assert counts(solve(scene))[0] <= 6
+
+
+def test_a_slit():
+    """Nodes at one place are different nodes: u jumps across the slit, and takes few steps to be found."""
+    scene = Scene(mesh=by_hand(*grid(64, slit=True)), tension=1, load="where(y > 0, 6, -6)", lower="-0.3 - 0.1*x",
+                  boundary=[{"where": "x == 1", "value": 0}])  # fmt: skip
+    ours, cold = solve(scene), solve(scene, start="cold")
+    assert difference(ours, cold) <= 1e-9
+    assert counts(ours)[0] <= 6
+    points, u = ours.level.points, ours.u.x.array
+    tip = (np.abs(points[1]) < 1e-9) & (np.abs(points[0] + 1) < 1e-9)
+    assert largest(COMM, u[tip]) - -largest(COMM, -u[tip]) > 1
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_own_form(degree):
+    """From u = 0 on coarse levels, later from u; with coefficients that change, and the answers of a new problem."""
+    V = releases.functionspace(square(60), "Lagrange", degree)
+    mesh = releases.settle(V.mesh)
+    mu, f = fem.Constant(mesh, 1.0), fem.Constant(mesh, -1.0)
+    facets = np.asarray(dmesh.exterior_facet_indices(mesh.topology))
+    bcs = [fem.dirichletbc(fem.Function(V), fem.locate_dofs_topological(V, 1, facets))]
+
+    def problem():
+        u, v = fem.Function(V), ufl.TestFunction(V)
+        F = mu * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - f * v * ufl.dx
+        return ObstacleProblem(F, u, bcs=bcs, lower=lambda x: -0.3 - 0.1 * x[0] ** 2)
+
+    kept, seen = problem(), []
+    first = kept.solve(monitor=lambda number, step: seen.append(number))
+    assert first.iterations <= 6 and seen == list(range(first.iterations + 1))
+    assert kept.solve(eps=1e-9).iterations <= 3
+    for mu.value, f.value, method in ((1.0, -1.02, "penalty"), (3.0, -2.0, "penalty"), (2.0, -4.0, "vi")):
+        again, new = kept.solve(method=method), problem().solve(method=method)
+        assert new.iterations <= 6
+        assert largest(COMM, np.abs(kept.u.x.array - new.u.x.array)) <= 1e-9
+        assert again.iterations <= 11  # five from u, should it be a bad start
+
+
+@pytest.mark.parametrize("rate", [0, 1])
+def test_in_time(rate):
+    """Levels keep step with loads, obstacles and masses that change."""
+    moments = {"end": 1, "steps": 2, **({"start": 0} if rate else {})}
+    changing = {"tension": 1, "load": "-3*t", "lower": "-0.5 - 0.1*t*x", **({"rate": rate} if rate else {})}
+    scene = Scene(mesh=square(48), **changing, time=moments)
+    ours, cold = solve(scene), solve(scene, start="cold")
+    assert difference(ours, cold) <= 1e-9
+    assert rate or ours.record["newton_iterations"] <= 6  # with a rate the start is the last moment
+
+
+def test_where_levels_do_not_help_a_cold_start_does(monkeypatch):
+    """What the levels make of a problem decides nothing but the start."""
+
+    def spoiled(self, *given):
+        made(self, *given)
+        self.forms.stiffness.scale(np.nan)
+
+    made = GalerkinProblem.__init__
+    scene = Scene(mesh=square(48), tension=1, load=8, upper=0.3)
+    cold = solve(scene, start="cold")
+    monkeypatch.setattr(GalerkinProblem, "__init__", spoiled)
+    assert difference(solve(scene), cold) <= 1e-9
