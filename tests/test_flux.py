@@ -58,6 +58,16 @@ def test_every_tension(effect, law, folder):
     assert np.allclose(Answer.read(folder).at(POINTS, "flux"), flux, atol=1e-13)
 
 
+def test_the_next_solve_leaves_the_flux_of_the_last():
+    """A tension that depends on the slope is that of the solution's own u."""
+    given = {"mesh": {"shape": "rectangle", "cells": 8}, "load": -2, "lower": -0.1, "boundary": [{"value": 0}]}
+    problem = Scene(large_slope=1, **given).problem(COMM)
+    first = problem.solve(eps=1e-6)
+    flux = first.at(POINTS, "flux")
+    assert np.abs(problem.solve(eps=1.0).at(POINTS, "flux") - flux).max() > 0.01
+    assert np.array_equal(first.at(POINTS, "flux"), flux)
+
+
 @pytest.mark.parametrize("element", ["P2", "Q1", "Q2"])
 def test_read_with_other_elements(element, folder):
     """Where u and the tension are polynomials in a cell the flux is their product; it is read as it was."""

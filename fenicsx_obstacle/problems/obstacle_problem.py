@@ -259,9 +259,9 @@ class ObstacleProblem:
         shown_sides = (None, None) if self._data.thin else (self._data.lower, self._data.upper)
         kept = [None if side is None else side.copy() for side in shown_sides]
         state = found.state
-        tension = self._data.model.elastic.tension_at(self.u, self._data)
         u = self.u.copy()  # what the next solve finds does not change this solution
         u.name = self.u.name
+        tension = self._data.model.elastic.tension_at(u, self._data)
         return Solution(level, u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
