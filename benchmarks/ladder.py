@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -64,8 +65,9 @@ def main() -> None:
     sizes = options.gmsh.split(",") if options.gmsh else values_of(options.cells, "cells")
     for cells in sizes:
         scene = Scene.read(options.scene)
-        scene = meshed(scene, float(cells)) if options.gmsh else scene.change({"mesh.cells": cells})
-        level = meshes.build(scene, MPI.COMM_WORLD)
+        scene, level = (
+            built_by_gmsh(scene, float(cells)) if options.gmsh else built_in(scene.change({"mesh.cells": cells}))
+        )
         poisson = poisson_seconds(level)
         for name, changes in ways.items():
             try:
@@ -85,12 +87,22 @@ def main() -> None:
                     file.write(json.dumps({"way": name, **best}) + "\n")
 
 
-def meshed(scene: Scene, size: float) -> Scene:
+def built_in(scene: Scene) -> tuple[Scene, levels.Level]:
+    """The scene, and its mesh (collective)."""
+    return scene, meshes.build(scene, MPI.COMM_WORLD)
+
+
+def built_by_gmsh(scene: Scene, size: float) -> tuple[Scene, levels.Level]:
     """The scene on a mesh by Gmsh of its rectangle or box (collective)."""
     comm = MPI.COMM_WORLD
     folder = Path(comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None))
-    on_root(comm, _draw, scene, size, folder / "mesh.msh")
-    return scene.change({"mesh": {"file": str(folder / "mesh.msh")}})
+    try:
+        on_root(comm, _draw, scene, size, folder / "mesh.msh")
+        return built_in(scene.change({"mesh": {"file": str(folder / "mesh.msh")}}))
+    finally:
+        comm.barrier()
+        if comm.rank == 0:
+            shutil.rmtree(folder)
 
 
 def _draw(scene: Scene, size: float, path: Path) -> None:

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import Scene, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete import galerkin, kernels
 from fenicsx_obstacle.discrete.galerkin import COARSEST, GalerkinProblem, coarse_problems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
@@ -301,3 +302,25 @@ def test_where_levels_do_not_help_a_cold_start_does(monkeypatch):
     cold = solve(scene, start="cold")
     monkeypatch.setattr(GalerkinProblem, "__init__", spoiled)
     assert difference(solve(scene), cold) <= 1e-9
+
+
+def test_without_a_compiler(monkeypatch):
+    """There are no algebraic levels then, and a cold start instead."""
+    monkeypatch.setattr(galerkin, "kernels", lambda comm: None)
+    scene = Scene(mesh=square(48), tension=1, load=8, upper=0.3)
+    ours, cold = solve(scene), solve(scene, start="cold")
+    assert counts(ours) == counts(cold)
+    assert difference(ours, cold) <= 1e-12
+
+
+@pytest.mark.serial
+def test_the_loops_are_compiled_once(tmp_path, monkeypatch):
+    """Into the cache of DOLFINx's forms; what is there already is taken."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for _ in range(2):
+        kernels._compiled.cache_clear()
+        assert kernels._compiled() is not None
+        made = list((tmp_path / "fenics").iterdir())
+        assert len(made) == 1
+        monkeypatch.setattr(kernels, "_compile", None)
+    kernels._compiled.cache_clear()

@@ -9,6 +9,7 @@ import sys
 import tempfile
 from functools import cache
 from hashlib import sha1
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -62,8 +63,8 @@ def _compiled() -> Kernels | None:
     name = "libobstacle_" + sha1((text + DECLARATIONS + sys.version).encode()).hexdigest()
     folder = Path(os.getenv("XDG_CACHE_HOME", Path.home() / ".cache")) / "fenics"
     try:
-        found = next(folder.glob(f"{name}.*"), None) or _compile(text, name, folder)
-        return Kernels(_imported(name, found))
+        found = folder / (name + EXTENSION_SUFFIXES[0])
+        return Kernels(_imported(name, found if found.exists() else _compile(text, name, folder)))
     except Exception as error:  # CFFI, setuptools, the compiler and the loader each have errors of their own
         _log.warning("the loops of %s cannot be compiled, so that there are no algebraic levels: %s", SOURCE, error)
         return None
