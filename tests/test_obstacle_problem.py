@@ -442,3 +442,19 @@ def test_an_infinite_obstacle_gets_a_remedy():
             ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g})
         g.x.array[:] = far
         assert ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g}).solve().area == 0
+
+
+@pytest.mark.parametrize("wrong", ["sign", "load", "none"])
+def test_an_energy_of_another_form(wrong):
+    """A minimal surface: an energy with the load's sign turned or without the load is not that of F."""
+    own = Membrane(cells=8)
+    area = ufl.sqrt(1 + ufl.inner(ufl.grad(own.u), ufl.grad(own.u))) * ufl.dx
+    load = own.f * own.u * ufl.dx
+    F = ufl.derivative(area - load, own.u, own.v)
+    energy = {"sign": area + load, "load": area, "none": area - load}[wrong]
+    if wrong == "none":
+        ObstacleProblem(F, own.u, bcs=own.bc, upper=own.g, energy=energy)
+        assert not own.u.x.array.any()
+        return
+    with pytest.raises(InputError, match="energy: its derivative is not F"):
+        ObstacleProblem(F, own.u, bcs=own.bc, upper=own.g, energy=energy)

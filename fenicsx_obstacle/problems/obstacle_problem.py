@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 5  # steps from a start of the caller's before the coarse levels give one
 SHARE = 0.01  # of the median of D_i/A_ii: eps = "auto"
+NEARBY = 0.01  # of u: so far from the start an energy is compared with F
+OTHER = 0.1  # of F: no quadrature of the same functional is so far off
 Monitor = Callable[[int, Step], None]
 
 
@@ -148,6 +150,7 @@ class ObstacleProblem:
         self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
         if energy is not None:
             self._refuse_no_minimum()
+            self._refuse_other_energy(energy)
 
     @classmethod
     def of_model(
@@ -426,12 +429,8 @@ class ObstacleProblem:
         if form is None:
             return
         residual = fem.Function(problem.level.V)
-        with np.errstate(all="ignore"):
-            vector = fem.petsc.assemble_vector(releases.form(form.F))
-        vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        residual.x.array[: problem.level.owned] = vector.array_r
+        residual.x.array[: problem.level.owned] = _assembled(form.F, problem.level)
         residual.x.scatter_forward()
-        vector.destroy()
         words = f"{self.name}: F at the start, through a coefficient or a load in it,"
         self._data.refuse_infinite(residual, words=words)
 
@@ -442,6 +441,22 @@ class ObstacleProblem:
             raise InputError(
                 f"{self.name}: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
                 "is a sign wrong? without energy= any solution of the equation is taken"
+            )
+
+    def _refuse_other_energy(self, energy: ufl.Form) -> None:
+        """F is the derivative of the energy near the start, but for quadrature (collective)."""
+        u, level = self.u, self._problem.level
+        start, points = u.x.array.copy(), level.points_of(level.V)
+        size = largest(level.comm, np.abs(start)) or 1.0
+        u.x.array[:] += NEARBY * size * np.sin(1 + np.array([3.1, 4.7, 2.3]) @ points)
+        residual = _assembled(self._form.F, level) if self._form is not None else np.zeros(0)
+        slope = _assembled(ufl.derivative(energy, u), level)
+        u.x.array[:] = start
+        comm, free = level.comm, ~self._problem.fixed
+        scale = max(largest(comm, np.abs(one[free])) for one in (residual, slope))
+        if np.isfinite(scale) and largest(comm, np.abs(residual - slope)[free]) > OTHER * scale:
+            raise InputError(
+                f"{self.name}: energy: its derivative is not F: is a sign wrong, or a term missing in one of them?"
             )
 
 
@@ -455,6 +470,15 @@ class _Numbered:
         if problem is self.finest:
             self.monitor(self.number, step)
             self.number += 1
+
+
+def _assembled(form: ufl.Form, level: Level) -> np.ndarray:
+    """A linear form at owned dofs (collective)."""
+    vector = fem.petsc.assemble_vector(releases.form(form))
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    found = vector.array_r[: level.owned].copy()
+    vector.destroy()
+    return found
 
 
 def _values_in(form: ufl.Form) -> list[np.ndarray]:
