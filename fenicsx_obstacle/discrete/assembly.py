@@ -36,12 +36,12 @@ class Forms:
         w: The unknown.
         reference: r; the heights are w + r.
         below: Distance of the lower obstacle from r, or None.
-        above: Likewise of the upper obstacle.
+        above: Distance of the upper obstacle from r, or None.
         eps: Penalty parameter.
         measure: Where contact can be: the domain, or parts of its boundary.
         thickness: What makes weights on the boundary areas: its length times it is one; 1 in the domain.
         forces: Forces at owned nodes that are in no form, or None.
-        impulse: Likewise, of the beginning of a step in time.
+        impulse: Such forces of the beginning of a step in time, or None.
         multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
     """
 

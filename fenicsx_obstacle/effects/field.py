@@ -24,8 +24,8 @@ class Bounds(Protocol):
     """Bounds of a datum over simplices.
 
     Attributes:
-        lower: Shape (simplices,).
-        upper: Likewise.
+        lower: Lower bound over each simplex, shape (simplices,).
+        upper: Upper bound, shape (simplices,).
         degree: As a polynomial where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
         whole: Whether no condition cuts a simplex.
         defined: Whether it has a value all over it.

@@ -20,7 +20,7 @@ class Contact:
     Attributes:
         pressure: p_i at owned points of I, negative against the upper obstacle.
         lower: Whether a node presses against the lower obstacle.
-        upper: Likewise.
+        upper: Whether a node presses against the upper obstacle.
         area: Sum of D_i over the contact nodes; of obstacles on the boundary the length there.
         lower_force: Sum of D_i p_i there, >= 0.
         upper_force: Sum of -D_i p_i there, >= 0.

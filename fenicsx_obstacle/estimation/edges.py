@@ -32,8 +32,8 @@ class Edges:
     """Edges of owned cells from one vertex to another.
 
     Attributes:
-        start: Shape (edges, 2).
-        end: Likewise.
+        start: First end point of each edge, shape (edges, 2).
+        end: Second end point of each edge, shape (edges, 2).
         cells: The local cell beside each.
     """
 

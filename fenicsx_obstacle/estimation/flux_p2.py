@@ -35,7 +35,7 @@ class FluxP2:
 
     Attributes:
         lower: lambda at the middles of the edges opposite to each vertex, shape (cells, 3).
-        upper: Likewise of the upper obstacle.
+        upper: nu there, of the upper obstacle, shape (cells, 3).
         rest: rho at the vertices, shape (cells, 3).
         moments: Of sigma, shape (cells, 8).
         normal: Fluxes out of the edges, shape (cells, 3).

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
 
 NEGLIGIBLE_CURVATURE = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
-NEGLIGIBLE_REMAINDER = 1e-4  # of h/length max|f|: likewise
+NEGLIGIBLE_REMAINDER = 1e-4  # of h/length max|f|: an interpolant of degree 2 so near is enough
 THIN = 2e-3  # likewise, of the datum on parts that a condition cuts, times the root of their share
 APART = 3.0  # so many times further than a condition may change from a line, it is decided
 NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it

@@ -60,7 +60,7 @@ class Hypotheses:
         Args:
             triangles: The owned cells.
             tension: In the cells; None of a number.
-            load: Likewise.
+            load: In the cells; None of a number.
             dirichlet: Boundary values.
         """
         self._triangles, self._rim = triangles, dirichlet

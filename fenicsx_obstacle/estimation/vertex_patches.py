@@ -33,7 +33,7 @@ class VertexPatches:
         closed: Whether a fan goes all the way round.
         last: Place of the last corner of each fan.
         entry_held: Whether u is given on the edge where a fan begins; open fans only.
-        exit_held: Likewise where it ends.
+        exit_held: Whether u is given on the edge where a fan ends; open fans only.
     """
 
     def __init__(self, triangles: Triangles):

@@ -167,7 +167,7 @@ class ObstacleProblem:
             model: Effects, obstacles and boundary values, none of which depends on time.
             level: Mesh and spaces; those of the levels below it give a start.
             petsc_options_prefix: As for the class.
-            petsc_options: Likewise.
+            petsc_options: As for the class.
 
         Raises:
             InputError: If the model has time, or no u can satisfy the data.

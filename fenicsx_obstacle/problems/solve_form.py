@@ -58,10 +58,10 @@ def solve_form(
 
     Args:
         F: As for `ObstacleProblem`.
-        u: Likewise.
-        bcs: Likewise.
-        lower: Likewise.
-        upper: Likewise.
+        u: As for `ObstacleProblem`.
+        bcs: As for `ObstacleProblem`.
+        lower: As for `ObstacleProblem`.
+        upper: As for `ObstacleProblem`.
         eps: As for `ObstacleProblem.solve`; None for the variational inequality, by SNES VI.
         energy: As for `ObstacleProblem`.
 

@@ -14,7 +14,7 @@ def forecast_text(scene: Scene, tol: float) -> str:
 
     Raises:
         InputError: As `forecast`.
-        NotConverged: Likewise.
+        NotConverged: As `forecast`.
     """
     found = forecast(scene, tol)
     size = (

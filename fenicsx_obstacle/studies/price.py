@@ -80,8 +80,8 @@ class Price:
         next_choice: The cheapest way to error/10, "" where none is in sight.
         factor: Its seconds over those.
         next_seconds: What error/10 would take.
-        next_dofs: Likewise.
-        next_memory: Likewise, MB.
+        next_dofs: Unknowns that error/10 would take.
+        next_memory: Memory that error/10 would take, in MB.
         floor: What unbalanced forces and round-off leave, relative.
     """
 

@@ -123,7 +123,7 @@ def make_reference(
         scene: On its coarsest mesh.
         sizes: A scene on finer and finer uniform meshes.
         seconds: Limit of a row.
-        unknowns: Likewise.
+        unknowns: Limit of a row.
         comm: Communicator.
 
     Raises:

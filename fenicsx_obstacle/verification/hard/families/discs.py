@@ -21,8 +21,8 @@ class Rings(ClosedForm):
     Attributes:
         middle: Of the rings.
         radii: Where they end, rising.
-        tensions: One more.
-        loads: Likewise.
+        tensions: One more than radii.
+        loads: One more than radii.
         both: Whether the conditions of a ring name both its radii.
     """
 

@@ -46,7 +46,7 @@ class Polynomial(Family):
         mesh: The table [mesh].
         options: Of `solve`.
         u: Coefficients.
-        tension: Likewise, positive on the unit square.
+        tension: Coefficients; positive on the unit square.
         saved: Whether the result is saved and read back.
     """
 

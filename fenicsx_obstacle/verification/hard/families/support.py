@@ -119,7 +119,7 @@ class Feeble(Family):
         kind: foundation, springs (on the left and the right), strip (a foundation for x < width), or zero ones.
         stiffness: Of what bears the load.
         tension: The same everywhere.
-        load: Likewise.
+        load: The same everywhere.
         width: Of the strip.
     """
 
