@@ -102,7 +102,7 @@ def check_folder(comm: MPI.Comm, folder: Path) -> None:
 
 
 def check_file(comm: MPI.Comm, file: Path, option: str) -> None:
-    """Likewise for a file that an option names (collective).
+    """Reject a file, named by an option, that cannot be written (collective).
 
     Raises:
         InputError: If it is a folder, or its folder cannot be made or written to.

@@ -65,7 +65,7 @@ def _check_parts(data: Data) -> None:
 def _refuse_beyond(
     data: Data, beyond: np.ndarray, tolerance: float, values: fem.Function, obstacle: fem.Function, where: str
 ) -> None:
-    """Likewise for boundary values beyond an obstacle, naming who gave the value (collective)."""
+    """Reject boundary values beyond an obstacle, naming who gave the value (collective)."""
     found = _worst(data, beyond, tolerance)
     if found is not None:
         _, point, dof = found

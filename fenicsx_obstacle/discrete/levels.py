@@ -34,7 +34,7 @@ class Level:
         h: Side of the grid for shapes, largest sqrt(2|T|) or (6|T|)^(1/3) for other meshes.
         named: Local facets of each named part of the boundary, or curve (in solids, surface) inside; None where they
             are those of `coarse`.
-        materials: Owned cells of each named material; None likewise.
+        materials: Owned cells of each named material; None where they are those of `coarse`.
         shape: The recipe asked for, for shapes; `mesh` has a coarser grid where it is to be refined.
         pair: V_h, the rule I and Q_h.
         coarse: The level it was refined from; of P2 that of P1 on the same mesh.

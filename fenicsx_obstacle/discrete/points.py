@@ -16,7 +16,7 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.words import counted
 
 ROUND_OFF = 1e-9  # of the size of a cell: how far outside a point may lie
-OFF_SURFACE = 0.1  # likewise, for surfaces in space: points of the true surface lie beside the flat cells
+OFF_SURFACE = 0.1  # of the size of a cell, for surfaces in space: points of the true surface lie beside the flat cells
 
 
 def locate(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -266,7 +266,7 @@ class Distance:
         return self._norm(self._energy, self.e, values)
 
     def l2(self, values: np.ndarray) -> float:
-        """||e||_0 likewise (collective)."""
+        """||e||_0 of nodal values, ghosts included (collective)."""
         return self._norm(self._l2, self.e, values)
 
     def pressure(self, values: np.ndarray) -> float:

@@ -60,7 +60,7 @@ class Oscillation:
         norm: Bound of ||tau||_T.
         rest: The part of it that is due to the load's distance to polynomials q on parts of the cells.
         first: int g (x - middle) with q in place of f, shape (2, cells).
-        second: int g |x - middle|^2 likewise.
+        second: int g |x - middle|^2 with q in place of f, shape (cells,).
         poincare: C.
     """
 

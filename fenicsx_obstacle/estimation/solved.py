@@ -49,11 +49,11 @@ class Solved:
         ground: What it is an answer to.
         eps: Penalty parameter; None for the inequality.
         w: u - r, whose digits are kept in contact.
-        r: The heights from which w counts.
+        r: The reference, w = u - r.
         p: Contact pressure, > 0 against the lower obstacle.
         elastic: a(u, .) - f, the support reactions at fixed dofs included.
         below: u - lower, inf without one.
-        above: upper - u, likewise.
+        above: upper - u, inf without one.
         energy: That of the penalised problem, or of the inequality; None where there is none.
         forces: Sum of the acting forces: load, support reactions, contact.
         noise: Round-off of the residual at each dof, a force; 0 at fixed dofs.

@@ -96,7 +96,7 @@ def next_(values: np.ndarray) -> np.ndarray:
 
 
 def previous(values: np.ndarray) -> np.ndarray:
-    """Likewise at the one before it."""
+    """For each vertex of a cell the value at the one before it, shape (cells, 3)."""
     return np.take(values, [2, 0, 1], axis=1)
 
 

@@ -152,7 +152,7 @@ class VertexPatches:
         return sums
 
     def largest(self, values: np.ndarray) -> np.ndarray:
-        """Likewise the largest, 0 if that is more (local)."""
+        """The largest of the values around each owned vertex, 0 if that is more (local)."""
         patches, found = np.zeros(len(self.vertex)), np.zeros(self.owned)
         for step in self.steps:
             count = step.stop - step.start

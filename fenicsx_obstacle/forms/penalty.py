@@ -38,7 +38,7 @@ def penalty(
         v: Test function, or a scalar part of one.
         eps: Penalty parameter > 0 in units of u/p; a Constant can be changed later without compiling again.
         lower: Obstacle below, anything UFL takes; None for none.
-        upper: Obstacle above, likewise.
+        upper: Obstacle above, anything UFL takes; None for none.
         rule: Quadrature I; by default the nodal rule of v's element.
         measure: Where contact can happen; by default the whole domain, `ds(3)` for a part of the boundary.
 
@@ -86,7 +86,7 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
         u: Solution, a Function of a Lagrange space whose nodes are the points of its rule.
         eps: The penalty parameter it was solved with.
         lower: Obstacle below: a Function of the same space, a number, or a UFL expression.
-        upper: Obstacle above, likewise.
+        upper: Obstacle above: a Function of the same space, a number, or a UFL expression.
 
     Returns:
         Function of the same space, nodal values of p in Q_h.

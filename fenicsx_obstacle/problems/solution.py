@@ -41,7 +41,7 @@ class Force:
 
     Attributes:
         lower: On the lower obstacle; None where there is none.
-        upper: On the upper obstacle, likewise.
+        upper: On the upper obstacle; None where there is none.
     """
 
     lower: float | None

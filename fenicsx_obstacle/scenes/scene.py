@@ -115,7 +115,7 @@ class Scene(Vocabulary):
                 {"rim": 1}. By default the tags themselves: "1".
             cell_names: Names of materials, in the same way.
             lower: Lower obstacle, a datum.
-            upper: Upper obstacle, likewise.
+            upper: Upper obstacle, a datum.
             boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
             exact: Exact solution, where known, no callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
             define: Named numbers and formulas.

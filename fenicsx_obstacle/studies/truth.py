@@ -168,7 +168,7 @@ def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> l
 def _uniform(
     sizes: Callable[[Scene], Iterator[Scene]], scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm
 ) -> list[Answer]:
-    """Likewise on uniform meshes, at least two (collective)."""
+    """Answers on uniform meshes, at least two (collective)."""
     found: list[Answer] = []
     for finer in sizes(scene):
         with closing(SolverContext(finer, comm)) as context:
