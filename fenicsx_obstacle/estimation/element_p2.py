@@ -425,8 +425,8 @@ class LatticeObstacle:
                     yield place[rows[chosen[block]]], group[chosen[block]]
 
     def _on_parts(self, corners: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
-        """Polynomials near the obstacle on triangles in cells, and the places of these (collective where the obstacle needs
-        the distance)."""
+        """Polynomials near the obstacle on triangles in cells, and the places of these (collective where the obstacle
+        needs the distance)."""
         for group in pieces_of(self.triangles.data, self._field, corners, cells, AS_THEY_ARE).groups:
             if group.corners is None:
                 chosen = np.flatnonzero(np.isfinite(group.rest))
