@@ -328,7 +328,7 @@ class Solution:
             figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
         if r["free"] == 0:
             figures.append("u is given at every node: take more cells")
-        linear = "linear step"
+        linear = "GMRES step" if "peclet" in r else "linear step"
         steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
         if "time" in r:
             steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"

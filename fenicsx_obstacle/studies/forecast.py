@@ -26,6 +26,7 @@ from fenicsx_obstacle.solvers.options import SolverOptions
 
 SECONDS = 3.0  # of calibration, and the larger mesh after it
 SETTLED = 5  # meshes at the end of the calibration that tell how things go on
+ROUND_OFF = 1e-9  # of a number of meshes
 MIN_MESHES = 4  # meshes at least
 ORDERS = (0.7, 1.1)  # of the bound in 1/unknowns, over that of smooth solutions: what is believed
 Path = Sequence[dict[str, Any]]
@@ -115,7 +116,7 @@ def continued(path: Path, tol: float, degree: int, probe: Mapping[str, float] | 
     order = float(np.clip(order, *(degree / 2 * np.array(ORDERS))))
     wanted = dofs[-1] * (relative[-1] / tol) ** (1 / order)
     growth = float(np.clip((dofs[-1] / dofs[last][0]) ** (1 / max(len(dofs[last]) - 1, 1)), 1.2, 4.0))
-    count = max(int(np.ceil(np.log(wanted / dofs[-1]) / np.log(growth))), 1)
+    count = max(int(np.ceil(np.log(wanted / dofs[-1]) / np.log(growth) - ROUND_OFF)), 1)
     later = dofs[-1] * (wanted / dofs[-1]) ** (np.arange(1, count + 1) / count)
     # a line through the larger mesh and what is usual on the small ones
     usual, size = float(np.median(np.diff(seconds)[last])), float(np.median(dofs[last]))
