@@ -49,7 +49,7 @@ def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
     run(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", found, wheel)
     here = [path for path in sys.path if path.startswith(sys.prefix) and path.endswith("site-packages")]
     (found / "libraries.pth").write_text("\n".join(here))
-    code = "import fenicsx_obstacle as f; print(f.__file__, flush=True); import fenicsx_obstacle.__main__ as m; m.main()"
+    code = "import fenicsx_obstacle as f; print(f.__file__, flush=1); import fenicsx_obstacle.__main__ as m; m.main()"
     said = run(place / "bin" / "python", "-c", code, "solve", "ball", "--cells", "16", cwd=tmp_path)
     assert said.startswith(str(found)) and "contact area" in said
     assert (tmp_path / "out" / "ball" / "answer.json").exists()
