@@ -276,7 +276,7 @@ class Nodal(Forms):
         self._held = HELD * self.diagonal
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
-        self.spring(A, self.penalty_diagonal() if penalised else None)
+        self.add_penalty_diagonal(A, self.penalty_diagonal() if penalised else None)
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
         value = super().energy(penalised=False, moving=moving)
@@ -290,7 +290,7 @@ class Nodal(Forms):
         penalty_diagonal[self.fixed] = 0.0
         return penalty_diagonal
 
-    def spring(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
+    def add_penalty_diagonal(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
         """Fill A with the stiffness and a spring at each owned dof; at an infinite one A answers nothing but zero."""
         self._changed.array[:] = self.diagonal
         if penalty_diagonal is not None:

@@ -572,16 +572,10 @@ class Data:
             found = self._first(function, bad)
             where = "" if found is None else f" at {self.place(found[1])}"
         if found is not None:
-            because = "" if field is None else field.because(found[1], self.now) + self._far_away(field, found[0])
+            because = (
+                "" if field is None else field.because(found[1], self.now) + self.model.instead_of(field, found[0])
+            )
             raise InputError(f"{words or f'{field}:'} {what} {found[0]:g}{where}{because}")
-
-    def _far_away(self, field: Field, value: float) -> str:
-        """What to write instead of an infinite obstacle."""
-        parts: list[Model | Part] = [self.model, *self.model.boundary]
-        for far, sides in (("-1e20", [one.lower for one in parts]), ("1e20", [one.upper for one in parts])):
-            if np.isinf(value) and any(field is side for side in sides):
-                return f"; take {far} where there is no obstacle"
-        return ""
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
         """Value and place of the first bad dof, the same on every rank (collective)."""

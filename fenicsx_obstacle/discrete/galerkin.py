@@ -222,8 +222,8 @@ def _nodes(problem: Problem, level: Level) -> Nodes:
     own, dim, gdim = level.owned, level.mesh.topology.dim, level.mesh.geometry.dim
     x = np.ascontiguousarray(level.points.T[:own])
     kind = np.full(own, FREE, dtype=np.int8)
-    rim = fem.locate_dofs_topological(level.V, dim - 1, level.boundary_facets)
-    kind[rim[rim < own]] = BOUNDARY
+    boundary = fem.locate_dofs_topological(level.V, dim - 1, level.boundary_facets)
+    kind[boundary[boundary < own]] = BOUNDARY
     if problem.data.thin:
         kind[problem.weights > 0] = BOUNDARY
     kind[problem.fixed] = FIXED

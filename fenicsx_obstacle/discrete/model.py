@@ -72,6 +72,14 @@ class Model:
         """Keys of the effects that act on a part of the boundary, counted from 0."""
         return [effect.key for effect in self.effects if getattr(effect, "part", None) == number]
 
+    def instead_of(self, field: Field | None, value: float) -> str:
+        """What to write instead of an infinite value, if the datum is an obstacle, in words that end a sentence."""
+        parts: list[Model | Part] = [self, *self.boundary]
+        for far, sides in (("-1e20", [one.lower for one in parts]), ("1e20", [one.upper for one in parts])):
+            if abs(value) == float("inf") and any(field is side for side in sides if side is not None):
+                return f"; take {far} where there is no obstacle"
+        return ""
+
     @property
     def thin(self) -> bool:
         """Whether obstacles are on the boundary, or on curves inside, instead of in the domain."""

@@ -44,7 +44,7 @@ AS_THEY_ARE = Division(0)
 SMALL_ONES = Division(4, 1e-4, 1e-4)  # of the lattice: what counts is the distance of an obstacle to linear functions
 BESIDE = 2  # how often small triangles are divided where the obstacle may be above u, which is given at a corner
 FEW = 128  # cells at once: what is made of them fits into the cache of a core
-FINE = 0.05  # of what bends: less rest of a polynomial on a small triangle does not matter
+FINE = 0.05  # of the distance to the chord: a smaller remainder on a small triangle does not matter
 CLOSE = 4  # coefficients of this degree bound quadratic functions well: those of degree 2 are up to twice as high
 POINTS, SMALL = lattice(DENSE), np.array(lattice_cells(DENSE))
 
@@ -192,7 +192,7 @@ class LatticeObstacle:
             field: The obstacle.
             known: Bounds of it in the cells.
         """
-        self.triangles, self._fans, self.sign, self._field = triangles, patches, sign, field
+        self.triangles, self._patches, self.sign, self._field = triangles, patches, sign, field
         self._top = known.upper if sign > 0 else -known.lower
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # in the cells where u came near
         self._enclosed = np.zeros(len(self._top), dtype=bool)
@@ -227,7 +227,7 @@ class LatticeObstacle:
         needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
         between = self._between(u, near, gap, dirichlet, touches[near], pressing[near])
         needed[:, near] = between.needed
-        given = with_ghosts(level.V, 1.0 - self._fans.free) > 0
+        given = with_ghosts(level.V, 1.0 - self._patches.free) > 0
         beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
         M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
         # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
@@ -271,9 +271,9 @@ class LatticeObstacle:
             above, last = np.zeros(len(cells), dtype=bool), split == BESIDE
             for group in pieces_of(self.triangles.data, self._field, corners, cells, AS_THEY_ARE).groups:
                 rows, reference = group.rows, inner_points(3, max(group.degree, 2))
-                degree, coefficient, room = self._difference(group, nodes[rows])
+                degree, coefficient, margin = self._difference(group, nodes[rows])
                 coefficient = coefficient - coefficients(_combined(group.points(reference), lift[rows]), 3, degree)
-                beyond = np.where(np.isfinite(group.rest), group.rest, 0.0) - cones[rows] + room
+                beyond = np.where(np.isfinite(group.rest), group.rest, 0.0) - cones[rows] + margin
                 open_ = np.flatnonzero(largest(coefficient, 3, degree) + beyond > 0)
                 rows = rows[open_]
                 above[rows] = True
@@ -290,14 +290,14 @@ class LatticeObstacle:
 
     def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Where u is given on the lattice of some cells, from where it is at the vertices."""
-        on_side = self._fans.held[cells] @ (POINTS.T == 0)
+        on_side = self._patches.held[cells] @ (POINTS.T == 0)
         return on_side | (given[self.triangles.dofs[cells]] @ (POINTS.T == 1))
 
     def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
         """The largest height in the cells around each owned vertex (collective)."""
         if total(self.triangles.data.level.comm, np.count_nonzero(heights)) == 0:
-            return np.zeros(self._fans.owned)
-        return self._fans.largest(self._fans.gather(np.repeat(heights[:, None], 3, axis=1))[0])
+            return np.zeros(self._patches.owned)
+        return self._patches.largest(self._patches.gather(np.repeat(heights[:, None], 3, axis=1))[0])
 
     def _may_touch(self, u: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
         """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
@@ -305,8 +305,8 @@ class LatticeObstacle:
         lowest = (self.sign * np.hstack([u[:, :3], middles])).min(axis=1, initial=np.inf)  # of Bernstein coefficients
         found = np.zeros(len(u), dtype=bool)
         for rows, group in self._known(np.flatnonzero(self._top + dirichlet.deviation >= lowest)):
-            degree, coefficient, room = self._difference(group, u[rows])
-            touches = largest(coefficient, 3, degree) + group.rest + dirichlet.deviation[rows] > room
+            degree, coefficient, margin = self._difference(group, u[rows])
+            touches = largest(coefficient, 3, degree) + group.rest + dirichlet.deviation[rows] > margin
             np.logical_or.at(found, rows, touches)
         return found
 
@@ -328,8 +328,8 @@ class LatticeObstacle:
         inside = group.points(reference)
         at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
         values = self.sign * (group.values(reference) - _combined(at_nodes, u))
-        room = round_off(np.abs(u).max(axis=1, initial=0.0)[:, None] + np.abs(values), 3, degree)
-        return degree, coefficients(values, 3, degree), room
+        margin = round_off(np.abs(u).max(axis=1, initial=0.0)[:, None] + np.abs(values), 3, degree)
+        return degree, coefficients(values, 3, degree), margin
 
     def _between(
         self,
@@ -360,9 +360,9 @@ class LatticeObstacle:
             corners = half.corners[part] @ self.triangles.x[cells[at]]
             groups = self._whole(cells[at]) if times == 0 else self._on_parts(corners, cells[at])
             for rows, group in groups:
-                degree, coefficient, room = self._difference(group, nodes[rows], CLOSE)
+                degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
                 known = 2 * group.rest[:, None]  # 2: of the chord too
-                rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + room)[:, None]
+                rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
                 to_small = _above_chords(times, degree)
                 above = (coefficient @ to_small.reshape(-1, to_small.shape[2]).T).reshape(len(rows), len(to_small), -1)
                 most, least = above.max(axis=1), above.min(axis=1)
@@ -370,7 +370,7 @@ class LatticeObstacle:
                 bend[place], mean[place] = most + rest, rest - above.mean(axis=1)
                 size[place] = np.maximum(most, -least) + rest
                 matters = pressing[at[rows], None] | (highest[place] + bend[place] > 0)
-                rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * room[:, None]))).any(axis=1)
+                rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * margin[:, None]))).any(axis=1)
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
         small = SINGLE[part]
         bend[at, small], mean[at, small], size[at, small] = self._bends_anew(u, cells[at], small, gap[at], dirichlet)
@@ -402,11 +402,11 @@ class LatticeObstacle:
         linear = -np.take_along_axis(gap, SMALL[small], axis=1)
         bend, mean, size = np.full(len(cells), -np.inf), np.zeros(len(cells)), np.zeros(len(cells))
         for group in pieces_of(self.triangles.data, self._field, corners, cells, SMALL_ONES).groups:
-            degree, coefficient, room = self._difference(group, nodes[group.rows])
+            degree, coefficient, margin = self._difference(group, nodes[group.rows])
             chord = _combined(group.points(inner_points(3, degree)), linear[group.rows])
             above = coefficient - coefficients(chord, 3, degree)
             rest = (
-                np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * dirichlet.deviation[cells[group.rows]] + room
+                np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * dirichlet.deviation[cells[group.rows]] + margin
             )
             group.raise_to(bend, largest(above, 3, degree) + rest)
             group.raise_to(size, row_size(above) + rest)

@@ -81,7 +81,7 @@ class EquilibrationP2:
         self._given[data.fixed[0]] = True
         weights = self.summed(np.repeat(triangles.area[:, None] / 3, 3, axis=1), middles=True)
         self._weights = np.where(weights > 0, weights, 1.0)
-        self._prepare_fans()
+        self._prepare_patches()
 
     def _sample_tension(self, data: Data) -> None:
         """The mean of mu, and int mu psi_j psi_k."""
@@ -91,7 +91,7 @@ class EquilibrationP2:
         products = np.einsum("pj,pk->pjk", points, points)
         self._mu_products = self.triangles.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
 
-    def _prepare_fans(self) -> None:
+    def _prepare_patches(self) -> None:
         """Metric of each corner, and the matrices of the fans."""
         triangles = self.triangles
         x = triangles.x

@@ -150,7 +150,8 @@ class ObstacleProblem:
         self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
         if energy is not None:
             self._refuse_no_minimum()
-            self._refuse_other_energy(energy)
+            with releases.compiled_with(*compiled):
+                self._refuse_other_energy(F, energy)
 
     @classmethod
     def of_model(
@@ -443,14 +444,13 @@ class ObstacleProblem:
                 "is a sign wrong? without energy= any solution of the equation is taken"
             )
 
-    def _refuse_other_energy(self, energy: ufl.Form) -> None:
+    def _refuse_other_energy(self, F: ufl.Form, energy: ufl.Form) -> None:
         """F is the derivative of the energy near the start, but for quadrature (collective)."""
         u, level = self.u, self._problem.level
         start, points = u.x.array.copy(), level.points_of(level.V)
         size = largest(level.comm, np.abs(start)) or 1.0
         u.x.array[:] += NEARBY * size * np.sin(1 + np.array([3.1, 4.7, 2.3]) @ points)
-        residual = _assembled(self._form.F, level) if self._form is not None else np.zeros(0)
-        slope = _assembled(ufl.derivative(energy, u), level)
+        residual, slope = (_assembled(form, level) for form in (F, ufl.derivative(energy, u)))
         u.x.array[:] = start
         comm, free = level.comm, ~self._problem.fixed
         scale = max(largest(comm, np.abs(one[free])) for one in (residual, slope))

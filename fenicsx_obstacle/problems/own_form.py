@@ -25,7 +25,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.words import shown
 
-_BENT = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
+_NOT_SMOOTH = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
 ROUND_OFF = 1e-12
 
 
@@ -56,7 +56,7 @@ class OfForm(Effect):
         plain = apply_derivatives(apply_algebra_lowering(self.F))
         for integral in plain.integrals():
             for node in unique_pre_traversal(integral.integrand()):
-                if isinstance(node, _BENT) and self.u in extract_coefficients(node):
+                if isinstance(node, _NOT_SMOOTH) and self.u in extract_coefficients(node):
                     return False
         return self.u not in apply_derivatives(apply_algebra_lowering(self.slope)).coefficients()
 

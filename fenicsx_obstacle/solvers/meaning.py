@@ -91,7 +91,6 @@ def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unba
     if forces == 0:  # no state but that of the data is in balance, and round-off is all that is left
         return True
     largest_given = 0.0 if low > high else max(abs(low), abs(high))
-    heights = (
-        ROUNDOFF_MARGIN * EPSILON * total(comm, stiffness * np.minimum(np.abs(w), largest_given))
-    )  # round-off of the data
-    return beyond <= LIMIT * max(forces, heights) and unbalanced <= max(LIMIT * forces, heights)
+    of_data = total(comm, stiffness * np.minimum(np.abs(w), largest_given))
+    round_off = ROUNDOFF_MARGIN * EPSILON * of_data
+    return beyond <= LIMIT * max(forces, round_off) and unbalanced <= max(LIMIT * forces, round_off)

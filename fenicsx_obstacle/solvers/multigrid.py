@@ -55,17 +55,17 @@ class Multigrid:
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
         """Let springs hold the owned nodes, infinite ones in place, on this level and all below (collective)."""
         nodal = self.problem.nodal
-        nodal.spring(self.problem.A, penalty_diagonal)
+        nodal.add_penalty_diagonal(self.problem.A, penalty_diagonal)
         self._moves.array[:] = ~((penalty_diagonal > STIFFER * nodal.diagonal) | self.problem.fixed)
         if self.coarser is None:
             return
         self._shift(penalty_diagonal)
         self._whole.multTranspose(self._force, self._carried)
-        self.coarser.truncate(self._coarse_springs())
+        self.coarser.truncate(self._coarse_penalty_diagonal())
         self._whole.copy(self.P, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
 
-    def _coarse_springs(self) -> np.ndarray:
+    def _coarse_penalty_diagonal(self) -> np.ndarray:
         """At owned coarse nodes, from what is carried down: infinite at the twins of held ones."""
         assert self.coarser is not None
         coarse = self.coarser

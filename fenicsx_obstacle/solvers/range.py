@@ -156,7 +156,7 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
 
 def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float | None:
     """How far forces at owned dofs move u where it is free, contact held; None if that is not found (collective)."""
-    problem.nodal.spring(problem.A, np.where(active != 0, np.inf, 0.0))
+    problem.nodal.add_penalty_diagonal(problem.A, np.where(active != 0, np.inf, 0.0))
     x, b = problem.A.createVecs()
     b.array[:] = np.where(problem.fixed | (active != 0), 0.0, forces)
     solved = _solve(problem, b, x)

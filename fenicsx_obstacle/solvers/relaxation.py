@@ -26,9 +26,8 @@ def relax(problem: Problem, penalty_diagonal: np.ndarray) -> None:
     """
     own, free, forms = problem.level.owned, ~problem.fixed, problem.nodal
     step = DAMPING / forms.diagonal * free
-    back = (
-        1.0 - 1.0 / (1.0 + penalty_diagonal * DAMPING / forms.diagonal)
-    ) * free  # share of a penetration that is undone
+    answer = penalty_diagonal * DAMPING / forms.diagonal
+    back = (1.0 - 1.0 / (1.0 + answer)) * free  # share of a penetration that is undone
     w, change = problem.w.x.array[:own], np.empty(own)
     obstacles = [
         (gap.x.array[:own], excess)
