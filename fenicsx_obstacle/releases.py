@@ -76,10 +76,12 @@ def cell_name(mesh: dmesh.Mesh) -> str:
     return called(mesh.ufl_cell().cellname)
 
 
-def functionspace(mesh: dmesh.Mesh, family: str, degree: int) -> fem.FunctionSpace:
-    """Scalar space of a family and degree (collective)."""
-    make = getattr(fem, "functionspace", None) or fem.FunctionSpace
-    return make(mesh, (family, degree))
+def functionspace(mesh: dmesh.Mesh, family: str, degree: int, components: int | None = None) -> fem.FunctionSpace:
+    """Space of a family and degree, scalar or of so many components (collective)."""
+    if OLD:
+        return (fem.FunctionSpace(mesh, (family, degree)) if components is None
+                else fem.VectorFunctionSpace(mesh, (family, degree), components))  # fmt: skip
+    return fem.functionspace(mesh, (family, degree) if components is None else (family, degree, (components,)))
 
 
 def vec(u: fem.Function) -> PETSc.Vec:
@@ -249,7 +251,9 @@ def create_mesh(comm: MPI.Comm, cells: np.ndarray, points: np.ndarray, cell: str
 def _partitioner(comm: MPI.Comm, cells: int, stay: bool) -> Any:
     """How cells get to their ranks. One rank keeps them all, for which no graph of their neighbours has to be made."""
     if comm.size == 1:
-        return lambda *_: _cpp.graph.AdjacencyList_int32(np.zeros(cells, np.int32), np.arange(cells + 1, dtype=np.int32))
+        return lambda *_: _cpp.graph.AdjacencyList_int32(
+            np.zeros(cells, np.int32), np.arange(cells + 1, dtype=np.int32)
+        )
     if OLD:
         return dmesh.create_cell_partitioner(*([_stay] if stay else []))
     cells_at_a_facet = [2] if VERSION >= (0, 11) else []
