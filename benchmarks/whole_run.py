@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+SOLVE = ["-m", "fenicsx_obstacle", "solve"]
 KINDS = ("wall", "processor", "memory_mb")
 
 
@@ -39,8 +40,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             commands = {
                 "Poisson": [str(Path(__file__).resolve()), "--poisson", cells, f"{folder}/u.xdmf"],
-                "solve": ["-m", "fenicsx_obstacle", "solve", options.scene, "--cells", cells, "--output", f"{folder}/out"],
-            }  # fmt: skip
+                "solve": [*SOLVE, options.scene, "--cells", cells, "--output", f"{folder}/out"],
+            }
             for _ in range(options.times):
                 for name, arguments in commands.items():
                     found = measured([sys.executable, *arguments])
