@@ -20,7 +20,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.estimation.norms import Exact
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.figures import course_of, figures_of
 from fenicsx_obstacle.problems.solution import Seconds
 from fenicsx_obstacle.problems.state import State, state_of
@@ -74,6 +74,7 @@ class SolverContext:
         self.started = time.perf_counter()
         if level is None:
             level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            return_freed_memory()  # half of what making a mesh takes
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(Data(scene.model, level))
