@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from fenicsx_obstacle.estimation.bound import Bound
     from fenicsx_obstacle.io.cut import Cut
+    from fenicsx_obstacle.io.rows import Rows
     from fenicsx_obstacle.show.pictures import Picture
 
 Files = dict[str, bytes]
@@ -449,13 +450,16 @@ class Solution:
 
         save(self, Path(folder))
 
-    def files(self, folder: Path, arrays: Mapping[str, np.ndarray], element: Mapping[str, np.ndarray]) -> Files:
-        """Further files of the folder by their names (rank 0).
+    def files(
+        self, folder: Path, mesh: Mapping[str, Rows], element: Mapping[str, Rows], parts: Mapping[str, np.ndarray]
+    ) -> Files:
+        """Further files of the folder by their names, on rank 0 (collective).
 
         Args:
             folder: Where they will be.
-            arrays: Points, cells and fields, as in fields.h5.
+            mesh: Points, cells and fields, as in fields.h5.
             element: Its group `element`.
+            parts: The named parts of the mesh, on rank 0.
         """
         return {}
 
