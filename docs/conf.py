@@ -49,12 +49,13 @@ myst_enable_extensions = ["dollarmath"]
 nitpicky = True  # what pages name in the code has to be there; types of others are theirs
 nitpick_ignore_regex = [
     ("py:.*", r"(?!fenicsx_obstacle\.).*"),
-    ("py:class", r".*\.(Result|T|_PartTable)"),
-]  # type variables, a private base
+    ("py:class", r".*\.(Result|Sampled|T|_PartTable)"),  # type variables, a private base class
+]
 suppress_warnings = ["ref.python"]  # two modules may have a Row or a Distance of their own
 
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
+html_show_copyright = False
 html_theme = "furo"
 html_title = f"{project} {release}"

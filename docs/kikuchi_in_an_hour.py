@@ -336,10 +336,10 @@ keep(page, "6_stall")
 # with $z = (x - \alpha)/\sqrt\varepsilon$, it is $-f(1 - e^{-z})$ for the jump at z = 1, and the slope is
 # $\sqrt\varepsilon f e^{-z}$ for $\sqrt\varepsilon f (1 - z)^+$. Hence, for both layers and up to higher orders,
 #
-# $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \Big[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
-#    \Big] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
-# $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \Big[ \int_0^1 (e^{-z} - 1 + z)^2 dz + \int_1^\infty e^{-2z} dz
-#    \Big] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
+# $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \left[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
+#    \right] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
+# $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \left[ \int_0^1 (e^{-z} - 1 + z)^2 dz + \int_1^\infty e^{-2z} dz
+#    \right] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
 #
 # These are the orders 3/4 and 1/4 of section 2. Wherever a pressure jumps there is such a layer, and eps = h^2 makes it
 # as thin as an element.

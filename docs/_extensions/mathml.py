@@ -1,5 +1,7 @@
 """Formulas as MathML, which browsers render without network and without JavaScript."""
 
+import re
+
 from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -8,11 +10,13 @@ from sphinx.util import logging
 from sphinx.writers.html5 import HTML5Translator
 
 LOG = logging.getLogger(__name__)
+DELIMITER = re.compile('<mo(?: class="mathopen")?>([‖{}|])</mo>')
 
 
 def _convert(node: nodes.Element, *, block: bool) -> str:
     try:
-        return tex2mathml(node.astext(), as_block=block)
+        # browsers stretch delimiters beyond their contents unless told not to
+        return DELIMITER.sub(r'<mo stretchy="false">\1</mo>', tex2mathml(node.astext(), as_block=block))
     except MathError as error:
         LOG.warning("formula %r: %s", node.astext(), error, location=node)
         return ""

@@ -1,4 +1,4 @@
-"""Notebooks in jupytext's percent format as pages, with what their cells print and draw, and as .ipynb files to download."""
+"""Notebooks in jupytext's percent format as pages, with the output of their cells, and as .ipynb files."""
 
 import base64
 import contextlib
@@ -18,7 +18,7 @@ NOTEBOOKS = ("kikuchi_in_an_hour",)
 
 
 def run(notebook: NotebookNode, folder: Path) -> None:
-    """Execute all code cells in one namespace and in this folder; output and new pictures become outputs of their cell."""
+    """Execute all code cells in this folder; what they print and the pictures they write become their outputs."""
     matplotlib.use("agg")
     names = {"__name__": "__main__"}
     before = Path.cwd()
