@@ -25,13 +25,13 @@ from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 
 METHODS = {
-    "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy if active sets repeat",
+    "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy if sets repeat",
     "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set repeats",
     "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }
 # residuals that are not linear in u begin with the line search
 NONLINEAR_WORDS = (
-    "full steps; a line search on the energy if active sets repeat",
+    "full steps; a line search on the energy if sets repeat",
     "a line search on the energy, full steps where round-off hides descent; continuation in eps if both fail",
 )
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
