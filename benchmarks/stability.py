@@ -1,4 +1,4 @@
-"""Renew the tables and pictures of docs/stability.md from a run of the whole suite, or the tables of some families.
+"""Renew the tables of docs/hard_scenes.md and the pictures of docs/stability.md from a run of the suite or of families.
 
 ./obstacle hard && .venv/bin/python benchmarks/stability.py [out/hard]
 ./obstacle hard drift --output out/drift && .venv/bin/python benchmarks/stability.py out/drift
@@ -22,7 +22,7 @@ def families(text: str) -> dict[str, str]:
 
 def renew(folder: Path) -> None:
     """Put the tables of tables.md in place of those of the same families, and the pictures beside."""
-    page = DOCS / "stability.md"
+    page = DOCS / "hard_scenes.md"
     text, new = page.read_text(), families((folder / "tables.md").read_text())
     start = text.find(HEADING, text.index(LAST))
     head, old = (text, {}) if start < 0 else (text[:start], families(text[start:]))

@@ -16,6 +16,8 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_click",
+    "mathml",
+    "notebooks",
     "packages",
     "plain_docstrings",
 ]
@@ -45,8 +47,15 @@ toc_object_entries = False  # one page for each room; its modules are in the con
 myst_heading_anchors = 3
 myst_enable_extensions = ["dollarmath"]
 nitpicky = True  # what pages name in the code has to be there; types of others are theirs
-nitpick_ignore_regex = [("py:.*", r"(?!fenicsx_obstacle\.).*"), ("py:class", r".*\.Sampled")]  # a type variable
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!fenicsx_obstacle\.).*"),
+    ("py:class", r".*\.(Result|Sampled|T|_PartTable)"),  # type variables, a private base class
+]
 suppress_warnings = ["ref.python"]  # two modules may have a Row or a Distance of their own
 
+html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["pages.css"]
+html_show_copyright = False
 html_theme = "furo"
 html_title = f"{project} {release}"

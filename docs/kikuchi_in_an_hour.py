@@ -9,14 +9,15 @@
 # # Kikuchi's paper in an hour
 #
 # N. Kikuchi, *Convergence of a penalty-finite element approximation for an obstacle problem*, Numer. Math. 37 (1981)
-# 105-120, on meshes so small that each cell takes seconds. Numbers such as (3.4) are the paper's. What the text says of
-# errors, orders and counts, an `assert` checks.
+# 105-120, on meshes so small that each cell takes seconds. Numbers such as (3.4) are those of the paper. Statements
+# about
+# errors, orders and counts are checked by `assert`. Each section ends with exercises.
 #
 # As a script, on any number of ranks, `.venv/bin/python docs/kikuchi_in_an_hour.py` writes its pictures into
-# `out/kikuchi`. Spyder and VS Code show the cells. For a notebook: `.venv/bin/pip install jupyterlab jupytext`, then
+# `out/kikuchi`. Spyder and VS Code run single cells. For a notebook: `.venv/bin/pip install jupyterlab jupytext`, then
 # `.venv/bin/jupytext --to notebook docs/kikuchi_in_an_hour.py`.
 #
-# Each section needs the next cell and no other. The first run compiles forms: it takes longer, once.
+# Each section needs only the next cell. The first run compiles forms and takes longer.
 
 # %%
 from itertools import pairwise
@@ -39,12 +40,12 @@ COMM = MPI.COMM_WORLD
 plt.rcParams.update({"axes.prop_cycle": plt.cycler(color=COLOURS), "figure.constrained_layout.use": True})
 plt.rcParams.update({"figure.figsize": (9, 3.3), "legend.fontsize": 8})
 
-# a string of unit tension, loaded by f = 8, under a flat ceiling of height c: contact for a <= x <= 1 - a
+# a string of unit tension, load f = 8, below the flat obstacle u <= c: contact for a <= x <= 1 - a
 f, c = 8.0, 0.3
 a = np.sqrt(2 * c / f)
 string = Scene(title="string", mesh={"shape": "interval", "cells": 32}, tension=1, load=f, upper=c)
 
-# a radial membrane, f = 4, under the same ceiling: contact for r <= A; the square has the exact boundary values
+# a radial membrane, f = 4, below the same obstacle: contact for r <= A; the square has the exact boundary values
 side = ["-sqrt(0.5)", "sqrt(0.5)"]
 disk = Scene(
     title="disk",
@@ -89,13 +90,20 @@ def keep(page, name):
 # %% [markdown]
 # ## 1. The penalised problem, and the pressure for free
 #
-# Wanted is u <= g with -u'' = f + p, where the contact pressure p <= 0 vanishes wherever u < g. The penalty method
-# puts springs in place of the obstacle: find u in V_h with
+# Find $u \le g$ with $-u'' = f + p$, where the contact pressure $p \le 0$ vanishes wherever $u < g$. The penalty method
+# replaces the constraint by a force that grows with the penetration: find $u \in V_h$ with
 #
 # $$ a(u, v) + \frac1\varepsilon\, I((u-g)^+, v) = f(v) \quad \text{for all } v \in V_h. \qquad (3.4) $$
 #
-# I is a quadrature rule whose points are the nodes (3.5). So each node has a spring of its own, and the force of the
-# spring is the pressure there: $p_i = -(u-g)^+(x_i)/\varepsilon$, (3.7)-(3.8). No multiplier is solved for.
+# I is a quadrature rule whose points are the nodes (3.5). So the penalty acts on each node separately, and its force
+# per
+# area is the pressure there: $p_i = -(u-g)^+(x_i)/\varepsilon$, (3.7)-(3.8). There is no additional unknown.
+#
+# **Exercise 1.1.** Solve for $\varepsilon$ = 1e-2 and 1e-4. By which factor does the penetration change, and why not
+# exactly by 100?
+#
+# **Exercise 1.2.** Replace `upper=c` by `lower=-c` and f by -f in `string`. Which signs change in (3.4) and in the
+# pressure?
 
 # %%
 eps = 1e-3
@@ -128,7 +136,7 @@ left.plot(x, heights, ".-", label="u")
 left.axhline(c, color="0.5", label="g")
 right.plot(x, pressures, ".-", label=r"$p_\epsilon$, $\epsilon = 10^{-3}$")
 right.step([0, a, 1 - a, 1], [0, -f, 0, 0], "k:", where="post", label="p, exact")
-left.set(title="heights", xlabel="x")
+left.set(title="u", xlabel="x")
 right.set(title="contact pressure", xlabel="x")
 left.legend()
 right.legend()
@@ -137,14 +145,20 @@ keep(page, "1_string")
 # %% [markdown]
 # ## 2. eps tends to 0 on a fixed mesh
 #
-# Theorem 3.3: let u_h, p_h solve the discrete inequality (3.19), which SNES VI does. Then
+# Theorem 3.3: let $u_h$, $p_h$ be the solution of the discrete inequality (3.19), computed by SNES VI. Then
 #
 # $$ \|u_\varepsilon - u_h\|_1 \le C \varepsilon/h, \qquad \|p_\varepsilon - p_h\|_0 \le C \varepsilon/h^2.
 #    \qquad (5.5) $$
 #
-# Look at the ends of the lines below. For small eps both are of order eps. For eps > h^2, to the right, the mesh does
-# not matter, (5.5) is pessimistic, and the orders are about 3/4 and 1/4: section 7 computes why. All along
-# |u_eps - u_h| <= eps max|p_h| at every node, because the stiffness matrix is an M-matrix.
+# In the picture below, for small $\varepsilon$, both errors are of order $\varepsilon$. For $\varepsilon > h^2$ they do
+# not depend on
+# the mesh, (5.5) is pessimistic, and the orders are about 3/4 and 1/4: section 7 computes why. For every $\varepsilon$,
+# $|u_\varepsilon - u_h| \le \varepsilon \max|p_h|$ at every node, because the stiffness matrix is an M-matrix.
+#
+# **Exercise 2.1.** Repeat with `cells=64` and `cells=1024`. How does the value of $\varepsilon$ at which the order
+# changes depend on h?
+#
+# **Exercise 2.2.** Prove the nodal bound: show that $u_h + \varepsilon \max|p_h|$ is a supersolution of (3.4).
 
 # %%
 rows = study(string, vary={"eps": [10.0**-k for k in range(2, 11)]}, cells=256)
@@ -172,10 +186,16 @@ keep(page, "2_eps")
 # %% [markdown]
 # ## 3. h tends to 0, and eps with it
 #
-# Now the distance to the exact solution. The discrete inequality has order 1 in u (5.6), and in p in the norm
-# $\|\cdot\|_1^*$ dual to that of $H^1_0$ (5.8). The penalty with eps = h^2 keeps both (5.9). With eps = h it does
-# not: the error is then that of the penalty, about eps^(3/4) where the pressure jumps, as it does at the free boundary
-# here.
+# Now errors against the exact solution. The discrete inequality has order 1 for u (5.6), and for p in the norm
+# $\|\cdot\|_1^*$ dual to that of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With
+# $\varepsilon = h$ it does not: the error is then that of the penalty, about $\varepsilon^{3/4}$ where the pressure
+# jumps, as it
+# does at the free boundary here.
+#
+# **Exercise 3.1.** Which power $\varepsilon = h^k$ is the largest $\varepsilon$ that gives order 1 for u? Use section
+# 2, then test it.
+#
+# **Exercise 3.2.** Add `errors.l2` to `keys`. Which $\varepsilon$ does order 2 need?
 
 # %%
 cells, keys = [16, 32, 64], ("errors.h1", "errors.pressure_dual")
@@ -202,14 +222,19 @@ keep(page, "3_h")
 # %% [markdown]
 # ## 4. Stability: lost in L2, kept in the dual norm
 #
-# How much of a pressure do the displacements feel? (3.18) asks for alpha_h with
+# How well does $V_h$ control a pressure? (3.18) asks for $\alpha_h$ with
 #
 # $$ \sup_{v \in V_h} I(q, v)/\|v\|_1 \ge \alpha_h \|q\|_0 \quad \text{for all } q \in Q_h. \qquad (3.18) $$
 #
-# Examples 2 and 3 find alpha_h = h/C, and no better is true: a pressure that changes its sign from node to node does
-# little work. Hence the 1/h and 1/h^2 of (5.5). But this is the norm's fault. In the dual norm
-# $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$ such a pressure is small too, and the constant beta_h stays away from 0. That
-# is why (5.8) and (5.9) lose no power of h. In both, q is 0 at nodes on the boundary, which V_h cannot feel.
+# Examples 2 and 3 find $\alpha_h = h/C$, which is optimal: a pressure that changes its sign from node to node does
+# little work. Hence the 1/h and 1/h^2 of (5.5). The reason is the norm. In the dual norm
+# $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$ such a pressure is small too, and the constant $\beta_h$ is bounded away from 0.
+# Therefore (5.8) and (5.9) lose no power of h. In both, q is 0 at boundary nodes, where functions of $V_h$ vanish.
+#
+# **Exercise 4.1.** Add `"P1-voronoi"` on criss-cross meshes (`"diagonal": "crossed"`). Which of the two constants
+# changes its order?
+#
+# **Exercise 4.2.** Why is $\alpha_h = 0$ if q need not vanish at the boundary nodes?
 
 
 # %%
@@ -239,10 +264,15 @@ keep(page, "4_stability")
 # %% [markdown]
 # ## 5. A pair that is not stable
 #
-# Example 3: Q1 with one-point Gauss for I. The springs now sit at the centres of the cells. On n x n cells there are
-# n^2 centres for (n - 1)^2 nodes inside, so that 2n - 1 independent pressures q do no work: I(q, v) = 0 for all v in
-# V_h. One of them is a chessboard, whose mean around each node is 0. Only the sign of p limits how much of them p_h
-# may hold. The heights are as good as with the trapezoid rule, the pressure is not.
+# Example 3: Q1 with one-point Gauss for I. The penalty now acts at the centres of the cells. On n x n cells there are
+# n^2 centres for (n - 1)^2 interior nodes, so that 2n - 1 independent pressures q do no work: I(q, v) = 0 for all v in
+# $V_h$. One of them is a checkerboard, whose mean around each node is 0. Only the sign of p limits their part in
+# $p_h$. u is as accurate as with the trapezoid rule, the pressure is not.
+#
+# **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that they change sign in one
+# direction.
+#
+# **Exercise 5.2.** Solve with the penalty, `eps="h^2"`, in place of `method="vi"`. Does the pressure oscillate less?
 
 # %%
 answers = {name: solve(disk, cells=16, element=name, method="vi") for name in ("Q1", "Q1-gauss")}
@@ -266,13 +296,19 @@ keep(page, "5_chessboard")
 # %% [markdown]
 # ## 6. The pressure may stall, and a cure
 #
-# Theorem 4.2 promises that $\|p - p_h\|_0$ is bounded (5.7), no more. That is sharp, on a mesh that is not uniform and
-# under an obstacle that is not flat. In contact u = g at the nodes, so that p_i = (A g)_i / D_i - f_i, with A the
-# stiffness matrix and D_i the area that I gives to the node. On a criss-cross mesh D_i = h^2/3 amid four triangles and
-# 2h^2/3 amid eight, where h^2/2 would be right: these nodes see 3/2 and 3/4 of the curvature of g, on every mesh.
+# Theorem 4.2 states only that $\|p - p_h\|_0$ is bounded (5.7). That is sharp on a mesh that is not uniform, with
+# an obstacle that is not flat. In contact u = g at the nodes, so that $p_i = (A g)_i/D_i - f_i$, with the stiffness
+# matrix
+# A and the weight $D_i$ of the node in I. On a criss-cross mesh $D_i = h^2/3$ with four triangles and
+# $2h^2/3$ with eight, where $h^2/2$ would be consistent: the curvature of g is multiplied by 3/2 and 3/4, on every
+# mesh.
 #
-# - The penalty with eps = h^2 smooths this out; eps much smaller brings it back.
-# - `P1-voronoi` gives each node its Voronoi area, here h^2/2. That is a rule with positive weights (3.6) still.
+# - The penalty with $\varepsilon = h^2$ damps this oscillation; for much smaller $\varepsilon$ it returns.
+# - `P1-voronoi` gives each node its Voronoi area, here $h^2/2$. This is a rule with positive weights (3.6) as well.
+#
+# **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
+#
+# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$ on one criss-cross cell patch.
 
 # %%
 curved = Scene(
@@ -323,26 +359,34 @@ keep(page, "6_stall")
 # %% [markdown]
 # ## 7. The layer of width sqrt(eps), in closed form
 #
-# The penalised string without a mesh, -u'' = f - (u - c)^+/eps, is solved by hand. Let contact begin at alpha, and
-# b = 1/2 - alpha.
+# The penalised string without a mesh, $-u'' = f - (u - c)^+/\varepsilon$, has a closed-form solution. Let contact begin
+# at
+# $\alpha$, and $b = 1/2 - \alpha$.
 #
 # - In contact w = u - c solves -w'' + w/eps = f, w(alpha) = 0. By symmetry
 #   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at alpha is
 #   $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
 # - Outside $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, of the same value and slope there. u(0) = 0 gives
-#   $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. As s hardly depends on alpha, a few rounds of both formulas settle them.
+#   $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. As s hardly depends on $\alpha$, a few fixed-point iterations converge.
 #
-# So contact begins too early, at about a - sqrt(eps), and the pressure needs the width sqrt(eps) to rise. In a layer,
+# So contact begins too early, at about $a - \sqrt\varepsilon$, and the pressure rises over the width
+# $\sqrt\varepsilon$. In a layer,
 # with $z = (x - \alpha)/\sqrt\varepsilon$, it is $-f(1 - e^{-z})$ for the jump at z = 1, and the slope is
 # $\sqrt\varepsilon f e^{-z}$ for $\sqrt\varepsilon f (1 - z)^+$. Hence, for both layers and up to higher orders,
 #
-# $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \Big[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
-#    \Big] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
-# $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \Big[ \int_0^1 (e^{-z} - 1 + z)^2 dz + \int_1^\infty e^{-2z} dz
-#    \Big] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
+# $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \left[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
+#    \right] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
+# $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \left[ \int_0^1 (e^{-z} - 1 + z)^2 dz
+#    + \int_1^\infty e^{-2z} dz \right] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
 #
-# These are the orders 3/4 and 1/4 of section 2. Wherever a pressure jumps there is such a layer, and eps = h^2 makes it
+# These are the orders 3/4 and 1/4 of section 2. There is such a layer wherever the pressure jumps; $\varepsilon = h^2$
+# makes it
 # as thin as an element.
+#
+# **Exercise 7.1.** Verify the two integrals, 4/e - 1 and 5/3 - 4/e.
+#
+# **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? Compare with `./obstacle theory 3.3`,
+# smooth_square.
 
 
 # %%
@@ -401,13 +445,20 @@ keep(page, "7_layer")
 # %% [markdown]
 # ## 8. The iteration (3.4)*
 #
-# Were the contact set known, (3.4) would be linear. So guess it: none. Solve, let the next guess be where u > g, and
-# stop when a guess is confirmed: then u solves (3.4) exactly. Here it stands in a few lines of NumPy, for the string,
-# beside the package's own. It is Newton's method for (3.4). With an M-matrix, after the first step u falls and the sets
-# shrink, and so it ends.
+# If the contact set were known, (3.4) would be linear. The iteration starts with the empty set, solves, takes
+# $\{u > g\}$ as the next set, and stops when the set repeats: then u solves (3.4) exactly. Below are a few lines of
+# NumPy
+# for the string, beside the package's own iteration. It is Newton's method for (3.4). With an M-matrix, after the first
+# step u decreases and so do the sets, so that the iteration is finite.
 #
-# For a small eps a set loses about one layer of nodes per step: the number of steps grows like 1/h. Nested iteration,
-# which starts from the contact set of the mesh twice as coarse, ends that.
+# For a small $\varepsilon$ a set loses about one layer of nodes per step: the number of steps grows like 1/h. Nested
+# iteration
+# starts from the contact set of the mesh twice as coarse; its number of steps does not grow.
+#
+# **Exercise 8.1.** Start from the full set in place of the empty one. Are the sets still nested?
+#
+# **Exercise 8.2.** Write (3.4)\* for the 3 x 3 matrix of `CYCLE` in `verification/theory/iteration.py` and observe its
+# cycle.
 
 # %%
 n, eps = 64, 1e-6
@@ -415,8 +466,8 @@ A = (2 * np.eye(n - 1) - np.eye(n - 1, k=1) - np.eye(n - 1, k=-1)) * n
 D = np.full(n - 1, 1 / n)
 sets, solutions = [np.zeros(n - 1, dtype=bool)], []
 while len(sets) < 2 or np.any(sets[-1] != sets[-2]):
-    springs = sets[-1] * D / eps
-    solutions.append(np.linalg.solve(A + np.diag(springs), D * f + springs * c))
+    penalty_diagonal = sets[-1] * D / eps
+    solutions.append(np.linalg.solve(A + np.diag(penalty_diagonal), D * f + penalty_diagonal * c))
     sets.append(solutions[-1] > c)
 for before, after in pairwise(solutions[1:]):
     assert np.all(after <= before + 1e-12)

@@ -48,23 +48,23 @@ def options(*names: str) -> Callable[[Any], Any]:
     """The shared options of these names, as one decorator."""
     shared = {
         "cells": click.option("--cells", type=int, metavar="N", help="Cells along x, of shapes.  [32]"),
-        "refine": click.option("--refine", type=int, metavar="N", help="How often to halve all edges.  [0]"),
+        "refine": click.option("--refine", type=int, metavar="N", help="Number of uniform refinements.  [0]"),
         "element": click.option(
             "--element",
             metavar="NAME",
             help=f"Pair of spaces and rule: {_ELEMENTS}.  [P1 or Q1, by the cells]",
         ),
         "method": click.option("--method", metavar="NAME", help="penalty, successive or vi.  [penalty]"),
-        "start": click.option("--start", metavar="NAME", help="nested (from coarse grids on) or cold.  [nested]"),
+        "start": click.option("--start", metavar="NAME", help="nested (from coarse meshes) or cold.  [nested]"),
         "eps": click.option("--eps", metavar="E", help="Penalty parameter: auto, a number, or a formula in h.  [auto]"),
         "set": click.option(
             "--set", "set_", multiple=True, metavar="KEY=VALUE", help="Change a key of the scene: effects.load=-2."
         ),
         "output": click.option("--output", type=Place(), metavar="DIR", help="Folder for results.  [in out/SCENE]"),
         "json": click.option(
-            "--json", "json_file", metavar="FILE", help="The figures, as lines of JSON; - is standard output."
+            "--json", "json_file", metavar="FILE", help="Write the values as lines of JSON; - is standard output."
         ),
-        "yardstick": click.option("--yardstick", is_flag=True, help="Time one linear Poisson solve, to compare."),
+        "yardstick": click.option("--yardstick", is_flag=True, help="Also time a linear Poisson solve, the baseline."),
         "plugin": click.option(
             "--plugin",
             multiple=True,
@@ -74,7 +74,7 @@ def options(*names: str) -> Callable[[Any], Any]:
             is_eager=True,
             help="Python file with effects of your own (docs/effects.md).",
         ),
-        "seed": click.option("--seed", type=click.IntRange(0), metavar="S", help="Other random scenes for each.  [1]"),
+        "seed": click.option("--seed", type=click.IntRange(0), metavar="S", help="Seed of the random scenes.  [1]"),
         "quiet": click.option("--quiet", is_flag=True, help="Errors only."),
         "log": click.option(
             "--log",

@@ -24,20 +24,20 @@ class _Ordered(click.Group):
 def commands() -> None:
     """Obstacle problems by the penalty finite element method, on FEniCSx and PETSc.
 
-    Options win over the scene; brackets show what holds where neither says it. All commands run under mpirun;
-    './obstacle --ranks N COMMAND' calls it. PETSc options follow --.
+    Options take precedence over the scene; brackets show defaults. All commands run under mpirun;
+    './obstacle --ranks N COMMAND' starts it. PETSc options follow --.
     """
 
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well, as the command plot does later.")
-@click.option("--newton", is_flag=True, help="Draw newton.gif: the active sets, step by step, beside those of (3.4)*.")
-@click.option("--bound", is_flag=True, help="Bound the energy error; the output says what the bound rests on.")
-@click.option("--tol", type=float, metavar="R", help="Relative energy error to reach, or status 4; picks meshes, eps.")
+@click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well; the command plot does it later.")
+@click.option("--newton", is_flag=True, help="Draw newton.gif: contact sets of the Newton steps and of (3.4)*.")
+@click.option("--bound", is_flag=True, help="Compute an upper bound of the energy error, and what it rests on.")
+@click.option("--tol", type=float, metavar="R", help="Refine until the relative energy error is below R, or status 4.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
-@click.option("--budget", metavar="LIMIT", help="With a tolerance: stop earlier: 60s, 8GB, '1e6 unknowns'.")
-@click.option("--restart", type=Place(), metavar="DIR", help="With [time]: go on from the state in this folder.")
+@click.option("--budget", metavar="LIMIT", help="With a tolerance: a limit such as 60s, 8GB or '1e6 unknowns'.")
+@click.option("--restart", type=Place(), metavar="DIR", help="With [time]: continue from the state in this folder.")
 @options(*CHANGES, "yardstick", "plugin", "output", "json", "quiet", "log")
 def solve(
     scene_file: str,
@@ -83,10 +83,10 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@click.option("--tol", type=float, metavar="R", help="Also forecast 'solve --tol R', from a few seconds of it.")
+@click.option("--tol", type=float, metavar="R", help="Also forecast the cost of 'solve --tol R', in a few seconds.")
 @options(*CHANGES, "plugin")
 def explain(scene_file: str, tol: float | None, **given: Any) -> None:
-    """Print the equation, the solver, and what a scene leaves out."""
+    """Print the equation, the solver, and what is not included."""
     scene = _read(scene_file, typed(given))
     from fenicsx_obstacle.show.explain import explain
 
@@ -101,7 +101,7 @@ def explain(scene_file: str, tol: float | None, **given: Any) -> None:
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
               help="A,B,C or A..B (by factors of 2; eps: 10) or A..B:N (N values); several make a grid.")  # fmt: skip
-@click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
+@click.option("--fresh", is_flag=True, help="Discard saved rows instead of continuing from them.")
 @click.option("--latex", type=Place(), metavar="FILE", help="The table as LaTeX.")
 @options(*CHANGES, "plugin", "output", "json", "quiet", "log")
 def study(
@@ -116,7 +116,7 @@ def study(
 ) -> None:
     """Solve a scene for each value of a key: errors, orders, time.
 
-    Writes rows, pictures and a page into out/SCENE/KEY. An interrupted run goes on where it was.
+    Writes rows, pictures and a page into out/SCENE/KEY. An interrupted run continues from its rows.
 
     \b
     study disk.toml --vary eps=1e-1..1e-8             against the SNES VI solution
@@ -141,7 +141,7 @@ def study(
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--budget", metavar="LIMIT", help="Of each row: 60s, 8GB, '1e6 unknowns'.  [10s, 1.2e6 unknowns]")
-@click.option("--fresh", is_flag=True, help="Forget saved rows instead of going on from them.")
+@click.option("--fresh", is_flag=True, help="Discard saved rows instead of continuing from them.")
 @options("set", "element", "plugin", "output", "json", "quiet", "log")
 def cost(
     scene_file: str,
@@ -152,10 +152,10 @@ def cost(
     fresh: bool,
     **given: Any,
 ) -> None:
-    """What accuracy costs: error against time for many ways to solve.
+    """Cost of accuracy: error against time for several methods.
 
-    Also the price of the next digit. Writes rows, pictures and a page into out/SCENE/cost. Meshes become
-    finer until a row would exceed the budget; an interrupted run goes on where it was.
+    Also the cost of the next digit. Writes rows, pictures and a page into out/SCENE/cost. Meshes become
+    finer until a row would exceed the budget; an interrupted run continues from its rows.
     """
     fixed = typed(given)
     scene = _read(scene_file, fixed)
@@ -230,7 +230,7 @@ def scenes(name: str | None) -> None:
 def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
     """Check Kikuchi's statements: claimed, observed, and a verdict.
 
-    NO is the number of a theorem, example or equation, such as 3.3 or 5.5; all of them without it.
+    NO is the number of a theorem, example or equation, such as 3.3 or 5.5. Without it all are checked.
     """
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.verification.show.theory import show_theory
@@ -247,7 +247,7 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 @click.argument("name", metavar="[NAME]", required=False)
 @click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: N random scenes.")
 @click.option("--truths", is_flag=True, help="With --random: only scenes whose true error is known; a table of bounds.")
-@click.option("--broken", is_flag=True, help="Instead: input that is wrong in every way, and what is said about it.")
+@click.option("--broken", is_flag=True, help="Instead: invalid input of every kind, and its messages.")
 @click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
 @click.option("--output", type=Place(), default=Path("out/hard"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
@@ -256,9 +256,10 @@ def hard(
     name: str | None, count: int | None, truths: bool, seed: int | None, broken: bool, faults: bool, output: Path,
     json_file: str | None, quiet: bool,
 ) -> int:  # fmt: skip
-    """Solve hard scenes, and check every answer against the theory.
+    """Solve hard scenes, and check every result against the theory.
 
-    NAME is a scene or a family; all without it. Verdicts: right, refused or FAILED, the last with exit status 3.
+    NAME is a scene or a family; without it all are solved. Verdicts: right, refused or FAILED; the last one means
+    exit status 3.
     """
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.verification.show.broken import show_broken

@@ -1,6 +1,6 @@
 """What differs between dolfinx 0.5, 0.9 and 0.11; every other module knows one spelling only.
 
-The README says which releases were tested, and when; tests/releases.sh tests them.
+docs/policy.md says which releases were tested, and when; tests/releases.sh tests them.
 """
 
 from __future__ import annotations

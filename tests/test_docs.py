@@ -1,11 +1,12 @@
 """The documentation: its code runs, its commands parse, what it names is there, what there is is named."""
 
+import contextlib
+import io
 import re
 import shlex
 import subprocess
 import sys
 import tomllib
-from contextlib import suppress
 from pathlib import Path
 from unittest import SkipTest
 
@@ -66,8 +67,15 @@ def run_python(example):
     name = re.match(r"# (\w+\.py)\n", example.parsed)
     if name:
         Path(name[1]).write_text(example.parsed)
-    else:
+        return
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         PythonEvaluator()(example)
+    example.namespace["_printed"] = printed.getvalue()
+
+
+def compare_output(example):
+    """A text block below Python is what that Python prints."""
+    assert example.parsed == example.namespace["_printed"]
 
 
 @pytest.fixture
@@ -96,10 +104,10 @@ LONG = {"README", "bound", "commands", "results", "start"}  # pages whose blocks
 )
 def test_blocks_run(page, workplace):
     """Blocks of a page run in order; one that is skipped says why."""
-    evaluators = {"python": run_python, "sh": run_shell, "toml": write_scene}
+    evaluators = {"python": run_python, "text": compare_output, "sh": run_shell, "toml": write_scene}
     parsers = [CodeBlockParser(language, evaluator) for language, evaluator in evaluators.items()]
     for example in Sybil([*parsers, SkipParser()]).parse(page).examples():
-        with suppress(SkipTest):
+        with contextlib.suppress(SkipTest):
             example.evaluate()
 
 
@@ -108,7 +116,7 @@ def test_every_block_is_tested(page):
     """Blocks are of a language that is run, and skipped for a reason only."""
     text = page.read_text()
     languages = re.findall(r"^```(\S*)\n(?:.*?\n)?```$", text, flags=re.DOTALL | re.MULTILINE)
-    assert set(languages) <= {"sh", "python", "toml", "{toctree}", "{eval-rst}"}
+    assert set(languages) <= {"sh", "python", "text", "toml", "{toctree}", "{eval-rst}"}
     assert not re.search(r"^    (\./obstacle|python|import) ", text, flags=re.MULTILINE)
     assert len(re.findall(r"<!-- skip:", text)) == len(re.findall(r'^<!-- skip: next ".+" -->$', text, re.MULTILINE))
 

@@ -20,7 +20,7 @@ from fenicsx_obstacle.verification.hard.cases import case
 SCENES = {
     "pollutant": ("GMRES", "the norm of the residual"),
     "soap": ("algebraic multigrid", "a line search on the energy, full steps where round-off hides descent"),
-    "wall": ("truncated multigrid", "full steps; a line search on the energy should sets repeat"),
+    "wall": ("truncated multigrid", "full steps; a line search on the energy if sets repeat"),
     "tent": ("truncated multigrid", "one linear solve where nothing touches"),
     "foam": ("algebraic multigrid", "Newton steps"),
 }

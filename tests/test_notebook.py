@@ -1,5 +1,6 @@
 """docs/kikuchi_in_an_hour.py: each section runs after the first cell alone, and what it asserts holds on any ranks."""
 
+import re
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -73,3 +74,9 @@ def test_section(cell, folder, monkeypatch, record_property):
 def test_sections_are_numbered():
     """One code cell for each heading, in order."""
     assert [cell.title.split(".")[0] for cell in SECTIONS] == [str(k + 1) for k in range(len(SECTIONS))]
+
+
+def test_sections_have_exercises():
+    """Two in each, numbered as the section."""
+    numbers = re.findall(r"^# \*\*Exercise (\d+\.\d+)\.\*\*", NOTEBOOK.read_text(), re.MULTILINE)
+    assert numbers == [f"{k + 1}.{i}" for k in range(len(SECTIONS)) for i in (1, 2)]

@@ -160,7 +160,7 @@ class SolverContext:
             NotConverged: With PETSc's reason.
         """
         problem, scene, options = self.problem, self.scene, options or self.options
-        estimator = self.estimator if bound else None  # refuses before anything is solved
+        estimator = self.estimator if bound else None  # raises before anything is solved
         grids: Sequence[Multigrid | Problem] = []
         if nested(scene.effects, scene.pair, options):
             grids = found if len(found := self._hierarchy()) > 1 else []
@@ -213,7 +213,7 @@ class SolverContext:
         return solve_nested(grids, method.solve, stiffness)
 
     def _time_stepper(self, method: Method, grids: Sequence[Multigrid | Problem]) -> TimeStepper:
-        """The scene's way through time (collective)."""
+        """The time stepper of the scene (collective)."""
         from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
 
         problem, scene = self.problem, self.scene

@@ -32,7 +32,7 @@ CROSSES = 1e-9  # of the heights: what a start may be beyond an obstacle
 
 
 class TimeStepper:
-    """A scene on its way through time.
+    """Time stepping of a scene.
 
     Attributes:
         problem: On the finest level.

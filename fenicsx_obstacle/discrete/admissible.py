@@ -15,7 +15,7 @@ ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from d
 def check_admissible(data: Data) -> None:
     """Refuse obstacles that cross and boundary values beyond them: no u could satisfy both (collective).
 
-    Where a boundary value is beyond an obstacle by round-off only, the obstacle gives way.
+    Where a boundary value is beyond an obstacle by round-off only, the obstacle is moved to it.
 
     Raises:
         InputError: Naming the place and the gap.

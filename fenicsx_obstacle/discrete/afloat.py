@@ -98,7 +98,7 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
 
 
 def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Local nodal values of the lower and the upper obstacle that give way (collective on first use)."""
+    """Local nodal values of the lower and the upper obstacle that are soft (collective on first use)."""
     found = (effect.sides(problem.data) for effect in problem.model.effects if effect.gives_way)
     return next(found, (None, None))
 

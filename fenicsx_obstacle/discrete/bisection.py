@@ -1,7 +1,7 @@
 """Meshes refined where an indicator says so: marked triangles cut in four, their neighbours bisected to fit.
 
 A triangle with a marked edge has its longest edge marked too, so that angles stay bounded (Rivara). DOLFINx's own
-refinement tells nothing of parents in 0.5, and leaves out ghosts in 0.9.
+refinement gives no parents in 0.5, and omits ghosts in 0.9.
 """
 
 from __future__ import annotations

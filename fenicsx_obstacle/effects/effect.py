@@ -244,7 +244,7 @@ class Effect:
         return [0.0] if self.holds else []
 
     def sides(self, data: Sampler) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Local nodal values of the lower and the upper obstacle, where it is one that gives way."""
+        """Local nodal values of the lower and the upper obstacle, where it is a soft one."""
         return None, None
 
     def greatest(self, data: Sampler) -> Any:
@@ -282,7 +282,7 @@ class Effect:
         return None
 
     def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
-        """What it adds to the test functions of the terms that lean, or None."""
+        """What it adds to upwinded test functions (SUPG), or None."""
         return None
 
     def along(self, direction: Any, data: Sampler) -> Any:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.show.pictures import Picture
 
 Files = dict[str, bytes]
-PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure that is worth telling
+PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
 LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
 
 

@@ -25,14 +25,14 @@ from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 
 METHODS = {
-    "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy should sets repeat",
-    "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set stays as it was",
+    "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy if sets repeat",
+    "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set repeats",
     "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }
-# what is not linear in u begins with the line search
+# residuals that are not linear in u begin with the line search
 NONLINEAR_WORDS = (
-    "full steps; a line search on the energy should sets repeat",
-    "a line search on the energy, full steps where round-off hides descent; obstacles that harden should both fail",
+    "full steps; a line search on the energy if sets repeat",
+    "a line search on the energy, full steps where round-off hides descent; continuation in eps if both fail",
 )
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
 ALGEBRAIC = "where the mesh has no coarser one levels are algebraic, with interpolation exact for linear functions"
@@ -114,7 +114,7 @@ def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
     if eps < floor:
         raise InputError(
             f"{place}: below the floor of round-off, {floor:.2g} on this mesh, where contact "
-            "gives way by less than the last digit of heights around it; take a larger eps, or its limit, the method vi"
+            "moves u by less than its last digit; take a larger eps, or its limit, the method vi"
         )
     return eps
 

@@ -51,11 +51,11 @@ def solve_penalty(
 ) -> Outcome:
     """Solve (3.4) from the problem's present state (collective).
 
-    Full steps first: where a(.,.) is an M-matrix active sets only shrink after the first step, and the iteration is
+    Full steps first: where a(.,.) is an M-matrix active sets only decrease after the first step, and the iteration is
     finite; (3.4)* checks that they do. Should they repeat, a line search on the convex energy breaks the cycle, or on
     the norm of the residual where there is no energy. A residual that is not linear and has an energy begins with the
-    line search; where all that fails, because what bends and a small eps are too much at once, the same start is led
-    there by obstacles that harden.
+    line search; where all that fails, because of a nonlinear operator and a small eps together, continuation in eps
+    starts from the same state.
 
     Args:
         problem: Holds the start, then the solution.
@@ -128,10 +128,10 @@ def _by_continuation(problem: Problem, eps: float, how: dict[str, Any]) -> Outco
 
 
 def smallest_eps(problem: Problem) -> float:
-    """The floor of eps: to floating point springs D/eps above `STIFFEST` times the membrane do not give (collective).
+    """The smallest eps: above `STIFFEST` times the stiffness, D/eps exceeds floating-point resolution (collective).
 
-    A node gives way by eps p then, less than the last digit of what its neighbours do; which nodes touch is decided
-    by round-off, and active sets never settle. 0 where contact couples nodes or effects are not affine.
+    The penetration eps p is then below the last digit of the neighbouring values of u; round-off decides which nodes
+    are in contact, and active sets do not converge. 0 where contact couples nodes or effects are not affine.
     """
     if not problem.affine or not problem.level.pair.nodal:
         return 0.0

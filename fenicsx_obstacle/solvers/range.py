@@ -1,4 +1,4 @@
-"""Whether a solution lies where its data allow: comparison with constants, sensitivity to round-off, torn films."""
+"""Whether a solution is in the range of its data: comparison with constants, sensitivity to round-off, films."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _monotone(problem: Problem) -> bool:
 
 
 def _torn(problem: Problem, active: np.ndarray) -> str | None:
-    """A film whose load is beyond its limit falls on an obstacle: it is torn from where u is given, within one cell."""
+    """A film whose load is beyond its limit falls on an obstacle: within one cell beside the boundary it jumps."""
     comm, level, data = problem.level.comm, problem.level, problem.data
     if not any(effect.greatest(data) is not None for effect in problem.model.effects) or level.h * FINE > data.extent:
         return None

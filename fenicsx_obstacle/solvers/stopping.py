@@ -25,7 +25,7 @@ from fenicsx_obstacle.solvers.shrinking import Shrinking
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
-ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces beyond which w is counted anew from nearby heights
+ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces beyond which the reference of w is updated
 FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
 NEGLIGIBLE_FORCE = 1e-30
 STALLED = 10  # steps
@@ -135,7 +135,7 @@ class Stopping:
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
-            # where w is blunt it is counted anew first; a load that it absorbs seems balanced at once
+            # where round-off limits w the reference is updated first; a load below it seems balanced at once
             self.roundoff_limited |= far and left > ROUNDOFF_LIMITED * forces
             if (
                 self.tolerance >= LIMIT

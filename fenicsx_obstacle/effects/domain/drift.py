@@ -21,13 +21,13 @@ class Drift(Effect):
     """drift . grad u on the left side: int (drift . grad u) v; unit: force per area, for u in units of length.
 
     It is not symmetric, and there is no energy. With the Peclet number Pe = |drift| h/(2 tension) of a cell, Galerkin's
-    method has wiggles where Pe > 1. There, and only there, the test functions of drift, load and foundation lean
-    upstream (Brooks and Hughes 1982, with the upwinding max(0, 1 - 1/Pe)):
+    method oscillates where Pe > 1. There, and only there, the test functions of drift, load and foundation are
+    upwinded (SUPG, Brooks and Hughes 1982, with the upwinding max(0, 1 - 1/Pe)):
 
         v + tau drift . grad v,   tau = max(0, |drift| h/2 - tension)/|drift|^2.
 
     In one dimension that makes an M-matrix. As h tends to 0 the method becomes Galerkin's, cell by cell. The contact
-    pressure does not lean: where Pe > 1 it is smeared by tau.
+    pressure is not upwinded: where Pe > 1 it is smeared by tau.
 
     Attributes:
         value: Components of the drift.
@@ -41,7 +41,7 @@ class Drift(Effect):
     term = "+ int (drift . grad u) v"
     note = (
         "drift: in cells with a Peclet number |drift| h/(2 tension) above 1 the test functions of drift, load and "
-        "foundation lean upstream, v + tau drift . grad v (streamline upwinding); elsewhere Galerkin's method"
+        "foundation are upwinded, v + tau drift . grad v (SUPG); elsewhere Galerkin's method"
     )
     unit = "force/area"
     symmetric = False

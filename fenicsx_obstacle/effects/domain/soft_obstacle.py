@@ -1,4 +1,4 @@
-"""An obstacle that gives way."""
+"""A soft obstacle: an elastic one."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 @register
 @dataclass(frozen=True)
 class SoftObstacle(Effect):
-    """An obstacle that gives way: k (u - upper)^+ - k (lower - u)^+ on the left side; unit of k: force per volume.
+    """A soft obstacle: k (u - upper)^+ - k (lower - u)^+ on the left side; unit of k: force per volume.
 
     The term of (3.3) with 1/eps = k, but k is a property of the obstacle: the solution crosses it, and no eps is chosen
     for it. By the nodal rule, as the penalty (3.4). Energy: k/2 ((u - upper)^+^2 + (lower - u)^+^2), convex.
 
     Attributes:
-        lower: Height of what pushes up, or None.
-        upper: Height of what pushes down, or None.
+        lower: The lower obstacle, or None.
+        upper: The upper obstacle, or None.
     """
 
     lower: Field | None = None

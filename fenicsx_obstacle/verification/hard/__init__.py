@@ -1,1 +1,1 @@
-"""Hard scenes: every answer is right, or refused for a reason that is told; anything else has failed."""
+"""Hard scenes: every result is right, or rejected with a reason; anything else has failed."""

@@ -50,10 +50,10 @@ def digits(comm: MPI.Comm) -> Found:
         rate(WHERE, f"max |p_eps - p_h|: {name}", 1, 1, EPS[LINEAR], errors[name][LINEAR]) for name in (GAP, RESIDUAL)
     ]
     findings += [
-        constant(WHERE, f"likewise at eps = 1e-14, over the one at 1e-7: {GAP}", "1e-7 of it", 1e-7,
+        constant(WHERE, f"the same at eps = 1e-14, over the one at 1e-7: {GAP}", "1e-7 of it", 1e-7,
                  errors[GAP][10] / errors[GAP][3]),
         rate(WHERE, f"what is lost: {PLAIN}", -1, -1, EPS, lost),
-        constant(WHERE, "likewise, over half the last digit of g over eps, the most", "1 at most", 1.0,
+        constant(WHERE, "the same, over half the last digit of g over eps, the most", "1 at most", 1.0,
                  max(a / b for a, b in zip(lost, line, strict=True)), "sharp"),
         check(WHERE, f"relative error at eps = 1e-14: {PLAIN}", "no digits are lost", errors[PLAIN][10],
               errors[PLAIN][10] > 1e4 * errors[GAP][10], "needs hypothesis"),

@@ -76,7 +76,7 @@ def linear_step(comm: MPI.Comm) -> list[Finding]:
     claim = "beta linear on the last active set"
     return [
         check(WHERE, "unbalanced force of the linear problem / load, after a step", claim, linear, linear < 1e-10),
-        check(WHERE, "likewise with (t_u - g)^+ as printed: no linear problem", "solved by a linear step", printed,
+        check(WHERE, "the same with (t_u - g)^+ as printed: no linear problem", "solved by a linear step", printed,
               printed > 1e-2, "misprint"),
     ]  # fmt: skip
 

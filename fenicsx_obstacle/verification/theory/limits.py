@@ -140,8 +140,8 @@ def extremes(comm: MPI.Comm) -> list[Finding]:
         check("Thm 3.1", "f = 0 below g = 0.1: largest |p_eps|", "u = p = 0", dead[1], dead[0] < ZERO and dead[1] == 0),
         check("Thm 3.1", "g out of reach: largest |p_eps|", "p = 0", lake[1], lake[1] == 0 < lake[0]),
         constant("Thm 3.1", "f = 1 under g = 0: largest |p_eps|, eps = 1e-6", "p_h = -f", 1.0, full[1]),
-        constant("Thm 3.1", "likewise, largest u_eps over eps", "u_h = 0", 1.0, full[0] / 1e-6),
-        check("Thm 3.1", "g < 0 on the boundary, K_h empty: refused as bad input", "K_h not empty", refused,
+        constant("Thm 3.1", "the same, largest u_eps over eps", "u_h = 0", 1.0, full[0] / 1e-6),
+        check("Thm 3.1", "g < 0 on the boundary, K_h empty: rejected as invalid input", "K_h not empty", refused,
               refused, "needs hypothesis"),
     ]  # fmt: skip
 

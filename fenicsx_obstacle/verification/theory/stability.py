@@ -40,7 +40,7 @@ class Case:
         mesh: Keys of [mesh].
         cells: Numbers of cells a side.
         alpha: Limit of alpha_h/h, from the symbols on the uniform infinite mesh.
-        hat: Limit of hat alpha_h/h, likewise.
+        hat: Limit of hat alpha_h/h, from the symbols too.
         most: Largest I(q,q)/||q||_0^2, by (3.21); None where it is not known.
     """
 
