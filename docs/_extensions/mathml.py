@@ -10,13 +10,15 @@ from sphinx.util import logging
 from sphinx.writers.html5 import HTML5Translator
 
 LOG = logging.getLogger(__name__)
-DELIMITER = re.compile('<mo(?: class="mathopen")?>([‖{}|])</mo>')
+DELIMITER = re.compile(r'<mo(?: class="mathopen"| stretchy="false")?>([‖{}|])</mo>')
 
 
 def _convert(node: nodes.Element, *, block: bool) -> str:
     try:
-        # browsers stretch delimiters beyond their contents unless told not to
-        return DELIMITER.sub(r'<mo stretchy="false">\1</mo>', tex2mathml(node.astext(), as_block=block))
+        # without attributes browsers stretch delimiters beyond their contents, and space bars as operators
+        return DELIMITER.sub(
+            r'<mo stretchy="false" lspace="0" rspace="0">\1</mo>', tex2mathml(node.astext(), as_block=block)
+        )
     except MathError as error:
         LOG.warning("formula %r: %s", node.astext(), error, location=node)
         return ""
