@@ -133,6 +133,12 @@ class SolverContext:
         """Free what bounds need, some kB per node, where this mesh is only a level below another from now on."""
         self._estimator = None
 
+    def forget_levels(self) -> None:
+        """Free problems and multigrid of the levels below, which the next solve would make anew (collective)."""
+        self._grids = self._problems = None
+        releases.free(level.comm for level in self.problem.level.downward)
+        return_freed_memory()
+
     def answer(
         self,
         options: SolverOptions | None = None,
@@ -256,6 +262,9 @@ class SolverContext:
         if self._grids is None:
             start = time.perf_counter()
             self._grids = multigrid.chain(hierarchy(self.problem))
+            for level in self.problem.level.downward:
+                level.forget_points()
+            return_freed_memory()
             self.setup_seconds += time.perf_counter() - start
         return self._grids
 

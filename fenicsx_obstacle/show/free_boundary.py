@@ -59,15 +59,16 @@ def _near(level: Level, touching: list[np.ndarray]) -> tuple[np.ndarray, np.ndar
     cells = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
     near = np.zeros(len(cells), dtype=bool)
     for nodes in touching:
-        inside = nodes[cells].sum(axis=1)
-        near |= (inside > 0) & (inside < cells.shape[1])
+        inside = [nodes[corner] for corner in cells.T]
+        near |= np.logical_or.reduce(inside) & ~np.logical_and.reduce(inside)
     marked = fem.Function(level.V)
     for _ in range(RINGS + 1):  # cells of nodes that are told to touch lie beside the edge
         marked.x.array[:] = 0.0
         marked.x.array[cells[near]] = 1.0
         releases.add_ghosts(marked)
         marked.x.scatter_forward()
-        near = (marked.x.array > 0)[cells].any(axis=1)
+        nodes = marked.x.array > 0
+        near = np.logical_or.reduce([nodes[corner] for corner in cells.T])
     marked.x.array[:] = 0.0
     marked.x.array[cells[near]] = 1.0
     releases.add_ghosts(marked)
