@@ -53,7 +53,8 @@ class Answer(Solution):
     def files(self, folder: Path, arrays: Mapping[str, np.ndarray], element: Mapping[str, np.ndarray]) -> Files:
         from fenicsx_obstacle.io.element import own_mesh
 
-        contents = {"scene.toml": self._scene_in(folder).toml().encode()}
+        text, data = self._scene_in(folder).with_data()
+        contents = {"scene.toml": text.encode(), **data}
         if element and self.scene.mesh is not None:
             contents |= own_mesh(arrays["points"][:, : arrays["gdim"]], element)
         if self.time_history is not None:
