@@ -85,7 +85,7 @@ def test_one_surface_from_every_kind_of_file(files):
     """Contact force and u agree to the error of interpolation; force balances load; each bound is certified."""
     found = {}
     for kind, table in FILES.items():
-        answer = solve(Scene.read(in_file(files, scene_text(table))), bound=True)
+        answer = solve(Scene.read(in_file(files, scene_text(table), f"{kind}.toml")), bound=True)
         report = answer.report
         assert abs(report["held"] + report["ends"] + report["pushed"] - 4) < 1e-10, kind
         assert answer.bound.words == "certified", kind
@@ -270,8 +270,9 @@ value = 0
 
 
 def test_an_image_needs_extents_and_range(files):
-    for given, message in (({}, "an image: give extents"), ({"x": [0, 1], "y": [0, 1]}, "an image: give range")):
-        with pytest.raises(InputError, match=message):
-            Scene.read(in_file(files, scene_text({"file": "rough.png", **given})))
+    for key, given in (("extents", {}), ("range", {"x": [0, 1], "y": [0, 1]})):
+        place = in_file(files, scene_text({"file": "rough.png", **given}), f"{key}.toml")
+        with pytest.raises(InputError, match=f"an image: give {key}"):
+            Scene.read(place)
     with pytest.raises(InputError, match=r"rough.csv = |obstacle.*0 .. 1"):
         solve(membrane(mesh={"shape": "rectangle", "x": [0, 2], "cells": 8}, lower=Table(files / "rough.csv")))

@@ -201,8 +201,8 @@ class MeasuredField(Field):
     def _refuse_missing(self, count: int, total: int, places: Sequence[str]) -> None:
         more = " and more" if count > len(places) else ""
         raise InputError(
-            f"{self._name}: {count} of {counted(total, 'height')} are no finite numbers: at {'; '.join(places)}{more}; fill "
-            "them, or leave these points out: others are triangulated"
+            f"{self._name}: {count} of {counted(total, 'height')} are no finite numbers: at {'; '.join(places)}{more}; "
+            "fill them, or leave these points out: others are triangulated"
         )
 
     def _of_points(self, points: np.ndarray) -> Surface:
