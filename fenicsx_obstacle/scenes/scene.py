@@ -100,6 +100,7 @@ class Scene(Vocabulary):
         define: Mapping[str, float | str] | None = None,
         report: Mapping[str, float | str] | None = None,
         time: Mapping[str, Any] | None = None,
+        profile: Mapping[str, Mapping[str, Any]] | None = None,
         title: str = "",
         u: str = "u",
         **effects: Any,
@@ -124,6 +125,7 @@ class Scene(Vocabulary):
             define: Named numbers and formulas.
             report: Named figures of the solution: report={"force": "integral(p)"}.
             time: The table [time]: time={"end": 1, "steps": 100, "start": 0}.
+            profile: Lines along which all is written, as [profile]: {"middle": {"from": [0, 0.5], "to": [1, 0.5]}}.
             title: Title.
             u: Name of the unknown on axes.
             **effects: One datum per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
@@ -139,7 +141,8 @@ class Scene(Vocabulary):
             "mesh": mesh if isinstance(mesh, dict) else {},
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
             "boundary": [] if boundary is None else boundary, "report": {} if report is None else report,
-            "time": time, "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
+            "profile": {} if profile is None else profile, "time": time,
+            "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
         }  # fmt: skip
         tags = (facet_tags, cell_tags, facet_names, cell_names)
         if isinstance(mesh, dict) and any(one is not None for one in tags):

@@ -152,6 +152,22 @@ class ExactTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     rates: RatesTable = RatesTable()
 
 
+class ProfileTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, rename={"from_": "from"}):
+    """[profile.NAME]: a line, or a curve of the mesh by its name, along which all quantities are written and drawn.
+
+    Attributes:
+        from_: First point; in TOML 'from'.
+        to: Last point.
+        on: A named curve instead.
+        n: Number of points, at equal distances.
+    """
+
+    from_: Value | Numbers | None = None
+    to: Value | Numbers | None = None
+    on: str | None = None
+    n: Annotated[int, Meta(ge=2, le=100_000)] = 200
+
+
 class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[solve]: how to solve; the command line wins."""
 
@@ -174,6 +190,7 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     time: TimeTable | None = None
     exact: ExactTable | None = None
     report: dict[str, Value] = {}
+    profile: dict[str, ProfileTable] = {}
     solve: SolveTable = SolveTable()
 
 
@@ -249,6 +266,11 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
     except msgspec.ValidationError as error:
         raise InputError(f"{source}: {_in_words(str(error), raw)}") from None
     _no_idle_key(typed.mesh, raw.get("mesh", {}), source)
+    for name, table in typed.profile.items():
+        if not re.fullmatch(r"[\w-]+", name):
+            raise InputError(f"{source}: [profile.{_short(name)}]: a name has letters, digits, _ and - only")
+        if (table.on is None) == (table.from_ is None) or (table.from_ is None) != (table.to is None):
+            raise InputError(f"{source}: [profile.{name}]: needs the keys 'from' and 'to', or 'on'")
     return typed
 
 
@@ -313,7 +335,7 @@ def _place(path: str) -> str:
 
 def _table_type(path: str) -> Any:
     kinds = {"mesh": MeshTable, "obstacle": ObstacleTable, "exact": ExactTable, "solve": SolveTable,
-             "time": TimeTable}  # fmt: skip
+             "time": TimeTable, "profile": ProfileTable}  # fmt: skip
     name, _, key = path.partition(".")
     if key in ("lower", "upper", "value", "start", "velocity", *ACTING):
         return DataTable
@@ -321,7 +343,7 @@ def _table_type(path: str) -> Any:
 
 
 def _keys_at(path: str) -> tuple[str, ...]:
-    return _table_type(path).__struct_fields__
+    return _table_type(path).__struct_encode_fields__
 
 
 def _choices_at(path: str) -> list[str]:

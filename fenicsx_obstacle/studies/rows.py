@@ -134,7 +134,9 @@ def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as text with one head for all."""
-    text, flattened = io.StringIO(), [flat(row) for row in rows]
+    # profiles have files of their own
+    kept = [{key: value for key, value in row.items() if key != "profiles"} for row in rows]
+    text, flattened = io.StringIO(), [flat(row) for row in kept]
     heads = list(dict.fromkeys(key for row in flattened for key in row))
     writer = csv.DictWriter(text, heads, lineterminator="\n")
     writer.writeheader()
