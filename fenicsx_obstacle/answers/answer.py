@@ -56,7 +56,8 @@ class Answer(Solution):
     ) -> Files:
         from fenicsx_obstacle.io.element import own_mesh
 
-        contents = {"scene.toml": self._scene_in(folder).toml().encode()}
+        text, data = self._scene_in(folder).with_data()
+        contents = {"scene.toml": text.encode(), **data}
         if element and self.scene.mesh is not None:
             contents |= own_mesh(self.level, mesh["points"], element["cells"], parts)
         if self.time_history is not None:

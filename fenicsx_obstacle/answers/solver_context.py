@@ -90,6 +90,10 @@ class SolverContext:
 
             self._report = Report(self.problem.data, scene)
             self._report.check()
+        if scene.tables.profile:
+            from fenicsx_obstacle.answers.profiles import points_of  # only where a scene names one
+
+            points_of(scene, level)  # refuses points outside before anything is solved
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None

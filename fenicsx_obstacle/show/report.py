@@ -16,6 +16,7 @@ from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.free_boundary import write_free_boundary
+from fenicsx_obstacle.show.profiles import draw_profiles, draw_rows
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.rows import RowStore
@@ -51,11 +52,12 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
         from fenicsx_obstacle.show.newton import animate_newton  # only where it is asked for
 
         said += "\n  " + animate_newton(answer, folder / STEPS)
+    drawn = draw_profiles(answer, folder)
     moving = None
     if answer.time_history is not None:
         moving, words = on_root(comm, _draw_course, answer, gather(answer), folder, picture)
         said += words
-    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving)
+    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn)
     return said
 
 
@@ -158,6 +160,7 @@ def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) 
     for name, figure in drawings(rows, study.vary):
         save(figure, folder / f"{name}.png")
         elements[name] = svg(figure, name)
+    elements |= draw_rows(rows, study.vary, study.last.tables.u, folder)
     page.write_study_page(
         folder / page.NAME, study.last, rows, table, elements, picture if picture.exists() else None,
         command(study.comm.size),
