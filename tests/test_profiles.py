@@ -102,3 +102,19 @@ def test_mistakes(table, message):
     with pytest.raises(InputError, match=message):
         solve(membrane(load=-1, profile={"line": table}))
     COMM.Barrier()
+
+
+# film pressure at theta = pi/8, 2 pi/8, ... along the middle of a journal bearing, L/D = 1, eccentricity 0.6, by finite
+# differences on 960 x 320 intervals with an active set; on 480 x 160 the first six differ by less than 2e-4
+FILM = [0.19887, 0.44077, 0.78141, 1.29813, 2.06217, 2.93302, 3.0159, 1.3285, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_journal_bearing_along_its_middle():
+    """The pressure of the unrolled film is within 0.5 % of the largest one."""
+    middle = {"from": ["pi/8", 0], "to": ["12*pi/8", 0], "n": 12}
+    scene = Scene(
+        mesh={"shape": "rectangle", "x": [0, "2*pi"], "y": [-1, 1], "cells": 96}, define={"ecc": 0.6},
+        tension="(1 + ecc*cos(x))^3", load="6*ecc*sin(x)", lower=0, profile={"middle": middle},
+    )  # fmt: skip
+    found = profiles_of(solve(scene))["middle"]
+    assert np.abs(found.u - FILM).max() < 0.005 * 3.175

@@ -284,3 +284,97 @@ def test_nothing_that_is_not_named():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+@pytest.mark.parametrize("element", ("P2", "Q1", "Q2"))
+@pytest.mark.parametrize("shape", ("rectangle", "box"))
+def test_every_element(element, shape):
+    """The known values of `test_known_values` on quadratic, quadrilateral and hexahedral elements."""
+    if (element, shape) == ("P2", "box"):
+        return  # P2 is for triangles
+    cell = "triangle" if element == "P2" else "quadrilateral" if shape == "rectangle" else "hexahedron"
+    entries = {name: text for name, (text, _) in FIGURES.items()}
+    entries |= {"here": f"at(u, {POINTS[shape]})", "steep": f"at(flux, {POINTS[shape]})"}
+    scene = Scene(
+        mesh={"shape": shape, "cells": 3, "cell": cell}, tension=2, define={"k": 5}, report=entries,
+        boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 3}],
+    )  # fmt: skip
+    expected = {**{name: value for name, (_, value) in FIGURES.items()}, "here": 0.9, "steep": 6}
+    found = solve(scene, element=element).report
+    for name, value in expected.items():
+        assert np.isclose(found[name], value, rtol=1e-9, atol=1e-9), name
+
+
+@pytest.mark.parametrize("element", ("P1", "P2", "Q1", "Q2"))
+def test_force_balances_load(element):
+    """What u is held by, the contact force and the load add up to 0, on cells that are no squares too."""
+    cell = "quadrilateral" if element[0] == "Q" else "triangle"
+    scene = Scene(
+        mesh={"shape": "rectangle", "x": [0, 1.5], "cells": 8, "cell": cell}, tension="1 + x", load=-8, lower=-0.1,
+        boundary=[{"value": 0}],
+        report={"held": "+".join(f"integral(normal_flux, '{side}')" for side in ("left", "right", "top", "bottom")),
+                "pushed": "integral(p)", "deepest": "inf(u)"},
+    )  # fmt: skip
+    answer = solve(scene, element=element)
+    report, weight = answer.report, 8 * 1.5
+    assert abs(report["held"] + report["pushed"] - weight) < 1e-10 * weight and 0 < report["pushed"] < weight
+    assert np.isclose(report["pushed"], answer.force.lower, rtol=1e-9)
+    assert np.isclose(answer.at(answer.record["report_places"]["deepest"]), report["deepest"], atol=1e-12)
+
+
+def test_places_of_extremes():
+    """An entry that is a sup or an inf alone says where it is; of equal ones the first by coordinates."""
+    scene = membrane(boundary=[{"value": "x - 2*y"}], report={"top": "sup(u)", "low": "inf(u)", "slope_": "sup(slope)"})
+    answer = solve(scene)
+    places = answer.record["report_places"]
+    assert np.allclose(places["top"], [1, 0]) and np.allclose(places["low"], [0, 1])
+    assert np.allclose(places["slope_"], [0, 0])
+    assert "top = 1 at (1, 0), low = -2 at (0, 1)" in answer.summary()
+
+
+def halves(tension, **given):
+    """The unit square, materials left and right of the curve 'middle', x = 1/2."""
+    from dolfinx import mesh as dmesh
+
+    mesh = dmesh.create_unit_square(COMM, 8, 8)
+    left = dmesh.locate_entities(mesh, 2, lambda x: x[0] < 0.5 + 1e-9)
+    own = np.arange(mesh.topology.index_map(2).size_local + mesh.topology.index_map(2).num_ghosts, dtype=np.int32)
+    cells = dmesh.meshtags(mesh, 2, own, np.where(np.isin(own, left), 1, 2).astype(np.int32))
+    mesh.topology.create_entities(1)
+    parts = [dmesh.locate_entities(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0.0, 0.5, 1.0)]
+    found = np.concatenate(parts).astype(np.int32)
+    numbers = np.repeat(np.array([1, 2, 3], np.int32), [len(part) for part in parts])
+    order = np.argsort(found)
+    facets = dmesh.meshtags(mesh, 1, found[order], numbers[order])
+    return Scene(
+        mesh=mesh, facet_tags=facets, cell_tags=cells, facet_names={"west": 1, "middle": 2, "east": 3},
+        cell_names={"soft": 1, "stiff": 2}, tension=tension, **given,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("element", ("P1", "P2"))
+def test_flux_through_a_curve_inside(element):
+    """From one side, and its jump: 0 where tensions 1 and 3 are in series, the load per length along the curve else."""
+    report = {"leaving": "integral(normal_flux, 'middle', 'soft')", "jump_": "integral(jump, 'middle')",
+              "entering": "integral(normal_flux, 'middle', 'stiff')"}  # fmt: skip
+    scene = halves(
+        {"soft": 1, "stiff": 3}, report=report, boundary=[{"on": "west", "value": 0}, {"on": "east", "value": 1}]
+    )
+    found = solve(scene, element=element).report
+    assert np.isclose(found["leaving"], 1.5) and np.isclose(found["entering"], -1.5) and abs(found["jump_"]) < 1e-10
+    # slopes a and b left and right of a load of 2 per length: a - 3 b = 2, a/2 + b/2 = 1
+    loaded = halves(
+        {"soft": 1, "stiff": 3}, report=report,
+        boundary=[{"on": "west", "value": 0}, {"on": "east", "value": 1}, {"on": "middle", "flux": 2}],
+    )  # fmt: skip
+    found, slopes = solve(loaded, element=element).report, np.linalg.solve([[1, -3], [0.5, 0.5]], [2, 1])
+    assert np.isclose(found["leaving"], slopes[0]) and np.isclose(found["entering"], -3 * slopes[1])
+    assert np.isclose(found["jump_"], 2)
+    for text, message in (
+        ("integral(normal_flux, 'middle', 'west')", "no material named 'west'"),
+        ("integral(normal_flux, 'middle')", "from one side it is integral"),
+        ("integral(jump)", "jump is known on a curve inside"),
+        ("integral(normal_flux, 'west', 'stiff')", "'stiff' is not beside 'west'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solve(halves(1, report={"q": text}, boundary=[{"on": "west", "value": 0}]))

@@ -302,6 +302,8 @@ class SolverContext:
                 record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
         if self._report is not None:
             record["report"] = self._reported(state)
+            if self._report.places:
+                record["report_places"] = self._report.places
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
         scene = scene.with_options(options)

@@ -9,32 +9,38 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, sides, volumes
+from fenicsx_obstacle.discrete.cells import cell_facets, sides
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.reference import Reference
 
-Tension = Callable[[np.ndarray], np.ndarray | float]
+Tension = Callable[[np.ndarray, np.ndarray], np.ndarray | float]
+Rule = tuple[np.ndarray, np.ndarray]  # weights of the vertices of a facet at points, weights of sum 1
 
 
 class NormalFlux:
     """tension du/dn on both sides of a facet, outward from the cell beside it; 0 where u is free, as the equation says.
 
-    It is the flux of the gradient there, which alone would miss the balance by O(h), and a P1 function beside it by
-    which I(tension du/dn, phi_i) = a(u, phi_i) - f(phi_i) at every vertex i where u is given: all of it together is
+    It is the flux of the gradient there, which alone would miss the balance by O(h), and a function of V_h beside it by
+    which I(tension du/dn, phi_i) = a(u, phi_i) - f(phi_i) at every node i where u is given: all of it together is
     minus the integral of load + p, to the accuracy of the solver.
     """
 
-    def __init__(self, data: Data, tension: Tension, u: fem.Function, support: np.ndarray):
+    def __init__(
+        self, data: Data, reference: Reference, rule: Rule, tension: Tension, u: fem.Function, support: np.ndarray
+    ):
         """Measure it (collective).
 
         Args:
             data: Of the solved problem.
-            tension: Its values in given local cells, or one for all.
+            reference: Of its mesh.
+            rule: Of quadrature on facets.
+            tension: Its values at places in local cells, or one for all.
             u: Solution.
             support: a(u, phi_i) - f(phi_i) at owned dofs.
         """
-        self.level, self.tension, self.u = data.level, tension, u
+        self.level, self.reference, self.tension, self.u = data.level, reference, tension, u
         level = self.level
-        self._corners, self._dofs = corners(level.mesh), releases.cell_dofs(level.V)
+        self._dofs = releases.cell_dofs(level.V)
         self._facets = cell_facets(level.mesh)
         self._given = np.zeros(len(u.x.array), dtype=bool)
         self._given[data.fixed[0]] = True
@@ -44,18 +50,22 @@ class NormalFlux:
             self._held[facets] = True
         missing, lengths = fem.Function(level.V), fem.Function(level.V)
         cells, numbers, shares = sides(level.mesh, np.flatnonzero(self._held))
-        members = self._members(numbers)
-        dofs = np.take_along_axis(self._dofs[cells], members, axis=1)
-        held = self._is_held(cells, numbers)[:, None]
-        size = volumes(self._corners[cells[:, None], members])[:, None] / members.shape[1] * held
-        np.add.at(missing.x.array, dofs, -size * self._outward(cells, numbers)[:, None])
-        np.add.at(lengths.x.array, dofs, size * shares[:, None])
+        kept = self._is_held(cells, numbers)
+        cells, numbers, shares = cells[kept], numbers[kept], shares[kept]
+        where = reference.on_facets(numbers, rule[0])
+        phi = reference.of(level.V).values(where @ reference.vertices)
+        sizes = reference.facet_measures(cells, numbers, rule[0]) * rule[1]
+        dofs = self._dofs[cells]
+        flux = self.outward(cells, numbers, where)
+        np.add.at(missing.x.array, dofs, -np.einsum("fp,fp,fpn->fn", sizes, flux, phi))
+        np.add.at(lengths.x.array, dofs, np.einsum("fp,fpn->fn", sizes, phi) * shares[:, None])
         for function in (missing, lengths):
             releases.vec(function).ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         own = level.owned
-        found = lengths.x.array[:own] > 0
+        length = lengths.x.array[:own]
+        found = length > 1e-9 * length.max(initial=0.0)  # nodes off the facet have none, up to round-off
         self.correction = fem.Function(level.V)
-        self.correction.x.array[:own][found] = (support + missing.x.array[:own])[found] / lengths.x.array[:own][found]
+        self.correction.x.array[:own][found] = (support + missing.x.array[:own])[found] / length[found]
         self.correction.x.scatter_forward()
 
     def values(self, cells: np.ndarray, numbers: np.ndarray, shares: np.ndarray, where: np.ndarray) -> np.ndarray:
@@ -65,31 +75,28 @@ class NormalFlux:
             cells: Cell of each side.
             numbers: Number of the facet in it.
             shares: Share of the side in the facet, as in the integral that will be taken.
-            where: Barycentric coordinates in the cells, shape (sides, points, vertices).
+            where: Weights of the vertices of the cells, shape (sides, points, vertices).
 
         Returns:
             Shape (sides, points).
         """
-        correction = (where @ self.correction.x.array[self._dofs[cells]][:, :, None])[:, :, 0]
-        flux = (self._outward(cells, numbers) / shares)[:, None] + correction
+        correction = self.reference.values(self.correction, cells, where)
+        flux = self.outward(cells, numbers, where) / shares[:, None] + correction
         return np.where(self._is_held(cells, numbers)[:, None], flux, 0.0)
 
-    def _outward(self, cells: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    def outward(self, cells: np.ndarray, numbers: np.ndarray, where: np.ndarray) -> np.ndarray:
         """tension du/dn of the gradient in each cell, n along the surface for surfaces."""
-        vertices, u = self._corners[cells], self.u.x.array[self._dofs[cells]]
-        edges, rises = vertices[:, 1:] - vertices[:, :1], u[:, 1:] - u[:, :1]
-        slopes = np.linalg.solve(edges @ edges.transpose(0, 2, 1), edges)  # gradients of barycentric coordinates
-        slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)
-        members = self._members(numbers)
-        opposite = (np.arange(slopes.shape[1]).sum() - members.sum(axis=1))[:, None, None]
-        inward = np.take_along_axis(slopes, opposite, axis=1)[:, 0]
-        gradient = np.einsum("ci,cix->cx", rises, slopes[:, 1:])
-        return -self.tension(cells) * np.einsum("cx,cx->c", gradient, inward) / np.linalg.norm(inward, axis=1)
-
-    def _members(self, numbers: np.ndarray) -> np.ndarray:
-        """Vertices of facets by their numbers in a cell."""
-        return np.array(facet_vertices(self.level.mesh.topology.dim))[numbers]
+        return outward_flux(self.reference, self.tension, self.u, cells, numbers, where)
 
     def _is_held(self, cells: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        given = np.take_along_axis(self._given[self._dofs[cells]], self._members(numbers), axis=1)
+        members = np.array(self.reference.facets)[numbers]
+        given = np.take_along_axis(self._given[self._dofs[cells]], members, axis=1)  # dofs of vertices are the first
         return self._held[self._facets[cells, numbers]] & given.all(axis=1)
+
+
+def outward_flux(
+    reference: Reference, tension: Tension, u: fem.Function, cells: np.ndarray, numbers: np.ndarray, where: np.ndarray
+) -> np.ndarray:
+    """tension du/dn of the gradient in cells, outward on their facets, shape (facets, points)."""
+    slope = np.sum(reference.gradients(u, cells, where) * reference.normals(cells, numbers, where), axis=2)
+    return tension(cells, where) * slope

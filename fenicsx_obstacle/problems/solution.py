@@ -36,6 +36,15 @@ PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on
 LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
 
 
+def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
+    """The figures of [report], by name; extremes with their places."""
+    places, found = record.get("report_places", {}), {}
+    for name, value in (record.get("report") or {}).items():
+        where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
+        found[name] = "not finite" if value is None else f"{value:.6g}{where}"
+    return found
+
+
 @dataclass(frozen=True)
 class Force:
     """The resultant of the contact pressure on each obstacle, >= 0, in units of pressure times area.
@@ -371,9 +380,8 @@ class Solution:
             times = self._effectivity()
             lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
         lines += self._enclosure() + self._tolerance()
-        if report := r.get("report"):
-            values = ("not finite" if value is None else f"{value:.6g}" for value in report.values())
-            lines.append("  report: " + ", ".join(map(" = ".join, zip(report, values, strict=True))))
+        if r.get("report"):
+            lines.append("  report: " + ", ".join(f"{name} = {words}" for name, words in report_in_words(r).items()))
         return "\n".join(lines)
 
     def _steps(self) -> list[str]:

@@ -36,7 +36,7 @@ FUNCTIONS = {
     "max": (2, 9),
     "where": (3, 3),
 }
-FUNCTIONALS = {"integral": (1, 2), "at": (2, 4), "sup": (1, 1), "inf": (1, 1)}  # in [report] only
+FUNCTIONALS = {"integral": (1, 3), "at": (2, 4), "sup": (1, 1), "inf": (1, 1)}  # in [report] only
 
 
 @dataclass(frozen=True)
@@ -171,9 +171,10 @@ def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str,
                 hint = f"; over the whole domain it is {over}(...), in [report]" if over else ""
                 raise InputError(formula.pointing(node, f"{name} takes {wanted}, not {len(args)}{hint}"))
             children = args
-            if name == "integral" and len(args) == 2:
-                if not (isinstance(args[1], ast.Constant) and isinstance(args[1].value, str)):
-                    raise InputError(formula.pointing(args[1], "expected the name of a part of the mesh, in quotes"))
+            if name == "integral":
+                for part in args[1:]:
+                    if not (isinstance(part, ast.Constant) and isinstance(part.value, str)):
+                        raise InputError(formula.pointing(part, "expected the name of a part of the mesh, in quotes"))
                 children = args[:1]
         case _:
             raise InputError(formula.pointing(node, "not allowed in a formula"))

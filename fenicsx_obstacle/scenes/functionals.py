@@ -1,13 +1,12 @@
 """The figures of [report]: integrals, point values and extremes of the solution, by NumPy alone.
 
-P1 fields are linear in a cell, so a functional needs values at chosen barycentric coordinates of chosen cells, and a
-report compiles nothing.
+A functional needs values of Lagrange functions at chosen places of chosen cells, so that a report compiles nothing.
 """
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import partial
 
@@ -15,17 +14,22 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
+from fenicsx_obstacle.discrete.cells import corners, own_cells, sides
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
+from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.supports import NormalFlux
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, gauss, rule
+from fenicsx_obstacle.estimation.supports import NormalFlux, outward_flux
+from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
-from fenicsx_obstacle.scenes.report import NORMAL_FLUX
+from fenicsx_obstacle.scenes.report import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.words import counted, nearest
+
+EQUAL = 1e-9  # relative difference of values that count as the same extreme
+FEW_POINTS = 12  # of quadrature in a cell
+GAUSS_POINTS = 4  # along each axis of quadrilaterals and hexahedra: exact for degree 7
 
 
 class Report:
@@ -33,12 +37,14 @@ class Report:
 
     Attributes:
         values: Figures so far, by name.
+        places: Where the extremes are that stand alone in an entry, by its name.
     """
 
     def __init__(self, data: Data, scene: Scene):
         self.data, self.scene, self.level = data, scene, data.level
         self.values: dict[str, float] = {}
-        self._corners, self._dofs = corners(self.level.mesh), releases.cell_dofs(self.level.V)
+        self.places: dict[str, list[float]] = {}
+        self._corners, self._reference = corners(self.level.mesh), Reference(self.level.mesh)
         self._every = np.arange(own_cells(self.level.mesh))
         self._nodal: dict[str, fem.Function] = {}
         self._normal: NormalFlux | None = None
@@ -49,12 +55,10 @@ class Report:
         Raises:
             InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside.
         """
-        dim, pair = self.level.mesh.geometry.dim, self.level.pair
-        if not pair.nested_hierarchy:
-            raise InputError(f"{self.scene.source}: [report] is for element P1, not for {pair.name}: take P1")
+        dim = self.level.mesh.geometry.dim
         if self.data.model.elastic.isotropic_tension is None:
             for formula in self.scene.report.values():
-                if {"flux", NORMAL_FLUX} & formula.names:
+                if {"flux", NORMAL_FLUX, JUMP} & formula.names:
                     raise InputError(f"{formula.place}: flux needs a tension alike in all directions and at all slopes")
         for formula in self.scene.report.values():
             if self.data.model.radial and NORMAL_FLUX in formula.names:
@@ -63,6 +67,10 @@ class Report:
                 match node:
                     case ast.Call(func=ast.Name(id="integral"), args=[first, ast.Constant(value=str(name)) as part]):
                         self._check_part(formula, formula.part(first), part, name)
+                    case ast.Call(
+                        func=ast.Name(id="integral"), args=[_, ast.Constant() as curve, ast.Constant() as of]
+                    ):
+                        self._check_side(formula, curve, of)
                     case ast.Call(func=ast.Name(id="at"), args=[_, *coordinates]):
                         if len(coordinates) != dim:
                             message = f"at() needs {counted(dim, 'coordinate')} here, not {len(coordinates)}"
@@ -84,11 +92,16 @@ class Report:
         Raises:
             InputError: If a point that depends on other figures is outside.
         """
-        self._nodal, self.values = {"u": u, "p": p, "contact": contact}, {}
+        self._nodal, self.values, self.places = {"u": u, "p": p, "contact": contact}, {}, {}
         if any(NORMAL_FLUX in formula.names for formula in self.scene.report.values()):
-            self._normal = NormalFlux(self.data, self._tension, u, support)
+            self._normal = NormalFlux(
+                self.data, self._reference, self._facet_rule(), self._tension, u, support
+            )  # fmt: skip
         for name, formula in self.scene.report.items():
+            self._last_place: list[float] = []
             tree = _Inner(self, formula).visit(deepcopy(formula.tree))
+            if isinstance(formula.tree, ast.Call) and _name(formula.tree) in ("sup", "inf"):
+                self.places[name] = self._last_place
             self.values[name] = self._number(formula.part(tree))
         return {name: value if np.isfinite(value) else None for name, value in self.values.items()}
 
@@ -102,74 +115,115 @@ class Report:
                 if name in self.level.groups:
                     return self._over_cells(expression, self.level.groups[name])
                 return self._over_facets(expression, self.level.facets[name])
+            case "integral", [ast.Constant(value=str(name)), ast.Constant(value=str(side))]:
+                return self._over_facets(expression, self.level.facets[name], self.level.groups[side])
             case "at", coordinates:
                 rows, cells, weights = self._locate(formula, call, coordinates)
                 values = self._inside(expression, cells, weights[:, None])[:, 0]
                 return float(mean_over_cells(self.level.comm, 1, rows, values)[0])
-        vertices = np.eye(self._corners.shape[1])[None]
-        values = np.concatenate([self._inside(expression, block, vertices).ravel() for block in _parts(self._every)])
-        return (largest if _name(call) == "sup" else smallest)(self.level.comm, values)
+        return self._extreme(expression, 1.0 if _name(call) == "sup" else -1.0)
+
+    def _extreme(self, expression: Formula, sign: float) -> float:
+        """The largest or least value at nodes; its place is kept, of equal ones the first by coordinates."""
+        nodes = self._reference.nodes(self.level.V)[None]
+        mine: list[tuple[float, list[float]]] = []
+        for block in _parts(self._every):
+            values = sign * self._inside(expression, block, nodes)
+            if not values.size:
+                continue
+            if np.isnan(values).any():
+                mine.append((np.nan, [np.nan]))
+                continue
+            best = values.max()
+            cells, points = np.nonzero(values >= best - EQUAL * abs(best))
+            x = np.einsum("cv,cvi->ci", nodes[0][points], self._corners[block][cells])
+            x = x[:, : self.level.mesh.geometry.dim]
+            mine.append((float(best), x[np.lexsort(x.T[::-1])[0]].tolist()))
+        found = [one for part in self.level.comm.allgather(mine) for one in part]
+        best = max((value for value, _ in found), default=-np.inf)
+        if any(np.isnan(value) for value, _ in found):
+            return np.nan
+        self._last_place = min(place for value, place in found if value >= best - EQUAL * abs(best))
+        return sign * best
+
+    def _rule(self) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of the vertices at points of quadrature, shape (n, vertices), and weights of sum 1."""
+        dim = self._reference.dim
+        return rule(dim) if self._reference.simplex else self._grid(dim)
+
+    def _facet_rule(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same for facets."""
+        dim = self._reference.dim - 1
+        return rule(dim) if self._reference.simplex or dim < 2 else self._grid(dim)
+
+    def _grid(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
+        x, weights = gauss(GAUSS_POINTS)
+        points = np.stack(np.meshgrid(*[x] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+        corner = np.array([[v >> axis & 1 for axis in range(dim)] for v in range(2**dim)])
+        at = np.prod(np.where(corner[None] == 1, points[:, None], 1 - points[:, None]), axis=2)
+        return at, np.prod(np.stack(np.meshgrid(*[weights] * dim, indexing="ij"), axis=-1).reshape(-1, dim), axis=1)
 
     def _over_cells(self, expression: Formula, cells: np.ndarray) -> float:
-        points, weights = rule(self.level.mesh.topology.dim)
+        points, weights = self._rule()
         parts = [
-            volumes(self._corners[block]) @ (self._inside(expression, block, points[None]) @ weights)
-            for block in _parts(cells)
+            (self._inside(expression, block, points[None]) * self._reference.measures(block, points[None])) @ weights
+            for block in _parts(cells, len(weights))
         ]
-        return total(self.level.comm, parts)
+        return total(self.level.comm, np.concatenate(parts))
 
-    def _over_facets(self, expression: Formula, facets: np.ndarray) -> float:
-        """Integral over facets; slope and flux on a curve inside are means of both sides, the normal flux their sum."""
-        dim = self.level.mesh.topology.dim
+    def _over_facets(self, expression: Formula, facets: np.ndarray, seen_from: np.ndarray | None = None) -> float:
+        """Integral over facets; slope and flux on a curve inside are means of both sides, the normal flux and the jump
+        their sums. From some cells alone it is what is there, and the normal flux is that of the gradient."""
         cells, numbers, shares = sides(self.level.mesh, facets)
-        members = np.array(facet_vertices(dim))[numbers]
-        points, weights = rule(dim - 1)
-        inside = np.zeros((len(cells), len(points), dim + 1))
-        np.put_along_axis(inside, np.repeat(members[:, None], len(points), axis=1), points[None], axis=2)
-        sizes = volumes(self._corners[cells[:, None], members])
-        normal = None if self._normal is None else partial(self._normal.values, cells, numbers, shares, inside)
-        return total(self.level.comm, shares * sizes * (self._inside(expression, cells, inside, normal) @ weights))
+        if seen_from is not None:
+            kept = np.isin(cells, seen_from)
+            cells, numbers, shares = cells[kept], numbers[kept], np.ones(np.count_nonzero(kept))
+        points, weights = self._facet_rule()
+        inside = self._reference.on_facets(numbers, points)
+        sizes = shares[:, None] * self._reference.facet_measures(cells, numbers, points) * weights
+        of_gradient = partial(
+            outward_flux, self._reference, self._tension, self._nodal["u"], cells, numbers, inside
+        )  # fmt: skip
+        normal: Callable[[], np.ndarray] = of_gradient
+        if self._normal is not None and seen_from is None:
+            normal = partial(self._normal.values, cells, numbers, shares, inside)
+        on_facets = {NORMAL_FLUX: normal, JUMP: lambda: of_gradient() / shares[:, None]}
+        return total(self.level.comm, sizes * self._inside(expression, cells, inside, on_facets))
 
     def _inside(
-        self, expression: Formula, cells: np.ndarray, where: np.ndarray, normal: Callable[[], np.ndarray] | None = None
-    ) -> np.ndarray:
-        """Values in cells, shape (cells, points), at barycentric coordinates of shape (cells or 1, points, vertices).
+        self, expression: Formula, cells: np.ndarray, where: np.ndarray,
+        on_facets: Mapping[str, Callable[[], np.ndarray]] | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """Values in cells, shape (cells, points), at weights of their vertices, shape (cells or 1, points, vertices).
 
-        Collective where it is the first to need the distance. `normal` gives the normal flux, on facets.
+        Collective where it is the first to need the distance. `on_facets` gives what facets alone have.
         """
-        shape = (len(cells), where.shape[1])
+        shape, values_of = (len(cells), where.shape[1]), self._reference.values
         fields: dict[str, Callable[[], np.ndarray]] = {
-            "u": lambda: self._linear(self._nodal["u"], cells, where),
-            "p": lambda: self._linear(self._nodal["p"], cells, where),
-            "contact": lambda: self._linear(self._nodal["contact"], cells, where),
-            "distance": lambda: self._linear(self.data.distance, cells, where),
-            "slope": lambda: self._slope(cells)[:, None],
-            "flux": lambda: (self._tension(cells) * self._slope(cells))[:, None],
+            "u": lambda: values_of(self._nodal["u"], cells, where),
+            "p": lambda: values_of(self._nodal["p"], cells, where),
+            "contact": lambda: values_of(self._nodal["contact"], cells, where),
+            "distance": lambda: values_of(self.data.distance, cells, where),
+            "slope": lambda: self._slope(cells, where),
+            "flux": lambda: self._tension(cells, where) * self._slope(cells, where),
+            **(on_facets or {}),
         }
-        if normal is not None:
-            fields[NORMAL_FLUX] = normal
         named = sorted(self.scene.needs(expression) & set(fields))  # in the same order on every rank
         values = {name: np.broadcast_to(fields[name](), shape).ravel() for name in named}
         x = (where @ self._corners[cells]).reshape(-1, 3).T
         return self.scene.at_points(expression, x, {**self.data.now, **self.values, **values}).reshape(shape)
 
-    def _linear(self, function: fem.Function, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
-        return (where @ function.x.array[self._dofs[cells]][:, :, None])[:, :, 0]
+    def _slope(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """|grad u|; along the surface, for a surface."""
+        return np.linalg.norm(self._reference.gradients(self._nodal["u"], cells, where), axis=2)
 
-    def _slope(self, cells: np.ndarray) -> np.ndarray:
-        """|grad u|, constant in a cell; along the surface, for a surface."""
-        vertices, u = self._corners[cells], self._nodal["u"].x.array[self._dofs[cells]]
-        edges, rises = vertices[:, 1:] - vertices[:, :1], u[:, 1:] - u[:, :1]
-        solved = np.linalg.solve(edges @ edges.transpose(0, 2, 1), rises[:, :, None])[:, :, 0]
-        return np.sqrt(np.maximum(np.sum(rises * solved, axis=1), 0.0))
-
-    def _tension(self, cells: np.ndarray) -> np.ndarray | float:
+    def _tension(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray | float:
         tension = self.data.model.elastic.isotropic_tension
         assert tension is not None
         values = self.data.cellwise(tension)
         if isinstance(values, fem.Constant):
             return float(values.value)
-        return values.x.array[releases.cell_dofs(self.level.W)[cells, 0]]
+        return self._reference.values(values, cells, where)
 
     def _number(self, formula: Formula) -> float:
         """Value of a formula of constants."""
@@ -178,7 +232,11 @@ class Report:
     def _locate(self, formula: Formula, node: ast.AST, coordinates: list[ast.expr]) -> tuple[np.ndarray, ...]:
         point = np.zeros((1, 3))
         point[0, : len(coordinates)] = [self._number(formula.part(coordinate)) for coordinate in coordinates]
-        found = locate(self.level, point)
+        if self._reference.simplex:
+            found = locate(self.level, point)
+        else:
+            rows, cells = releases.cells_near(self.level.mesh, point, 0.0, within=True)
+            found = rows, cells, self._reference.pulled_back(cells, point[rows])
         if total(self.level.comm, len(found[0])) == 0:
             place = ", ".join(f"{x:g}" for x in point[0, : len(coordinates)])
             raise InputError(formula.pointing(node, f"the point ({place}) is outside the mesh"))
@@ -201,6 +259,17 @@ class Report:
         if NORMAL_FLUX in self.scene.needs(expression):
             self._check_normal_flux(formula, node, name)
 
+    def _check_side(self, formula: Formula, curve: ast.Constant, side: ast.Constant) -> None:
+        """A curve, and the cells on one side of it."""
+        facets, groups = self.level.facets, self.level.groups
+        for node, known, what in ((curve, facets, "curve or side"), (side, groups, "material")):
+            if node.value not in known:
+                message = f"no {what} named '{node.value!s}'" + nearest(str(node.value), known)
+                raise InputError(formula.pointing(node, message))
+        cells, _, _ = sides(self.level.mesh, facets[str(curve.value)])
+        if total(self.level.comm, np.count_nonzero(np.isin(cells, groups[str(side.value)]))) == 0:
+            raise InputError(formula.pointing(side, f"'{side.value!s}' is not beside '{curve.value!s}'"))
+
     def _check_normal_flux(self, formula: Formula, node: ast.expr, name: str) -> None:
         """Refuse the normal flux where it is not the force by which u is held (collective)."""
         mesh, comm = self.level.mesh, self.level.comm
@@ -215,7 +284,7 @@ class Report:
         if total(comm, np.count_nonzero(~np.isin(facets, held))) > 0:
             message = (
                 f"'{name}' is inside the domain and u is not given on it: the {NORMAL_FLUX} of both sides adds up to 0 "
-                "there; for the flux through it integrate load and p over the part of the domain on one side of it"
+                f'there; from one side it is integral({NORMAL_FLUX}, "{name}", "name of the cells there")'
             )
             raise InputError(formula.pointing(node, message))
 
@@ -238,6 +307,8 @@ def _name(call: ast.Call) -> str:
     return call.func.id
 
 
-def _parts(cells: np.ndarray) -> list[np.ndarray]:
-    """Cells, at most AT_ONCE at a time; one empty part where there are none."""
-    return [cells[block] for block in blocks(len(cells))] or [cells]
+def _parts(cells: np.ndarray, points: int = 1) -> list[np.ndarray]:
+    """Cells, at most AT_ONCE at a time, of many points fewer; one empty part where there are none."""
+    return [cells[block] for block in blocks(len(cells), max(1, AT_ONCE * FEW_POINTS // max(points, FEW_POINTS)))] or [
+        cells
+    ]

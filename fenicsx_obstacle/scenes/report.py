@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene
 
 NORMAL_FLUX = "normal_flux"  # tension du/dn: on a part of the boundary only
-FIELDS = ("u", "p", "contact", "slope", "flux", NORMAL_FLUX)
+JUMP = "jump"  # of tension du/dn across a curve inside
+FIELDS = ("u", "p", "contact", "slope", "flux", NORMAL_FLUX, JUMP)
 _DIMENSIONS = {"interval": 1, "rectangle": 2, "disk": 2, "l-shape": 2, "box": 3}
 
 
@@ -56,7 +57,7 @@ class _Checker:
             case ast.Name(id=name):
                 self._name(node, name, inside, on_part)
             case ast.Call(func=ast.Name(id=name), args=[first, *rest]) if name in FUNCTIONALS:
-                self.check(first, inside=True, on_part=name == "integral" and len(rest) == 1)
+                self.check(first, inside=True, on_part=name == "integral" and len(rest) > 0)
                 if name == "at":
                     if self.dimension is not None and len(rest) != self.dimension:
                         wanted = counted(self.dimension, "coordinate")
@@ -72,8 +73,9 @@ class _Checker:
                         self.check(operand, inside=inside, on_part=on_part)
 
     def _name(self, node: ast.expr, name: str, inside: bool, on_part: bool) -> None:
-        if name == NORMAL_FLUX and not on_part:
-            message = f'{name} is known on a part of the boundary: integral({name}, "name")'
+        if name in (NORMAL_FLUX, JUMP) and not on_part:
+            where = "a part of the boundary" if name == NORMAL_FLUX else "a curve inside"
+            message = f'{name} is known on {where}: integral({name}, "name")'
             raise InputError(self.formula.pointing(node, message))
         if name in (self.varying if inside else self.constant):
             return

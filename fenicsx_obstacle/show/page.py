@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle.parallel import write_text
+from fenicsx_obstacle.problems.solution import report_in_words
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
@@ -197,7 +198,7 @@ def _picture(path: Path, title: str) -> str:
 
 def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[str]:
     """The scene's own figures, those of every scene, the equation, and the scene itself."""
-    report = [(name, "not finite" if v is None else f"{v:.6g}") for name, v in (record.get("report") or {}).items()]
+    report = list(report_in_words(record).items())
     return [
         *([section("Report" + which, facts(report))] if report else []),
         section("Figures" + which, facts(_figures(record))),
