@@ -194,12 +194,22 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 @commands.command()
 @click.argument("result", type=Place())
 @click.option("--output", type=Place(), metavar="FILE", help="Another file.  [RESULT/answer.png]")
+@click.option("--along", metavar="A:B", help="Instead: u and p along a line, such as 0,0.5:1,0.5; a table, too.")
 @options("plugin")
-def plot(result: Path, output: Path | None) -> None:
+def plot(result: Path, output: Path | None, along: str | None) -> None:
     """Draw a saved result: u, contact set and pressure.
 
-    RESULT is a folder of 'solve'; its page then shows the picture, unless --output (.png, .pdf, .svg) is given.
+    RESULT is a folder of 'solve'; its page then shows the picture, unless --output (.png, .pdf, .svg) is given. With
+    --along it writes RESULT/along.png and along.csv.
     """
+    if along is not None:
+        from fenicsx_obstacle.answers.answer import Answer
+        from fenicsx_obstacle.answers.profiles import along_text
+        from fenicsx_obstacle.show.profiles import draw_line
+
+        ends = along_text(along)
+        tell(draw_line(Answer.read(result), *ends, output or result / "along.png"))
+        return
     from fenicsx_obstacle.answers.answer import Answer
     from fenicsx_obstacle.show.report import report_answer
 

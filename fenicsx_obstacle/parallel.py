@@ -215,14 +215,19 @@ def peak_memory_mb(comm: MPI.Comm) -> float:
     return total(comm, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6)
 
 
+def return_freed_memory() -> None:
+    """Give back to the system what was freed, where the C library can: large arrays do not reuse it (local)."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def forget_peak_memory(comm: MPI.Comm) -> float:
     """Let `peak_memory_mb` begin anew, and what was freed go back to the system; where Linux allows it (collective).
 
     Returns:
         What all ranks occupy now, in MB of 10^6 bytes.
     """
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
+    return_freed_memory()
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
     pages = int(Path("/proc/self/statm").read_text().split()[1])

@@ -76,10 +76,12 @@ def cell_name(mesh: dmesh.Mesh) -> str:
     return called(mesh.ufl_cell().cellname)
 
 
-def functionspace(mesh: dmesh.Mesh, family: str, degree: int) -> fem.FunctionSpace:
-    """Scalar space of a family and degree (collective)."""
-    make = getattr(fem, "functionspace", None) or fem.FunctionSpace
-    return make(mesh, (family, degree))
+def functionspace(mesh: dmesh.Mesh, family: str, degree: int, components: int | None = None) -> fem.FunctionSpace:
+    """Space of a family and degree, scalar or of so many components (collective)."""
+    if OLD:
+        return (fem.FunctionSpace(mesh, (family, degree)) if components is None
+                else fem.VectorFunctionSpace(mesh, (family, degree), components))  # fmt: skip
+    return fem.functionspace(mesh, (family, degree) if components is None else (family, degree, (components,)))
 
 
 def vec(u: fem.Function) -> PETSc.Vec:
@@ -236,18 +238,24 @@ def create_mesh(comm: MPI.Comm, cells: np.ndarray, points: np.ndarray, cell: str
     gdim = points.shape[1]
     if OLD:
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell(cell, geometric_dimension=gdim), 1))
-        part = dmesh.create_cell_partitioner(*([_stay] if stay else []))
-        mesh = dmesh.create_mesh(comm, cells, points, domain, FACET_GHOSTS, part)
+        mesh = dmesh.create_mesh(comm, cells, points, domain, FACET_GHOSTS, _partitioner(comm, len(cells), stay))
     else:
         import basix.ufl
 
         domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(gdim,)))
         arguments = (cells, domain, points) if NEW else (cells, points, domain)
-        mesh = dmesh.create_mesh(comm, *arguments, partitioner=_partitioner(stay))
+        mesh = dmesh.create_mesh(comm, *arguments, partitioner=_partitioner(comm, len(cells), stay))
     return settle(mesh)
 
 
-def _partitioner(stay: bool) -> Any:
+def _partitioner(comm: MPI.Comm, cells: int, stay: bool) -> Any:
+    """How cells get to their ranks. One rank keeps them all, for which no graph of their neighbours has to be made."""
+    if comm.size == 1:
+        return lambda *_: _cpp.graph.AdjacencyList_int32(
+            np.zeros(cells, np.int32), np.arange(cells + 1, dtype=np.int32)
+        )
+    if OLD:
+        return dmesh.create_cell_partitioner(*([_stay] if stay else []))
     cells_at_a_facet = [2] if VERSION >= (0, 11) else []
     return dmesh.create_cell_partitioner(*([_stay] if stay else []), FACET_GHOSTS, *cells_at_a_facet)
 
@@ -255,8 +263,6 @@ def _partitioner(stay: bool) -> Any:
 def _stay(comm: MPI.Comm, parts: int, graph: Any, ghosting: bool) -> Any:
     """Partition function: every cell stays on its rank and is a ghost on its neighbours' ranks."""
     own = graph.num_nodes
-    if comm.size == 1:
-        return _cpp.graph.AdjacencyList_int32(np.zeros(own, np.int32), np.arange(own + 1, dtype=np.int32))
     ends = np.cumsum(comm.allgather(own))
     offsets, links = np.asarray(graph.offsets), np.asarray(graph.array)
     cell = np.repeat(np.arange(own), np.diff(offsets)) if ghosting else np.empty(0, int)

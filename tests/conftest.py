@@ -44,15 +44,19 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--half", type=int, choices=(0, 1), help="Run every second of the chosen tests.")
+    parser.addoption(
+        "--half", type=int, choices=(0, 1), help="Run every second of the slow tests; if none is chosen, of all."
+    )
 
 
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     half = config.getoption("--half")
     if half is not None:
-        config.hook.pytest_deselected(items=items[1 - half :: 2])
-        items[:] = items[half::2]
+        halved = [item for item in items if "slow" in item.keywords] or items
+        left_out = set(halved[1 - half :: 2])
+        config.hook.pytest_deselected(items=list(left_out))
+        items[:] = [item for item in items if item not in left_out]
     if COMM.size > 1:
         kept = [item for item in items if "serial" not in item.keywords]
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])

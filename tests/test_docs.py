@@ -169,7 +169,7 @@ def test_scenes_are_described():
                for name in tables.Tables.__struct_fields__)  # fmt: skip
     for table in vars(tables).values():
         if isinstance(table, type) and table.__name__.endswith("Table"):
-            assert set(table.__struct_fields__) <= words, table.__name__
+            assert set(table.__struct_encode_fields__) <= words, table.__name__
     assert {*known(), *known("boundary"), *FUNCTIONS, *FUNCTIONALS, *FIELDS} <= words
     assert set(pairs()) <= words
     names = (ROOT / "docs" / "effects.md").read_text()

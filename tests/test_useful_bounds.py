@@ -14,7 +14,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.oscillation import _energies, _parts, poincare
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import add_ghosts
 
 FINE = 64
@@ -153,3 +153,14 @@ def test_stiff_inclusions():
     ]
     assert bounds[1].total < 0.03  # the true error is 0.021
     assert all(fine.total < 0.7 * coarse.total for coarse, fine in itertools.pairwise(bounds))
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_a_pole_leaves_the_solution_as_it_is(element):
+    """A bound of a load, 1e21 at its pole, is no force: u = r^0.1 stays between its boundary values."""
+    answer = solve(
+        membrane(load="-0.01*max(r, 1e-12)^(-1.9)", boundary=[{"value": "r^0.1"}]), bound=True, element=element
+    )
+    u = answer.u.x.array
+    assert smallest(COMM, u) > -0.01 and largest(COMM, u) < 1.05
+    assert answer.bound.total > 0.09  # the true error

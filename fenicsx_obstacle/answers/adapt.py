@@ -93,7 +93,9 @@ def solve(
         raise InputError("a budget goes with a tolerance: add --tol")
     with closing(SolverContext(scene, comm)) as context:
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
-        return context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states)
+        answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False)
+        context.forget_levels()
+        return context.measured(answer)
 
 
 class Refinement:

@@ -20,6 +20,7 @@ from fenicsx_obstacle.signatures import checked
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.time_history import TimeHistory
+    from fenicsx_obstacle.io.rows import Rows
 
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
 
@@ -50,17 +51,20 @@ class Answer(Solution):
     def functions(self) -> dict[str, fem.Function]:
         return super().functions() | ({} if self.error is None else {"error": self.error})
 
-    def files(self, folder: Path, arrays: Mapping[str, np.ndarray], element: Mapping[str, np.ndarray]) -> Files:
+    def files(
+        self, folder: Path, mesh: Mapping[str, Rows], element: Mapping[str, Rows], parts: Mapping[str, np.ndarray]
+    ) -> Files:
         from fenicsx_obstacle.io.element import own_mesh
 
-        contents = {"scene.toml": self._scene_in(folder).toml().encode()}
+        text, data = self._scene_in(folder).with_data()
+        contents = {"scene.toml": text.encode(), **data}
         if element and self.scene.mesh is not None:
-            contents |= own_mesh(arrays["points"][:, : arrays["gdim"]], element)
+            contents |= own_mesh(self.level, mesh["points"], element["cells"], parts)
         if self.time_history is not None:
             from fenicsx_obstacle.answers.frames import files_of  # only where a scene has time
             from fenicsx_obstacle.io.folder import history_csv
 
-            contents |= {NEWTON: history_csv(self.history), **files_of(self.time_history, dict(arrays))}
+            contents |= {NEWTON: history_csv(self.history), **files_of(self.time_history, mesh)}
         return contents
 
     def _scene_in(self, folder: Path) -> Scene:

@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import h5py
-import numpy as np
 
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_csv, from_groups, to_arrays, to_csv
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.io.paraview import FRAMES, to_hdf5, xdmf
+from fenicsx_obstacle.io.paraview import FRAMES, Array, to_hdf5, xdmf
 
 
-def files_of(time_history: TimeHistory, mesh: Mapping[str, np.ndarray]) -> dict[str, bytes]:
+def files_of(time_history: TimeHistory, mesh: Mapping[str, Array]) -> dict[str, bytes]:
     """The files, by name (one rank).
 
     Args:
@@ -23,7 +22,7 @@ def files_of(time_history: TimeHistory, mesh: Mapping[str, np.ndarray]) -> dict[
     """
     files = {"history.csv": to_csv(time_history.rows).encode()}
     if time_history.frames:
-        moments: dict[float | None, Mapping[str, np.ndarray]] = {frame.t: frame.fields for frame in time_history.frames}
+        moments: dict[float | None, Mapping[str, Array]] = {frame.t: frame.fields for frame in time_history.frames}
         files |= dict(zip(FRAMES, (to_hdf5(to_arrays(time_history.frames)), xdmf(mesh, moments).encode()), strict=True))
     return files
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
@@ -21,7 +20,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.estimation.norms import Exact
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.figures import course_of, figures_of
 from fenicsx_obstacle.problems.solution import Seconds
 from fenicsx_obstacle.problems.state import State, state_of
@@ -75,6 +74,7 @@ class SolverContext:
         self.started = time.perf_counter()
         if level is None:
             level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            return_freed_memory()  # half of what making a mesh takes
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(Data(scene.model, level))
@@ -90,6 +90,10 @@ class SolverContext:
 
             self._report = Report(self.problem.data, scene)
             self._report.check()
+        if scene.tables.profile:
+            from fenicsx_obstacle.answers.profiles import points_of  # only where a scene names one
+
+            points_of(scene, level)  # refuses points outside before anything is solved
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None
@@ -132,6 +136,12 @@ class SolverContext:
     def forget_estimator(self) -> None:
         """Free what bounds need, some kB per node, where this mesh is only a level below another from now on."""
         self._estimator = None
+
+    def forget_levels(self) -> None:
+        """Free problems and multigrid of the levels below, which the next solve would make anew (collective)."""
+        self._grids = self._problems = None
+        releases.free(level.comm for level in self.problem.level.downward)
+        return_freed_memory()
 
     def answer(
         self,
@@ -256,6 +266,9 @@ class SolverContext:
         if self._grids is None:
             start = time.perf_counter()
             self._grids = multigrid.chain(hierarchy(self.problem))
+            for level in self.problem.level.downward:
+                level.forget_points()
+            return_freed_memory()
             self.setup_seconds += time.perf_counter() - start
         return self._grids
 
@@ -312,13 +325,11 @@ def _with_errors(answer: Answer, exact: Exact) -> Answer:
     Raises:
         InputError: If the exact solution is not a number somewhere.
     """
-    eps = answer.record["eps"]
-    record: dict[str, Any] = {**answer.record, "errors": exact.errors(answer.u, answer.pressure, eps)}
-    if answer.bound is not None and record["errors"]["energy"] > 0:
-        record["bound"] = {**record["bound"], "effectivity": answer.bound.total / record["errors"]["energy"]}
-    error = fem.Function(answer.level.V)
-    error.x.array[:] = answer.u.x.array - exact.nodal(eps)
-    return replace(answer, record=record, error=error)
+    errors, difference = exact.errors(answer.u, answer.pressure, answer.record["eps"])
+    record: dict[str, Any] = {**answer.record, "errors": errors}
+    if answer.bound is not None and errors["energy"] > 0:
+        record["bound"] = {**record["bound"], "effectivity": answer.bound.total / errors["energy"]}
+    return replace(answer, record=record, error=difference)
 
 
 def close(benches: Sequence[SolverContext]) -> None:

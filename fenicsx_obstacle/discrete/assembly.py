@@ -273,7 +273,6 @@ class Nodal(Forms):
         A.zeroRowsColumns((first + self.fixed).astype(PETSc.IntType), 1.0)
         A.getDiagonal(self._changed)
         self.diagonal = self._changed.array.copy()
-        self._held = HELD * self.diagonal
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         self.add_penalty_diagonal(A, self.penalty_diagonal() if penalised else None)
@@ -294,7 +293,7 @@ class Nodal(Forms):
         """Fill A with the stiffness and a spring at each owned dof; at an infinite one A answers nothing but zero."""
         self._changed.array[:] = self.diagonal
         if penalty_diagonal is not None:
-            self._changed.array[:] += np.minimum(penalty_diagonal, self._held)
+            self._changed.array[:] += np.minimum(penalty_diagonal, HELD * self.diagonal)
         A.setDiagonal(self._changed)
 
     def _excess(self) -> np.ndarray:

@@ -18,14 +18,15 @@ from ufl.corealg.traversal import unique_pre_traversal
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.effects.field import ByCells, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.parallel import agree
 from fenicsx_obstacle.words import plain, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.levels import Level
 
-EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x as Function.interpolate takes it, or a \
-dict of these by the names of cells"
+EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x as Function.interpolate takes it, a \
+Table, or a dict of these by the names of cells"
 
 
 Cellwise: TypeAlias = fem.Function | fem.Constant  # a datum in cells, as forms take it
@@ -334,8 +335,8 @@ def field(value: Any, source: str) -> Field:
     """A datum from what a user of DOLFINx has.
 
     Args:
-        value: A number, a Constant, a Function, a UFL expression, a callable of x or of (x, t), a Field, or a dict of
-            these by the names of cells.
+        value: A number, a Constant, a Function, a UFL expression, a callable of x or of (x, t), a Table, a Field, or a
+            dict of these by the names of cells.
         source: What messages call it.
 
     Raises:
@@ -343,6 +344,8 @@ def field(value: Any, source: str) -> Field:
     """
     if isinstance(value, Field):
         return value
+    if isinstance(value, Table):
+        return value.on(source)
     if isinstance(value, fem.Function):
         return OfFunction(value, source)
     if isinstance(value, fem.Constant) and value.ufl_shape == ():

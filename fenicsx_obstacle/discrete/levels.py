@@ -22,6 +22,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.parallel import largest
 
+AT_ONCE = 50_000  # cells in memory
 INWARD = 1e-6  # of the way to the middle of the cell
 
 
@@ -76,6 +77,10 @@ class Level:
         # as the mesh has them: DOLFINx's own table is off in the last digit, differently on each rank
         return np.ascontiguousarray(self.mesh.geometry.x[releases.dof_nodes(self.V)].T)
 
+    def forget_points(self) -> None:
+        """Free the coordinates, once data have been sampled; the next use makes them anew."""
+        self.__dict__.pop("points", None)
+
     def points_of(self, V: fem.FunctionSpace) -> np.ndarray:
         """Points of the local dofs of a space on this mesh, shape (3, dofs); of W within its cells, where it jumps."""
         if V is self.V:
@@ -87,7 +92,7 @@ class Level:
             points[:, dofs] += INWARD * (middle - points[:, dofs])
         return points
 
-    @cached_property
+    @property
     def ends(self) -> np.ndarray:
         """For each owned dof the two local dofs of `coarse` of which it is the mean.
 
@@ -164,12 +169,14 @@ class Level:
     @cached_property
     def h_max(self) -> float:
         """Longest edge (first use is collective)."""
-        x, nodes = self.mesh.geometry.x, releases.geometry_dofs(self.mesh)
-        squares = []
-        for i, j in combinations(range(nodes.shape[1]), 2):
-            edge = x[nodes[:, i]] - x[nodes[:, j]]
-            squares.append(np.einsum("ij,ij->i", edge, edge).max(initial=0.0))
-        return float(np.sqrt(largest(self.comm, squares)))
+        x, nodes = self.mesh.geometry.x[:, : self.mesh.geometry.dim], releases.geometry_dofs(self.mesh)
+        square = 0.0
+        for start in range(0, len(nodes), AT_ONCE):
+            corner = x[nodes[start : start + AT_ONCE]]
+            for i, j in combinations(range(nodes.shape[1]), 2):
+                edge = corner[:, i] - corner[:, j]
+                square = max(square, np.einsum("ij,ij->i", edge, edge).max())
+        return float(np.sqrt(largest(self.comm, square)))
 
     def indicator(self, name: str) -> np.ndarray:
         """Whether each local dof of W belongs to a cell of a named material, ghosts included (collective)."""

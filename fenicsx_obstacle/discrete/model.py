@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect
-from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.errors import InputError
 
 
@@ -84,6 +84,15 @@ class Model:
     def thin(self) -> bool:
         """Whether obstacles are on the boundary, or on curves inside, instead of in the domain."""
         return any(part.bears for part in self.boundary)
+
+    @property
+    def data(self) -> list[Field]:
+        """All data, those of materials one by one."""
+        given = [self.lower, self.upper, *(effect.inputs for effect in self.effects)]
+        given += [getattr(part, key) for part in self.boundary for key in ("value", "where", "lower", "upper")]
+        given += [] if self.time is None else [self.time.start, self.time.velocity]
+        found = [list(field.parts.values()) if field.parts is not None else [field] for field in fields_in(given)]
+        return [field for part in found for field in part]
 
     @property
     def elastic(self) -> Effect:

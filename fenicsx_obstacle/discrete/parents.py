@@ -82,7 +82,9 @@ def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarr
     points[vertices.size_local :] = middle[: edges.size_local]
     children = np.array([_CORNERS[dim] + [(*d, *edge) for edge in ring] for d, ring in _RING[dim].items()])
     pattern = _inner_diagonal(corner[:own]) if dim == 3 else np.zeros(own, dtype=int)
-    cells = np.take_along_axis(number, children.reshape(len(children), -1)[pattern], axis=1).reshape(-1, dim + 1)
+    patterns = children.reshape(len(children), -1)
+    cells = number[:, patterns[0]] if len(patterns) == 1 else np.take_along_axis(number, patterns[pattern], axis=1)
+    cells = cells.reshape(-1, dim + 1)
     new = releases.create_mesh(comm, cells, points, releases.cell_name(mesh), stay=True)
     start = before(comm, len(cells))
     kept = np.asarray(new.topology.original_cell_index)[: new.topology.index_map(dim).size_local] - start

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 from dolfinx import fem
@@ -27,27 +26,31 @@ class Transfer:
     def __init__(self, P: PETSc.Mat, inject: Injection):
         self.P, self.inject = P, inject
 
-    @cached_property
-    def _vectors(self) -> tuple[PETSc.Vec, PETSc.Vec]:
-        return self.P.createVecs()
-
     def interpolate(self, coarse: np.ndarray) -> np.ndarray:
         """P times owned coarse values (collective)."""
-        right, left = self._vectors
+        right, left = self.P.createVecs()
         right.array[:] = coarse
         self.P.mult(right, left)
-        return left.array.copy()
+        return _taken(left, right)
 
     def restrict(self, fine: np.ndarray) -> np.ndarray:
         """The transpose of P times owned fine values (collective)."""
-        right, left = self._vectors
+        right, left = self.P.createVecs()
         left.array[:] = fine
         self.P.multTranspose(left, right)
-        return right.array.copy()
+        return _taken(right, left)
 
     def all_of(self, coarse: np.ndarray) -> np.ndarray:
         """Whether a condition on coarse nodes holds at all those that a fine node is interpolated from (collective)."""
         return self.interpolate((~coarse).astype(float)) == 0
+
+
+def _taken(result: PETSc.Vec, other: PETSc.Vec) -> np.ndarray:
+    """The owned values of a vector; both vectors are freed."""
+    values = result.array.copy()
+    result.destroy()
+    other.destroy()
+    return values
 
 
 def to_parents(level: Level) -> Transfer:

@@ -192,6 +192,10 @@ class ByCells(Field):
     def needs_distance(self) -> bool:  # type: ignore[override]
         return any(part.needs_distance for part in self._parts.values())
 
+    def because(self, point: np.ndarray, names: Names) -> str:
+        found = (part.because(point, names) for part in self._parts.values())
+        return next((words for words in found if words), "")
+
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         raise InputError(f"{self}: values by the names of cells do not say what holds at a node, which cells share")
 

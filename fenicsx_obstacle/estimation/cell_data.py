@@ -24,6 +24,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 TENSION = Division(6)
 # by the degree of the elements; the mean of the rest counts with Friedrichs' constant, not with h
 LOAD = {1: Division(5, 1e-2, 5e-3, 2), 2: Division(8, 1e-3, 1e-4)}
+SEEN = 100.0  # times the largest load seen at points inside cells: a bound beyond that tells nothing about the load
 Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -144,7 +145,10 @@ class Load:
         if degree == 1:
             sides = [largest(comm, triangles.x[..., k]) - smallest(comm, triangles.x[..., k]) for k in range(2)]
             division = replace(division, length=min(sides) / np.pi)  # about Friedrichs' constant
-        self.pieces = in_cells(triangles, value, division)
+        pieces = in_cells(triangles, value, division)
+        seen = triangles.values(value, points)
+        limit = SEEN * largest(comm, np.abs(seen))
+        self.pieces = replace(pieces, groups=[_near_seen(group, seen, limit) for group in pieces.groups])
         self._integrate(self.pieces)
         self.missing = self.moments - solver
 
@@ -171,6 +175,25 @@ class Load:
             _add(rests, part.rows, part.share * rest**2)
             _add(self.rest, part.rows, part.share * rest)
         self.oscillation = np.sqrt(self._area) * (np.sqrt(squares) + np.sqrt(rests))
+
+
+def _near_seen(group: Group, seen: np.ndarray, limit: float) -> Group:
+    """Where a load may be far beyond all that is seen of it, the mean of what is seen stands for it.
+
+    The middle of its bounds would do for the bound; but the solver takes this load too.
+
+    Args:
+        group: Parts of cells.
+        seen: The load at points inside the cells.
+        limit: How large values may be.
+    """
+    near = ~np.isfinite(group.rest) | (group.rest <= limit)
+    if group.degree > 0 or near.all():
+        return group
+    mean = np.clip(seen.mean(axis=1)[group.rows], group.lower, group.upper)
+    chosen = np.where(near, group.coefficients[:, 0], mean)
+    rest = np.where(near, group.rest, np.maximum(group.upper - mean, mean - group.lower))
+    return replace(group, coefficients=chosen[:, None], rest=rest)
 
 
 class Tension:

@@ -36,7 +36,6 @@ from fenicsx_obstacle.polynomials import (
     largest,
     round_off,
     row_size,
-    to_parts,
 )
 
 DENSE = 8  # parts of an edge
@@ -119,17 +118,18 @@ class Halves:
 
 
 @cache
-def _above_chords(times: int, degree: int) -> np.ndarray:
-    """Bernstein coefficients of what polynomials on a part are above their chords on its small triangles.
+def _above_chords(times: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bernstein coefficients of what polynomials on a part are above their chords on its small triangles, in a matrix.
 
-    They are those on the halves of small triangles, which are nearer to the values, shape (4 n, small, n).
+    Its shape is (n, n small), of that of the coefficients' means (n, small).
 
     Args:
         times: How often the edges were halved for the part.
         degree: Of the polynomials.
     """
-    above = to_parts(halved(np.eye(3)[None]), degree)[:, None] @ from_chords(HALVES[times].small, degree)
-    return np.ascontiguousarray(above.swapaxes(1, 2)).reshape(-1, *above.shape[1::2])
+    above = from_chords(HALVES[times].small, degree)  # shape (small, n, n)
+    count = above.shape[2]
+    return np.ascontiguousarray(above.transpose(2, 1, 0).reshape(count, -1)), above.mean(axis=1).T
 
 
 SLOPES, MEANS = _slopes(), _means()
@@ -156,12 +156,10 @@ class Between:
     mean: np.ndarray
     size: np.ndarray
 
-    def with_(self, other: Between) -> Between:
-        """In these cells and others."""
-        return Between(
-            np.hstack([self.needed, other.needed]), np.vstack([self.touches, other.touches]),
-            np.vstack([self.mean, other.mean]), np.vstack([self.size, other.size]),
-        )  # fmt: skip
+    def with_nothing(self, count: int) -> Between:
+        """In these cells and so many others, which neither touch nor have a multiplier."""
+        touches, mean, size = (np.pad(of, ((0, count), (0, 0))) for of in (self.touches, self.mean, self.size))
+        return Between(np.pad(self.needed, ((0, 0), (0, count))), touches, mean, size)
 
 
 class LatticeObstacle:
@@ -223,7 +221,7 @@ class LatticeObstacle:
         """
         triangles, level = self.triangles, self.triangles.data.level
         touches = self._may_touch(u, dirichlet)
-        near = np.flatnonzero(touches)
+        near = np.flatnonzero(touches | pressing)
         needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
         between = self._between(u, near, gap, dirichlet, touches[near], pressing[near])
         needed[:, near] = between.needed
@@ -232,10 +230,9 @@ class LatticeObstacle:
         M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
         # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
-        others = np.flatnonzero((M + N + around)[triangles.dofs].any(axis=1) & ~touches)
-        beside_gap = self._gap(u, others, dirichlet)
-        between = between.with_(self._between(u, others, beside_gap, dirichlet, touches[others], pressing[others]))
-        cells, gap = np.concatenate([near, others]), np.vstack([gap, beside_gap])
+        others = np.flatnonzero((M + N + around)[triangles.dofs].any(axis=1) & ~(touches | pressing))
+        between = between.with_nothing(len(others))
+        cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet)])
         of_M, of_N = (values[triangles.dofs[cells]] @ POINTS.T for values in (M, N))
         raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
         place, small = np.nonzero(beside)  # near comes first
@@ -363,11 +360,11 @@ class LatticeObstacle:
                 degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
                 known = 2 * group.rest[:, None]  # 2: of the chord too
                 rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
-                to_small = _above_chords(times, degree)
-                above = (coefficient @ to_small.reshape(-1, to_small.shape[2]).T).reshape(len(rows), len(to_small), -1)
+                to_small, to_means = _above_chords(times, degree)
+                above = (coefficient @ to_small).reshape(len(rows), len(to_means), -1)
                 most, least = above.max(axis=1), above.min(axis=1)
                 place = at[rows, None], half.holds[part[rows]]
-                bend[place], mean[place] = most + rest, rest - above.mean(axis=1)
+                bend[place], mean[place] = most + rest, rest - coefficient @ to_means
                 size[place] = np.maximum(most, -least) + rest
                 matters = pressing[at[rows], None] | (highest[place] + bend[place] > 0)
                 rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * margin[:, None]))).any(axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -15,6 +16,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data, Weighted
 from fenicsx_obstacle.discrete.fields import Symbols
+from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Sampler, residual
@@ -126,8 +128,34 @@ class ExactSolution:
     pressure: Field | None = None
 
 
+class Integrals:
+    """Several integrals over the cells of a mesh in one pass: what they share is evaluated once at each point."""
+
+    def __init__(self, level: Level, integrals: Mapping[str, Any]):
+        """Compile (collective).
+
+        Args:
+            level: The mesh.
+            integrals: Forms without arguments, by name.
+        """
+        self.level, self.names = level, list(integrals)
+        # each is tested with its own component of a constant on each cell
+        self._space = releases.functionspace(level.mesh, "DG", 0, len(integrals))
+        v = ufl.TestFunction(self._space)
+        parts = [part.reconstruct(integrand=part.integrand() * v[k])
+                 for k, form in enumerate(integrals.values()) for part in form.integrals()]  # fmt: skip
+        self._form = releases.form(ufl.Form(parts))
+
+    def values(self) -> dict[str, float]:
+        """The integrals by name (collective)."""
+        cells = self._space.dofmap.index_map
+        found = np.zeros((cells.size_local + cells.num_ghosts, len(self.names)))
+        fem.assemble_vector(found.reshape(-1), self._form)
+        return {name: total(self.level.comm, column) for name, column in zip(self.names, found.T, strict=True)}
+
+
 class Exact:
-    """An exact solution on one problem; forms compile on first use."""
+    """An exact solution on one problem."""
 
     def __init__(self, problem: Problem, solution: ExactSolution):
         """Compile the norms (collective).
@@ -137,60 +165,53 @@ class Exact:
             solution: The exact one.
 
         Raises:
-            InputError: If it is not finite at a node, or cannot be differentiated.
+            InputError: If it cannot be differentiated.
         """
         self.problem, self.solution = problem, solution
         self.data = ExactData(problem.data)
-        problem.data.nodal(solution.u, {"eps": 1.0})  # refuses what is not finite at a node
-        self.u = fem.Function(problem.level.V)
-        ue = self.data.cellwise(solution.u)
-        error, dx = ue - self.u, self.data.dx
-        energy = squared_energy_norm(problem.model, error, self.data)
-        self._l2 = releases.form(error**2 * dx)
-        self._gradient = releases.form(ufl.inner(ufl.grad(error), ufl.grad(error)) * dx)
-        self._energy = releases.form(energy)
-        self._p: fem.Function | None = None
+        self.u, self.p = fem.Function(problem.level.V), fem.Function(problem.level.Q)
+        error, dx = self.data.cellwise(solution.u) - self.u, self.data.dx
+        squares = {
+            "l2": error**2 * dx,
+            "gradient": ufl.inner(ufl.grad(error), ufl.grad(error)) * dx,
+            "energy": squared_energy_norm(problem.model, error, self.data),
+        }
+        if solution.pressure is not None:
+            squares["pressure"] = (self.data.cellwise(solution.pressure) - self.p) ** 2 * dx
+        self._squares = Integrals(problem.level, squares)
 
-    def errors(self, u: fem.Function, pressure: fem.Function, eps: float | None) -> dict[str, float]:
-        """Energy, H1, L2 and nodal maximum error of u, and the L2 error of p where p is known (collective).
+    def errors(
+        self, u: fem.Function, pressure: fem.Function, eps: float | None
+    ) -> tuple[dict[str, float], fem.Function]:
+        """How far a solution is from the exact one (collective).
 
         Args:
             u: Solution, in V.
-            pressure: Contact pressure, in the same space at every call; 0 where u is given, whatever the exact one is.
+            pressure: Contact pressure, in Q; 0 where u is given, whatever the exact one is.
             eps: Of the penalty, None without.
+
+        Returns:
+            Energy, H1, L2 and nodal maximum error of u, and the L2 error of p, (5.7), where p is known; and the
+            difference of u and the nodal interpolant of the exact solution.
 
         Raises:
             InputError: If the exact solution, its gradient or pressure is not a number somewhere.
         """
-        comm = self.problem.level.comm
+        difference = self.problem.data.nodal(self.solution.u, {"eps": eps or 0.0})  # refuses what is not finite there
+        np.subtract(u.x.array, difference.x.array, out=difference.x.array)
         self.data.eps.value = eps or 0.0
-        self.u.x.array[:] = u.x.array
-        l2, gradient, energy = (
-            total(comm, fem.assemble_scalar(form)) for form in (self._l2, self._gradient, self._energy)
-        )
-        _refuse_nan(l2, self.solution.u, "it is")
-        _refuse_nan(gradient, self.solution.u, "its gradient is")
-        return {
-            "energy": math.sqrt(energy), "h1": math.sqrt(l2 + gradient), "l2": math.sqrt(l2),
-            "max": largest(comm, np.abs(self.nodal(eps) - u.x.array)), **self._of_pressure(pressure),
+        self.u.x.array[:], self.p.x.array[:] = u.x.array, pressure.x.array
+        squares = self._squares.values()
+        _refuse_nan(squares["l2"], self.solution.u, "it is")
+        _refuse_nan(squares["gradient"], self.solution.u, "its gradient is")
+        errors = {
+            "energy": math.sqrt(squares["energy"]), "h1": math.sqrt(squares["l2"] + squares["gradient"]),
+            "l2": math.sqrt(squares["l2"]), "max": largest(self.problem.level.comm, np.abs(difference.x.array)),
         }  # fmt: skip
-
-    def _of_pressure(self, pressure: fem.Function) -> dict[str, float]:
-        """||p - p_h||_0, (5.7), where p is known (collective)."""
-        if self.solution.pressure is None:
-            return {}
-        if self._p is None:
-            self._p = fem.Function(pressure.function_space)
-            error = self.data.cellwise(self.solution.pressure) - self._p
-            self._pressure_l2 = releases.form(error**2 * self.data.dx)
-        self._p.x.array[:] = pressure.x.array
-        squared = total(self.problem.level.comm, fem.assemble_scalar(self._pressure_l2))
-        _refuse_nan(squared, self.solution.pressure, "it is")
-        return {"pressure_l2": math.sqrt(squared)}
-
-    def nodal(self, eps: float | None) -> np.ndarray:
-        """Exact values at local dofs."""
-        return self.problem.data.nodal(self.solution.u, {"eps": eps or 0.0}).x.array
+        if self.solution.pressure is not None:
+            _refuse_nan(squares["pressure"], self.solution.pressure, "it is")
+            errors["pressure_l2"] = math.sqrt(squares["pressure"])
+        return errors, difference
 
     @cached_property
     def dual(self) -> DualNorm:

@@ -21,6 +21,7 @@ from fenicsx_obstacle.discrete.named_parts import named
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.io.paraview import SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
+from fenicsx_obstacle.io.rows import Rows
 from fenicsx_obstacle.parallel import gathered
 
 if TYPE_CHECKING:
@@ -34,12 +35,12 @@ _VERTICES = {"interval": 2, "triangle": 3, "quadrilateral": 4, "tetrahedron": 4,
 Arrays = Mapping[str, np.ndarray]
 
 
-def element_of(solution: Solution) -> dict[str, np.ndarray]:
-    """What restores the element of a solution, on rank 0; empty elsewhere, and for P1 simplices (collective).
+def element_of(solution: Solution) -> dict[str, Rows]:
+    """What restores the element of a solution; empty for P1 simplices (collective).
 
     Returns:
-        `cell`, the name of the cells; `cells`, for each of them the rows of the nodal values in the order of its dofs;
-        and by its name each field of Q_h that is not nodal, shape (cells, dofs of a cell).
+        `cells`, for each cell the rows of the nodal values in the order of its dofs; and by its name each field of Q_h
+        that is not nodal, shape (cells, dofs of a cell).
     """
     level = solution.level
     if level.pair.nested_hierarchy:
@@ -50,26 +51,32 @@ def element_of(solution: Solution) -> dict[str, np.ndarray]:
         space = function.function_space
         if space != level.V:
             parts[name] = function.x.array[releases.cell_dofs(space)[:own]].real
-    found = {name: gathered(level.comm, values) for name, values in parts.items()}
-    if level.comm.rank != 0:
-        return {}
-    cell = np.array(releases.cell_name(level.mesh).encode())
-    return {"cell": cell, **{name: values for name, values in found.items() if values is not None}}
+    return {name: Rows.of(level.comm, values) for name, values in parts.items()}
 
 
-def own_mesh(points: np.ndarray, element: Arrays) -> dict[str, bytes]:
-    """The files `OWN_MESH`: the mesh of a solution without the nodes between its vertices (one rank).
+def cell_of(level: Level) -> np.ndarray:
+    """The name of the cells, as files hold it."""
+    return np.array(releases.cell_name(level.mesh).encode())
+
+
+def own_mesh(level: Level, points: Rows, cells: Rows, parts: Arrays) -> dict[str, bytes]:
+    """The files `OWN_MESH`, on rank 0: a mesh without the nodes between its vertices (collective).
 
     Args:
-        points: Coordinates of all nodes, shape (n, gdim).
-        element: What `element_of` returned, and the named parts of the mesh.
+        level: The mesh.
+        points: Coordinates of all nodes, shape (n, 3).
+        cells: Those of `element_of`.
+        parts: The named parts of the mesh, on rank 0.
     """
-    used, cells = _vertices(element)
-    cell = element["cell"].item().decode()
-    cells = in_vtk_order(cells, cell)
-    text = xdmf_mesh(OWN_MESH[1], points[used], cells, cell)
-    parts = _renumbered({name: values for name, values in element.items() if name.startswith("parts/")}, used)
-    arrays = {"points": points[used], "cells": cells, **parts}
+    places, nodes = gathered(level.comm, points.mine[:, : level.mesh.geometry.dim]), gathered(level.comm, cells.mine)
+    if places is None or nodes is None:
+        return {}
+    cell = releases.cell_name(level.mesh)
+    used, vertices = _vertices(nodes, cell)
+    vertices = in_vtk_order(vertices, cell)
+    text = xdmf_mesh(OWN_MESH[1], places[used], vertices, cell)
+    named_parts = {f"parts/{name}": values for name, values in _renumbered(parts, used).items()}
+    arrays = {"points": places[used], "cells": vertices, **named_parts}
     return dict(zip(OWN_MESH, (text.encode(), to_hdf5(arrays)), strict=True))
 
 
@@ -77,7 +84,7 @@ def mesh_of(arrays: Arrays, element: Arrays, parts: Arrays, h: float, comm: MPI.
     """The mesh of a saved solution with the spaces of its pair, and with its named parts (collective).
 
     Args:
-        arrays: Those of fields.h5, the same on every rank.
+        arrays: Those of fields.h5, the same on every rank, which reads its share of them.
         element: Those of its group `element`; none of P1 simplices.
         parts: Those of its group `parts`, or `element/parts`; none where no part has a name.
         h: Mesh size.
@@ -88,10 +95,10 @@ def mesh_of(arrays: Arrays, element: Arrays, parts: Arrays, h: float, comm: MPI.
     cell = SIMPLEX[cells.shape[1]]
     if element:
         cell = element["cell"].item().decode()
-        used, cells = _vertices(element)
+        used, cells = _vertices(element["cells"], cell)
         points, parts = points[used], _renumbered(parts, used)
-    mine = slice(None) if comm.rank == 0 else slice(0, 0)
-    mesh = releases.create_mesh(comm, cells[mine], points[mine, : int(arrays["gdim"])], cell)
+    gdim = int(arrays["gdim"])
+    mesh = releases.create_mesh(comm, cells[_share(comm, len(cells))], points[_share(comm, len(points)), :gdim], cell)
     return of_pair(Level(mesh, h, *named(mesh, parts)), pair)
 
 
@@ -120,9 +127,14 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
     return functions
 
 
-def _vertices(element: Arrays) -> tuple[np.ndarray, np.ndarray]:
+def _share(comm: MPI.Comm, count: int) -> slice:
+    """The rows that a rank passes on, of so many."""
+    return slice(count * comm.rank // comm.size, count * (comm.rank + 1) // comm.size)
+
+
+def _vertices(cells: np.ndarray, cell: str) -> tuple[np.ndarray, np.ndarray]:
     """The rows of nodes that are vertices, and the cells in terms of these; vertices are the first nodes of a cell."""
-    nodes = element["cells"][:, : _VERTICES[element["cell"].item().decode()]]
+    nodes = cells[:, : _VERTICES[cell]]
     used, numbers = np.unique(nodes, return_inverse=True)
     return used, numbers.reshape(nodes.shape)
 

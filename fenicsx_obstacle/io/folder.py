@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 from mpi4py import MPI
 
@@ -19,9 +20,10 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, pairs
-from fenicsx_obstacle.io.element import OWN_MESH, element_of, mesh_of, restored
-from fenicsx_obstacle.io.paraview import FRAMES, to_hdf5, xdmf
-from fenicsx_obstacle.parallel import gathered, new_files, on_root
+from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
+from fenicsx_obstacle.io.paraview import FRAMES, xdmf
+from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
+from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root
 from fenicsx_obstacle.solvers.stopping import Step
 
 if TYPE_CHECKING:
@@ -36,38 +38,55 @@ DERIVED = ("gap",)  # written for ParaView, not read back
 def save(solution: Solution, folder: Path) -> None:
     """Write a solution; of what is in the folder only an older one is replaced (collective).
 
+    Each rank writes its own rows of fields.h5: the folder is on a file system that all share.
+
     Raises:
         InputError: If the folder cannot be written.
     """
-    arrays, element = gather(solution), element_of(solution)
     level = solution.level
     comm, nests = level.comm, level.pair.nested_hierarchy
+    mesh = {name: Rows.of(comm, values) for name, values in _own(solution).items()}
+    element = element_of(solution)
     # cut cells are none of the mesh: its parts go with the true ones
     parts = parts_of(level, _cells(level) if nests else solution.cut.nodes)
-    parts = {f"parts/{name}": values for name, values in parts.items()}
-    element |= {} if nests else parts
+    further = solution.files(folder, mesh, element, parts)
+    place = "" if nests else "element/"
+    rows = {**mesh, **{f"element/{name}": values for name, values in element.items()}}
+    whole = {"gdim": np.array(level.mesh.geometry.dim), **{f"{place}parts/{name}": v for name, v in parts.items()}}
+    if element:
+        whole["element/cell"] = cell_of(level)
+    kept = {"checkpoint.h5"} if "time" in solution.record else set[str]()
     with new_files(comm, folder) as scratch:
 
-        def write() -> None:
+        def write() -> Offsets:
             contents = {
                 "answer.json": (json.dumps(dict(solution.record), indent=1) + "\n").encode(),
                 "history.csv": history_csv(solution.history),
-                "fields.h5": to_hdf5(
-                    {**arrays, **(parts if nests else {}), **{f"element/{name}": v for name, v in element.items()}}
-                ),
-                "fields.xdmf": xdmf(arrays, {None: arrays}).encode(),
-                **solution.files(folder, arrays, element),
+                "fields.xdmf": xdmf(mesh, {None: mesh}).encode(),
+                **further,
             }
-            kept = {"checkpoint.h5"} if "time" in solution.record else set[str]()
-            try:
+            with _told(folder):
                 for name, content in contents.items():
                     (scratch / name).write_bytes(content)
-                for name in _OF_SOME - kept - set(contents):
-                    (folder / name).unlink(missing_ok=True)
-            except OSError as error:
-                raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
+                return make_hdf5(scratch / "fields.h5", rows, whole)
 
-        on_root(comm, write)
+        def remove_others() -> None:
+            with _told(folder):
+                for name in _OF_SOME - kept - set(further):
+                    (folder / name).unlink(missing_ok=True)
+
+        offsets = on_root(comm, write)
+        with agree(comm), _told(folder):
+            fill(scratch / "fields.h5", rows, offsets)
+        on_root(comm, remove_others)
+
+
+@contextmanager
+def _told(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,28 +115,30 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         InputError: If it holds none, or a damaged one.
     """
 
-    def load() -> tuple[dict[str, Any], Groups, Groups, Groups, tuple[Step, ...]]:
+    def load() -> tuple[dict[str, Any], dict[str, Place | np.ndarray], tuple[Step, ...]]:
         if folder.is_file():
             raise InputError(f"{folder}: a file, not the folder of a saved answer")
         for name in ("answer.json", "fields.h5", *needed, "history.csv"):
             if not (folder / name).exists():
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
         try:
-            with h5py.File(folder / "fields.h5") as file:
-                arrays, element = _datasets(file), _datasets(file.get("element", {}))
-                parts = _datasets(file.get("element/parts" if element else "parts", {}))
+            found = places(folder / "fields.h5")
         except (OSError, ValueError) as error:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-        missing = {"points", "cells", "gdim", "u", "pressure", "contact"} - set(arrays)
-        if element:
-            missing |= {f"element/{name}" for name in {"cell", "cells"} - set(element)}
+        needed_arrays = {"points", "cells", "gdim", "u", "pressure", "contact"}
+        if any(name.startswith("element/") for name in found):
+            needed_arrays |= {"element/cell", "element/cells"}
+        missing = needed_arrays - set(found)
         if missing:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(sorted(missing))}")
         record = _record(folder)
         steps = _steps(folder / (steps_in_time if "time" in record else "history.csv"), record)
-        return record, arrays, element, parts, steps
+        return record, found, steps
 
-    record, arrays, element, parts, steps = on_root(comm, load)
+    record, found, steps = on_root(comm, load)
+    stored = mapped(folder / "fields.h5", found, comm)
+    arrays, element = _group(stored, ""), _group(stored, "element/")
+    parts = _group(stored, "element/parts/" if element else "parts/")
     # version 0.1 kept the nodal values on cut cells alone: what it saved of other elements is P1
     name = record.get("element", "P1")
     if name not in pairs():
@@ -132,8 +153,10 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     return Saved({**fields, **optional, "level": level, "history": steps, "record": record}, arrays["points"])
 
 
-def _datasets(group: Any) -> dict[str, np.ndarray]:
-    return {name: values[()] for name, values in group.items() if isinstance(values, h5py.Dataset)}
+def _group(arrays: Mapping[str, np.ndarray], group: str) -> Groups:
+    """The arrays of a group, without those of groups within it."""
+    found = {name.removeprefix(group): values for name, values in arrays.items() if name.startswith(group)}
+    return {name: values for name, values in found.items() if "/" not in name}
 
 
 def _record(folder: Path) -> dict[str, Any]:
@@ -162,26 +185,32 @@ def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:
 
 def fields_of(solution: Solution) -> dict[str, np.ndarray]:
     """The fields of `gather` alone, in single precision."""
-    arrays = gather(solution)
-    return {name: arrays[name].astype(np.float32) for name in (*FIELDS, *DERIVED) if name in arrays}
+    found = {name: values.astype(np.float32) for name, values in _own(solution).items() if name in FIELDS + DERIVED}
+    return _gathered(solution.level.comm, found)
 
 
 def gather(solution: Solution) -> dict[str, np.ndarray]:
-    """Points, cells and fields of all ranks on rank 0, numbered by global dof; empty elsewhere (collective)."""
+    """Points, cells and fields of all ranks on rank 0, as pictures need them, numbered by global dof; empty elsewhere
+    (collective)."""
+    arrays = _gathered(solution.level.comm, _own(solution))
+    return arrays | {"gdim": np.array(solution.level.mesh.geometry.dim)} if arrays else {}
+
+
+def _gathered(comm: MPI.Comm, own: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    found = {name: gathered(comm, values) for name, values in own.items()}
+    return {name: values for name, values in found.items() if values is not None}
+
+
+def _own(solution: Solution) -> dict[str, np.ndarray]:
+    """Points, cells and fields that this rank owns, on P1 simplices; cells by global dofs (collective)."""
     solution = solution.plain
-    level = solution.level
-    comm, owned = level.comm, level.owned
-    parts = {"points": level.points.T[:owned], "cells": _cells(level)}
-    parts |= {name: function.x.array[:owned].real for name, function in solution.functions().items()}
-    found = {name: gathered(comm, values) for name, values in parts.items()}
-    if comm.rank != 0:
-        return {}
-    arrays = {name: values for name, values in found.items() if values is not None}
-    gaps = [sign * (arrays[name] - arrays["u"]) for name, sign in (("lower", -1), ("upper", 1)) if name in arrays]
+    level, owned = solution.level, solution.level.owned
+    own = {"points": level.points.T[:owned], "cells": _cells(level)}
+    own |= {name: function.x.array[:owned].real for name, function in solution.functions().items()}
+    gaps = [sign * (own[name] - own["u"]) for name, sign in (("lower", -1), ("upper", 1)) if name in own]
     if gaps:
-        arrays["gap"] = np.min(gaps, axis=0)
-    arrays["gdim"] = np.array(level.mesh.geometry.dim)
-    return arrays
+        own["gap"] = gaps[0] if len(gaps) == 1 else np.minimum(*gaps)
+    return own
 
 
 def _cells(level: Level) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
@@ -26,21 +27,34 @@ def to_hdf5(arrays: Mapping[str, np.ndarray]) -> bytes:
         return bytes(file.id.get_file_image())
 
 
-def xdmf(mesh: Mapping[str, np.ndarray], moments: Mapping[float | None, Mapping[str, np.ndarray]]) -> str:
+class Array(Protocol):
+    """What XDMF says of an array, whoever holds it."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows, and numbers in each."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Kind of number."""
+
+
+def xdmf(mesh: Mapping[str, Array], moments: Mapping[float | None, Mapping[str, Array]]) -> str:
     """One grid with all fields on it, so that ParaView shows them together; or one for each moment.
 
     Args:
         mesh: `points` and `cells`, which fields.h5 holds.
         moments: Fields at each moment, of frames.h5; or those of fields.h5 at None.
     """
-    points, ground = mesh["points"], _mesh("fields.h5", mesh["points"], mesh["cells"], SIMPLEX[mesh["cells"].shape[1]])
+    points, cells = mesh["points"], mesh["cells"]
+    ground = _mesh("fields.h5", points, cells, SIMPLEX[cells.shape[1]])
     grids = ""
     for number, (t, fields) in enumerate(moments.items()):
         place = "fields.h5:/" if t is None else f"frames.h5:/{number:04d}/"
         clock = "" if t is None else f'<Time Value="{t!r}"/>\n'
         attributes = "".join(
             f'<Attribute Name="{name}" AttributeType="Scalar" Center="Node">'
-            f'<DataItem Dimensions="{len(points)}" NumberType="Float" Precision="{values.dtype.itemsize}" '
+            f'<DataItem Dimensions="{points.shape[0]}" NumberType="Float" Precision="{values.dtype.itemsize}" '
             f'Format="HDF">{place}{name}</DataItem></Attribute>\n'
             for name, values in fields.items()
             if name not in ("points", "cells", "gdim")
@@ -65,10 +79,10 @@ def _document(grids: str) -> str:
     return f'<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n{grids}</Domain></Xdmf>\n'
 
 
-def _mesh(file: str, points: np.ndarray, cells: np.ndarray, cell: str) -> str:
+def _mesh(file: str, points: Array, cells: Array, cell: str) -> str:
     shape, (count, gdim) = " ".join(map(str, cells.shape)), points.shape
     return (
-        f'<Topology TopologyType="{_TOPOLOGY[cell]}" NumberOfElements="{len(cells)}" '
+        f'<Topology TopologyType="{_TOPOLOGY[cell]}" NumberOfElements="{cells.shape[0]}" '
         f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
         f'Format="HDF">{file}:/cells</DataItem></Topology>\n'
         f'<Geometry GeometryType="{"XYZ"[:gdim]}"><DataItem Dimensions="{count} {gdim}" NumberType="Float" '

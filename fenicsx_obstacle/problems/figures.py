@@ -12,10 +12,13 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.round_off import round_off
 from fenicsx_obstacle.io.origin import command, versions
+from fenicsx_obstacle.measured.table import MeasuredField
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
 from fenicsx_obstacle.problems.solution import Seconds
 from fenicsx_obstacle.problems.state import State
 from fenicsx_obstacle.solvers.snes import Outcome
+
+COARSE = 1.5  # distance of nodes over that of measured data from which on the mesh is said to be too coarse
 
 
 def figures_of(
@@ -45,8 +48,8 @@ def figures_of(
         "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
         "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
     }  # fmt: skip
-    if level.remarks:
-        figures["mesh_remarks"] = list(level.remarks)
+    if remarks := [*level.remarks, *_too_coarse(problem)]:
+        figures["mesh_remarks"] = remarks
     if _may_jump(problem):
         from fenicsx_obstacle.estimation.edges import boundary_jump  # only where a scene has such values
 
@@ -73,6 +76,17 @@ def _may_jump(problem: Problem) -> bool:
     numbers = {float(value.at(np.zeros((3, 1)), {})[0]) for value in values if value.uniform and not value.moves}
     plane = releases.cell_name(mesh) == "triangle" and mesh.geometry.dim == 2
     return plane and model.time is None and (len(numbers) > 1 or any(not value.uniform for value in values))
+
+
+def _too_coarse(problem: Problem) -> list[str]:
+    """Of measured data that the mesh does not resolve, in words."""
+    level = problem.level
+    h, found = level.h / level.pair.degree, []
+    for datum in problem.model.data:
+        if isinstance(datum, MeasuredField) and h > COARSE * datum.spacing:
+            times = f"{h / datum.spacing:.2g} times as far apart as the data, {h:.3g} for {datum.spacing:.3g}"
+            found.append(f"nodes are {times}: what lies between is not seen ({datum.source})")
+    return found
 
 
 def _of_effects(problem: Problem) -> dict[str, float]:

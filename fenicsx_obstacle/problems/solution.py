@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from fenicsx_obstacle.estimation.bound import Bound
     from fenicsx_obstacle.io.cut import Cut
+    from fenicsx_obstacle.io.rows import Rows
     from fenicsx_obstacle.show.pictures import Picture
 
 Files = dict[str, bytes]
@@ -69,7 +70,7 @@ class Profile:
 
     Attributes:
         points: Shape (n, gdim).
-        s: Distance from the first point, shape (n,).
+        s: Distance from the first point, along the points, shape (n,).
         u: Solution, shape (n,).
         pressure: Contact pressure, shape (n,).
         gap: Distance to the nearest obstacle, negative where u penetrates it, shape (n,); infinite without one.
@@ -233,12 +234,25 @@ class Solution:
         gdim = self.level.mesh.geometry.dim
         if n < 2 or any(point.shape != (gdim,) for point in ends):
             raise InputError(f"along() takes two points with {counted(gdim, 'coordinate')} each, and n >= 2")
-        points = np.linspace(ends[0], ends[1], n)
-        values = {name: self.at(points, name) for name in ("u", "pressure", "gap", "slope")}
+        return self.on(np.linspace(ends[0], ends[1], n))
+
+    def on(self, points: np.ndarray) -> Profile:
+        """All quantities at points that follow each other on a curve (collective).
+
+        Args:
+            points: Shape (n, gdim), the same on every rank.
+
+        Raises:
+            InputError: As `at`.
+        """
+        values = {name: self.at(points, name) for name in ("u", "pressure", "slope")}
+        free = self.lower is None and self.upper is None
+        values["gap"] = np.full(len(points), np.inf) if free else self.at(points, "gap")
         flux = None
         with suppress(InputError):  # the points are right, so that it is the tension that is not known
             flux = self.at(points, "flux")
-        return Profile(points, np.linalg.norm(points - points[0], axis=1), **values, flux=flux)
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        return Profile(points, s, **values, flux=flux)
 
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         """Values at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective).
@@ -449,13 +463,16 @@ class Solution:
 
         save(self, Path(folder))
 
-    def files(self, folder: Path, arrays: Mapping[str, np.ndarray], element: Mapping[str, np.ndarray]) -> Files:
-        """Further files of the folder by their names (rank 0).
+    def files(
+        self, folder: Path, mesh: Mapping[str, Rows], element: Mapping[str, Rows], parts: Mapping[str, np.ndarray]
+    ) -> Files:
+        """Further files of the folder by their names, on rank 0 (collective).
 
         Args:
             folder: Where they will be.
-            arrays: Points, cells and fields, as in fields.h5.
+            mesh: Points, cells and fields, as in fields.h5.
             element: Its group `element`.
+            parts: The named parts of the mesh, on rank 0.
         """
         return {}
 

@@ -12,6 +12,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.words import shown
 
@@ -20,12 +21,18 @@ _BEFORE, _AFTER = "<data from Python: ", ">"
 
 
 def is_object(value: Any) -> bool:
-    """Whether a value is a Constant, a Function, a UFL expression, a callable or a Field."""
-    return isinstance(value, Field) or hasattr(value, "ufl_shape") or (callable(value) and not isinstance(value, type))
+    """Whether a value is a Constant, a Function, a UFL expression, a callable, a Table or a Field."""
+    return (
+        isinstance(value, Field | Table)
+        or hasattr(value, "ufl_shape")
+        or (callable(value) and not isinstance(value, type))
+    )
 
 
 def plain(value: Any, objects: Objects, place: str = "") -> Any:
     """The same with names for objects, which are kept by these, and with Python's numbers and lists for NumPy's."""
+    if isinstance(value, Table) and value.file is not None:
+        return plain(value.in_toml, objects, place)
     if is_object(value):
         name = f"{_BEFORE}{place}{_AFTER}"
         objects[name] = value

@@ -16,10 +16,12 @@ import msgspec
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, find, known
-from fenicsx_obstacle.effects.field import ByCells, Field, fields_in
+from fenicsx_obstacle.effects.field import ByCells, Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
+from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.scenes import formulas, tables
+from fenicsx_obstacle.scenes.data_files import DataFiles
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, field_of, plain, stands_for_an_object
@@ -27,6 +29,7 @@ from fenicsx_obstacle.scenes.moments import moments
 from fenicsx_obstacle.scenes.parts import check_parts, part_place
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.settings import set_values
+from fenicsx_obstacle.scenes.tables import DataTable
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
@@ -97,6 +100,7 @@ class Scene(Vocabulary):
         define: Mapping[str, float | str] | None = None,
         report: Mapping[str, float | str] | None = None,
         time: Mapping[str, Any] | None = None,
+        profile: Mapping[str, Mapping[str, Any]] | None = None,
         title: str = "",
         u: str = "u",
         **effects: Any,
@@ -121,6 +125,7 @@ class Scene(Vocabulary):
             define: Named numbers and formulas.
             report: Named figures of the solution: report={"force": "integral(p)"}.
             time: The table [time]: time={"end": 1, "steps": 100, "start": 0}.
+            profile: Lines along which all is written, as [profile]: {"middle": {"from": [0, 0.5], "to": [1, 0.5]}}.
             title: Title.
             u: Name of the unknown on axes.
             **effects: One datum per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
@@ -136,7 +141,8 @@ class Scene(Vocabulary):
             "mesh": mesh if isinstance(mesh, dict) else {},
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
             "boundary": [] if boundary is None else boundary, "report": {} if report is None else report,
-            "time": time, "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
+            "profile": {} if profile is None else profile, "time": time,
+            "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
         }  # fmt: skip
         tags = (facet_tags, cell_tags, facet_names, cell_names)
         if isinstance(mesh, dict) and any(one is not None for one in tags):
@@ -201,8 +207,9 @@ class Scene(Vocabulary):
         if mesh is None and (typed.mesh.shape is None) == (typed.mesh.file is None):
             raise InputError(f"{source}: [mesh] needs either a 'shape' or a 'file'")
         set_("model", self._model())
-        for field in self._fields():
-            field.check_names(self.known_names)
+        for field in self.model.data:
+            if isinstance(field, FormulaField):
+                field.check_names(self.known_names)
         if typed.exact is not None:
             self._check_exact(typed.exact.u, "[exact] u")
             if typed.exact.pressure is not None:
@@ -321,14 +328,28 @@ class Scene(Vocabulary):
         """The caller's own DOLFINx mesh, or None."""
         return None if self.own_mesh is None else self.own_mesh.mesh
 
-    def field(self, value: float | str, place: str) -> Field:
-        """A number, a formula or an object as a datum; `place` is its table and key."""
+    def field(self, value: Any, place: str) -> Field:
+        """A number, a formula, a table of heights or an object as a datum; `place` is its table and key."""
+        if isinstance(value, DataTable):
+            return self._table(value, place).on(f"{self.source}: {place}")
         if stands_for_an_object(value):
             found = field_of(str(value), self.objects, f"{self.source}: {place}")
             if found.moves and self.tables.time is None:
                 raise InputError(f"{found.source}: the callable takes x and t, and the scene has no time: give time=")
             return found
         return FormulaField(self.formula(value, place), self)
+
+    def _table(self, given: DataTable, place: str) -> Table:
+        """Measured heights, whose numbers may be formulas of constants."""
+
+        def number(key: str, value: Any) -> Any:
+            if isinstance(value, tuple):
+                return [number(key, one) for one in value]
+            return self.number(value, f"{place} {key}")
+
+        keys = {key: getattr(given, key) for key in DataTable.__struct_fields__ if key != "file"}
+        values: dict[str, Any] = {key: None if one is None else number(key, one) for key, one in keys.items()}
+        return Table(given.file, **values, folder=self.folder)
 
     def _model(self) -> Model:
         """Without time, which depends on the effects."""
@@ -356,8 +377,12 @@ class Scene(Vocabulary):
             raise InputError(f"{self.source}: {place} = {value!r}: expected {wanted}")
         if not isinstance(value, dict):
             return self.field(value, place)
+        if isinstance(value.get("file"), str):
+            return self.field(tables.data_table(value, f"{self.source}: {place}"), place)
         for name, part in value.items():
-            if isinstance(part, dict | list):
+            if isinstance(part, dict) and isinstance(part.get("file"), str):
+                value = {**value, name: tables.data_table(part, f"{self.source}: {place}.{name}")}
+            elif isinstance(part, dict | list):
                 raise InputError(f"{self.source}: {place}.{name} = {part!r}: expected a number or a formula")
         return ByCells({name: self.field(part, f"{place}.{name}") for name, part in value.items()},
                        f"{self.source}: {place}")  # fmt: skip
@@ -372,14 +397,6 @@ class Scene(Vocabulary):
             raise InputError(f"{formula.place}: {words}")
         if "distance" in self.needs(formula):
             raise InputError(f"{formula.place}: 'distance' is known at points only, not its gradient: not in [exact]")
-
-    def _fields(self) -> list[FormulaField]:
-        """All data of the model."""
-        model = self.model
-        given = [model.lower, model.upper, *(effect.inputs for effect in self.effects)]
-        given += [getattr(part, key) for part in model.boundary for key in ("value", "where", "lower", "upper")]
-        found = [list(field.parts.values()) if field.parts is not None else [field] for field in fields_in(given)]
-        return [field for part in found for field in part if isinstance(field, FormulaField)]
 
     def problem(self, comm: Any = None) -> ObstacleProblem:
         """The scene on its mesh, as a problem that is solved from Python (collective).
@@ -401,3 +418,13 @@ class Scene(Vocabulary):
     def toml(self) -> str:
         """The scene as TOML text that `Scene.read` takes."""
         return msgspec.toml.encode(self.tables).decode()
+
+    def with_data(self) -> tuple[str, dict[str, bytes]]:
+        """The same text with measured data in files beside it, and the contents of these by their names.
+
+        Raises:
+            InputError: If a file cannot be read any more.
+        """
+        kept = DataFiles(self.folder, self.objects)
+        raw = kept.renamed(msgspec.to_builtins(self.tables))
+        return msgspec.toml.encode(tables.checked(raw, self.source)).decode(), kept.contents

@@ -12,15 +12,36 @@ from msgspec import Meta, Struct
 
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.measured.table import in_words
 from fenicsx_obstacle.scenes.formulas import SHOWN
 from fenicsx_obstacle.solvers.options import MethodName, StartName
 from fenicsx_obstacle.words import nearest
 
 Value = float | str  # a number or a formula
+Numbers = tuple[Value, ...]
 MAX_BYTES = 1_000_000  # of a scene file
 MAX_PARTS = 1000  # of the boundary
 MAX_DEPTH = 8  # of tables and lists within each other
 Positive = Annotated[int, Meta(ge=1, le=10**9)]
+
+
+class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Measured heights as a datum, {file = "rough.csv"}: the keys of `measured.table.Table`."""
+
+    file: str
+    x: Numbers | None = None
+    y: Numbers | None = None
+    range: Numbers | None = None
+    scale: Value | Numbers = 1.0
+    rotate: Value = 0.0
+    shift: Numbers | None = None
+    smooth: Value = 0.0
+
+    def __str__(self) -> str:
+        return in_words(msgspec.to_builtins(self))
+
+
+Datum = Value | DataTable
 
 
 class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -49,8 +70,8 @@ _OF_ANY = ("shape", "file", "cells", "refine")
 class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[obstacle]: what u may touch but not cross."""
 
-    lower: Value | None = None
-    upper: Value | None = None
+    lower: Datum | None = None
+    upper: Datum | None = None
 
 
 ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] beside `value`: effects, obstacles
@@ -61,18 +82,18 @@ class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 
     on: str | tuple[str, ...] | None = None
     where: str | None = None
-    value: Value | None = None
+    value: Datum | None = None
 
 
 if TYPE_CHECKING:
 
     class BoundaryTable(_PartTable, frozen=True):
-        lower: Value | None = None
-        upper: Value | None = None
+        lower: Datum | None = None
+        upper: Datum | None = None
 
 else:
     BoundaryTable = msgspec.defstruct(
-        "BoundaryTable", [(key, Value | None, None) for key in ACTING], bases=(_PartTable,), module=__name__,
+        "BoundaryTable", [(key, Datum | None, None) for key in ACTING], bases=(_PartTable,), module=__name__,
         frozen=True, forbid_unknown_fields=True, omit_defaults=True,
     )  # fmt: skip
 
@@ -93,8 +114,8 @@ class TimeTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
 
     end: Value
     steps: Annotated[int, Meta(ge=1, le=10**6)]
-    start: Value | None = None
-    velocity: Value | None = None
+    start: Datum | None = None
+    velocity: Datum | None = None
     scheme: Literal["euler", "bdf2"] | None = None
     tolerance: Annotated[float, Meta(gt=0)] | None = None
     frames: Annotated[int, Meta(ge=0, le=1000)] = 30
@@ -131,6 +152,22 @@ class ExactTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     rates: RatesTable = RatesTable()
 
 
+class ProfileTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, rename={"from_": "from"}):
+    """[profile.NAME]: a line, or a curve of the mesh by its name, along which all quantities are written and drawn.
+
+    Attributes:
+        from_: First point; in TOML 'from'.
+        to: Last point.
+        on: A named curve instead.
+        n: Number of points, at equal distances.
+    """
+
+    from_: Value | Numbers | None = None
+    to: Value | Numbers | None = None
+    on: str | None = None
+    n: Annotated[int, Meta(ge=2, le=100_000)] = 200
+
+
 class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[solve]: how to solve; the command line wins."""
 
@@ -153,7 +190,29 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     time: TimeTable | None = None
     exact: ExactTable | None = None
     report: dict[str, Value] = {}
+    profile: dict[str, ProfileTable] = {}
     solve: SolveTable = SolveTable()
+
+
+def data_table(raw: dict[str, Any], place: str) -> DataTable:
+    """A table of measured heights among the values of [effects], typed.
+
+    Args:
+        raw: As it stands in TOML.
+        place: What messages call it, with its file.
+
+    Raises:
+        InputError: Naming the key.
+    """
+    try:
+        return msgspec.convert(raw, DataTable)
+    except msgspec.ValidationError as error:
+        problem = str(error).replace(" - at `$.", ": ").rstrip("`")
+        if match := re.match(r"Object contains unknown field `(.*)`", problem):
+            raise InputError(
+                f"{place}: unknown key '{match[1]}'" + nearest(match[1], DataTable.__struct_fields__)
+            ) from None
+        raise InputError(f"{place}: {problem[0].lower()}{problem[1:]}") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -207,6 +266,11 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
     except msgspec.ValidationError as error:
         raise InputError(f"{source}: {_in_words(str(error), raw)}") from None
     _no_idle_key(typed.mesh, raw.get("mesh", {}), source)
+    for name, table in typed.profile.items():
+        if not re.fullmatch(r"[\w-]+", name):
+            raise InputError(f"{source}: [profile.{_short(name)}]: a name has letters, digits, _ and - only")
+        if (table.on is None) == (table.from_ is None) or (table.from_ is None) != (table.to is None):
+            raise InputError(f"{source}: [profile.{name}]: needs the keys 'from' and 'to', or 'on'")
     return typed
 
 
@@ -240,7 +304,8 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
         found = _value_at(path, raw)
     if problem.startswith("Invalid enum value"):
         return f"{place}= {_short(found)} is not known" + nearest(str(found), _choices_at(path))
-    words = {" | null": "", "`int`": "a whole number", "`float | str`": "a number or a formula", "`float`": "a number",
+    words = {" | null": "", "`int`": "a whole number", "`float | str | object`": "a number, a formula or {file = ...}",
+             "`float | str`": "a number or a formula", "`float`": "a number",
              "`str`": "a text in quotes", "`str | array`": "a text in quotes, or a list of these", "`array`": "a list",
              "`object`": "a table", "`bool`": "true or false", "`date`": "a date"}  # fmt: skip
     for word, plain in words.items():
@@ -270,13 +335,15 @@ def _place(path: str) -> str:
 
 def _table_type(path: str) -> Any:
     kinds = {"mesh": MeshTable, "obstacle": ObstacleTable, "exact": ExactTable, "solve": SolveTable,
-             "time": TimeTable}  # fmt: skip
-    name = path.partition(".")[0]
+             "time": TimeTable, "profile": ProfileTable}  # fmt: skip
+    name, _, key = path.partition(".")
+    if key in ("lower", "upper", "value", "start", "velocity", *ACTING):
+        return DataTable
     return BoundaryTable if name.startswith("boundary") else kinds.get(name, Tables)
 
 
 def _keys_at(path: str) -> tuple[str, ...]:
-    return _table_type(path).__struct_fields__
+    return _table_type(path).__struct_encode_fields__
 
 
 def _choices_at(path: str) -> list[str]:

@@ -15,6 +15,8 @@ import numpy as np
 SIDES = {"lower": 1.0, "upper": -1.0}  # sign of the pressure of each obstacle
 LEVELS = {"lower": "level lower", "upper": "level upper"}  # names of the level functions among the fields
 AVERAGED = 2  # times that each value is replaced by the mean with its neighbours
+# the level at a node knows the nodes so many edges away: one to tell contact, two for the rise beside it, and means
+RINGS = 3 + AVERAGED
 MIN_LEVEL = 0.02  # level of a node next to the line, in units of the level's usual rise from node to node
 
 
@@ -38,9 +40,15 @@ def patch_of(arrays: Mapping[str, np.ndarray]) -> Patch:
     return with_levels(Patch(arrays["points"], arrays["cells"], fields))
 
 
-def with_levels(patch: Patch) -> Patch:
-    """The same with the level function of each obstacle: negative at nodes in contact with it, otherwise positive."""
-    levels = {LEVELS[side]: _level(patch, side) for side in SIDES if side in patch.fields}
+def with_levels(patch: Patch, largest_gap: Mapping[str, float] | None = None) -> Patch:
+    """The same with the level function of each obstacle: negative at nodes in contact with it, otherwise positive.
+
+    Args:
+        patch: The whole mesh, or all cells within `RINGS` of the free boundary.
+        largest_gap: Of part of a mesh, the largest distance from each obstacle on the whole of it, by side.
+    """
+    largest = largest_gap or {side: gap(patch.fields, side).max(initial=0.0) for side in SIDES if side in patch.fields}
+    levels = {LEVELS[side]: _level(patch, side, size) for side, size in largest.items()}
     return Patch(patch.points, patch.cells, {**patch.fields, **levels})
 
 
@@ -86,18 +94,27 @@ def rim(cells: np.ndarray) -> np.ndarray:
     return sides[first[count == 1]]
 
 
-def _level(patch: Patch, side: str) -> np.ndarray:
-    sign, fields = SIDES[side], patch.fields
-    a, b = _edges(patch.cells)
-    gap = np.maximum(sign * (fields["u"] - fields[side]), 0.0)
+def gap(fields: Mapping[str, np.ndarray], side: str) -> np.ndarray:
+    """Distance of u from an obstacle, 0 where it penetrates it."""
+    return np.maximum(SIDES[side] * (fields["u"] - fields[side]), 0.0)
+
+
+def pressed(fields: Mapping[str, np.ndarray], side: str) -> np.ndarray:
+    """Whether an obstacle presses at each node."""
     touching = fields["contact"] > 0.5  # a mean between the points where pressures are computed
     if all(other in fields for other in SIDES):
-        touching &= sign * fields["pressure"] > 0
+        touching &= SIDES[side] * fields["pressure"] > 0
+    return touching
+
+
+def _level(patch: Patch, side: str, largest_gap: float) -> np.ndarray:
+    a, b = _edges(patch.cells)
+    distance, touching = gap(patch.fields, side), pressed(patch.fields, side)
     # where the boundary value is the obstacle itself there is no pressure to tell, only contact beside it
     beside = np.zeros_like(touching)
     beside[a[touching[b]]] = True
-    touching |= beside & (gap <= 1e-10 * gap.max(initial=0.0))
-    root = np.where(touching, 0.0, np.sqrt(gap))
+    touching |= beside & (distance <= 1e-10 * largest_gap)
+    root = np.where(touching, 0.0, np.sqrt(distance))
     rise = np.zeros_like(root)
     np.maximum.at(rise, a, root[b] - root[a])
     rise = np.where(rise > 0, rise, 2 * root)  # where there is none, at the end of the mesh: halfway

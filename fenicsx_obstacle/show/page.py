@@ -50,8 +50,9 @@ figure img, figure svg { display: block; max-width: 100%; height: auto; }
 
 
 def write_answer_page(
-    path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None, time_history: Path | None = None
-) -> None:
+    path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None, time_history: Path | None = None,
+    profiles: Mapping[str, str] | None = None,
+) -> None:  # fmt: skip
     """Write the page of an answer (one rank).
 
     Args:
@@ -60,12 +61,14 @@ def write_answer_page(
         record: Figures of the answer.
         picture: PNG file of the answer, or None.
         time_history: PNG file of all moments, or None.
+        profiles: SVG elements of the profiles, by name.
     """
     size = f"{counted(record['cells_total'], 'cell')}, {counted(record['dofs'], 'unknown')}"
     parts = [] if picture is None else [section("The solution", _picture(picture, _title(scene)))]
     parts += (
         [] if time_history is None else [section("All moments", _picture(time_history, f"{_title(scene)}, over time"))]
     )
+    parts += [section("Profiles", plots(profiles))] if profiles else []
     _write(path, scene, f"{_how(record)}; {size}.", [*parts, *_facts_of(scene, record)], record, record["command"])
 
 

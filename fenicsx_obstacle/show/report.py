@@ -7,7 +7,6 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
@@ -16,7 +15,8 @@ from fenicsx_obstacle.io.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
-from fenicsx_obstacle.show.boundary import free_boundary, patch_of
+from fenicsx_obstacle.show.free_boundary import write_free_boundary
+from fenicsx_obstacle.show.profiles import draw_profiles, draw_rows
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.rows import RowStore
@@ -36,15 +36,15 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
     Raises:
         InputError: If the folder cannot be written.
     """
-    comm, arrays = answer.level.comm, gather(answer)
-    on_root(comm, _write_free_boundary, arrays, folder / "free_boundary.csv")
+    comm = answer.level.comm
+    write_free_boundary(answer, folder / "free_boundary.csv")
     file = folder / PICTURE if picture and _has_picture(answer) else None
     if file is not None:
         said = answer.plot(file).said
         if answer.bound is not None:
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
-            said += "\n  " + draw_bound(answer.bound, arrays, comm, folder / NAME)
+            said += "\n  " + draw_bound(answer.bound, gather(answer), comm, folder / NAME)
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
@@ -52,11 +52,12 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
         from fenicsx_obstacle.show.newton import animate_newton  # only where it is asked for
 
         said += "\n  " + animate_newton(answer, folder / STEPS)
+    drawn = draw_profiles(answer, folder)
     moving = None
     if answer.time_history is not None:
-        moving, words = on_root(comm, _draw_course, answer, arrays, folder, picture)
+        moving, words = on_root(comm, _draw_course, answer, gather(answer), folder, picture)
         said += words
-    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving)
+    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn)
     return said
 
 
@@ -159,21 +160,12 @@ def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) 
     for name, figure in drawings(rows, study.vary):
         save(figure, folder / f"{name}.png")
         elements[name] = svg(figure, name)
+    elements |= draw_rows(rows, study.vary, study.last.tables.u, folder)
     page.write_study_page(
         folder / page.NAME, study.last, rows, table, elements, picture if picture.exists() else None,
         command(study.comm.size),
     )  # fmt: skip
     return [f"{name}.png" for name in elements]
-
-
-def _write_free_boundary(arrays: Mapping[str, Any], path: Path) -> None:
-    """One line of the table per piece of the free boundary: the coordinates of its ends, or of its corners."""
-    lines = free_boundary(patch_of(arrays))
-    pieces = [line.points[line.cells].reshape(len(line.cells), -1) for line in lines]
-    table = np.concatenate([*pieces, np.empty((0, pieces[0].shape[1] if pieces else 6))])
-    heads = [f"{axis}{corner}" for corner in range(1, table.shape[1] // 3 + 1) for axis in "xyz"]
-    rows = [",".join(heads), *(",".join(f"{x:.9g}" for x in row) for row in table)]
-    write_text(path, "\n".join(rows) + "\n")
 
 
 def _has_picture(answer: Answer) -> bool:

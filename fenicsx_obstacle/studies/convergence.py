@@ -150,7 +150,11 @@ class Study:
     def _extras(self, answer: Answer) -> Row:
         """What a study measures beyond a single answer (collective)."""
         assert self._bench is not None
-        by, eps, extras = self.by, answer.record["eps"], {}
+        by, eps, extras = self.by, answer.record["eps"], Row()
+        if answer.scene.tables.profile:
+            from fenicsx_obstacle.answers.profiles import as_columns, profiles_of  # only where a scene names one
+
+            extras["profiles"] = {name: as_columns(profile) for name, profile in profiles_of(answer).items()}
         if by == "eps" and eps is not None:
             extras["to_vi"] = self._bench.to_reference(answer)
         at_rest = self.last.time is None

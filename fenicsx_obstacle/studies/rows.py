@@ -25,7 +25,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 
 def row_key(scene: Scene, kind: str, ranks: int) -> str:
-    """What a row depends on: the resolved scene, its mesh file, PETSc's options, ranks and versions.
+    """What a row depends on: the resolved scene, its mesh and data files, PETSc's options, ranks and versions.
 
     Args:
         scene: With all values of the row.
@@ -35,7 +35,10 @@ def row_key(scene: Scene, kind: str, ranks: int) -> str:
     table = scene.tables.mesh
     mesh = "" if table.file is None else hashlib.sha256((scene.folder / table.file).read_bytes()).hexdigest()
     options = PETSc.Options().getAll()
-    parts = [msgspec.to_builtins(scene.tables), mesh, kind, ranks, versions(), options]
+    text, data = scene.with_data()
+    measured = [hashlib.sha256(content).hexdigest() for content in data.values()]
+    given = [text, measured] if data else msgspec.to_builtins(scene.tables)
+    parts = [given, mesh, kind, ranks, versions(), options]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -131,7 +134,9 @@ def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as text with one head for all."""
-    text, flattened = io.StringIO(), [flat(row) for row in rows]
+    # profiles have files of their own
+    kept = [{key: value for key, value in row.items() if key != "profiles"} for row in rows]
+    text, flattened = io.StringIO(), [flat(row) for row in kept]
     heads = list(dict.fromkeys(key for row in flattened for key in row))
     writer = csv.DictWriter(text, heads, lineterminator="\n")
     writer.writeheader()

@@ -53,7 +53,7 @@ class ExactTruth:
         """By norm; `pressure` too where the scene knows it (collective)."""
         if self._exact is None or self._exact[0] is not context:
             self._exact = context, Exact(context.problem, self.solution)
-        found = self._exact[1].errors(answer.u, answer.pressure, answer.record["eps"])
+        found, _ = self._exact[1].errors(answer.u, answer.pressure, answer.record["eps"])
         norms = {"energy": "energy", "l2": "l2", "max": "max", "pressure_l2": "pressure"}
         errors = {name: found[key] for key, name in norms.items() if key in found}
         return errors | _contact_errors(answer, self._contact)

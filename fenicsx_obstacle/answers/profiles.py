@@ -1,0 +1,163 @@
+"""The lines and curves of [profile.NAME]: where they are on a mesh, and what a solution is along them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.discrete.cells import corners, facet_corners, sides
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.points import values_of
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.problems.solution import Profile
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.words import counted, nearest
+
+_SAME = 1e-9  # of the extent of a curve: ends of facets so near are one point
+
+
+def points_of(scene: Scene, level: Level) -> dict[str, np.ndarray]:
+    """The points of each profile of a scene, shape (n, gdim), the same on every rank (collective).
+
+    Raises:
+        InputError: If a point is outside the mesh, or a name is of no curve.
+    """
+    found, gdim = {}, level.mesh.geometry.dim
+    for name, table in scene.tables.profile.items():
+        place = f"{scene.source}: [profile.{name}]"
+        if table.on is not None:
+            found[name] = _on_curve(level, table.on, table.n, place)
+            continue
+        ends = []
+        for key, given in (("from", table.from_), ("to", table.to)):
+            assert given is not None  # as the tables were checked
+            numbers = given if isinstance(given, tuple) else (given,)
+            if len(numbers) != gdim:
+                raise InputError(f"{place} {key}: needs {counted(gdim, 'coordinate')}, not {len(numbers)}")
+            ends.append([scene.number(one, f"[profile.{name}] {key}") for one in numbers])
+        if ends[0] == ends[1]:
+            raise InputError(f"{place}: from and to are the same point")
+        found[name] = np.linspace(np.array(ends[0]), np.array(ends[1]), table.n)
+        outside = np.isnan(values_of(fem.Function(level.V), _in_space(found[name])))
+        if outside.any():
+            x = ", ".join(f"{x:.6g}" for x in found[name][np.argmax(outside)])
+            raise InputError(f"{place}: the point ({x}) is outside the mesh")
+    return found
+
+
+def profiles_of(answer: Answer) -> dict[str, Profile]:
+    """What a solution is along all profiles of its scene (collective).
+
+    Raises:
+        InputError: As `points_of`.
+    """
+    return {name: answer.on(points) for name, points in points_of(answer.scene, answer.level).items()}
+
+
+def moments_of(answer: Answer, profile: Profile) -> list[tuple[float, Profile]]:
+    """u, pressure and gap along the same points at each moment that was kept (collective); none without time."""
+    if answer.time_history is None:
+        return []
+    plain, points = answer.plain.level, _in_space(profile.points)
+    comm, map_ = plain.comm, plain.V.dofmap.index_map
+    first, found = map_.local_range[0], []
+    for frame in answer.time_history.frames:
+        fields = comm.bcast({name: frame.fields[name] for name in ("u", "pressure", "gap") if name in frame.fields})
+        values = {}
+        for name, nodal in fields.items():
+            function = fem.Function(plain.V)
+            function.x.array[: plain.owned] = nodal[first : first + plain.owned]
+            function.x.scatter_forward()
+            values[name] = values_of(function, points)
+        gap = values.pop("gap", np.full(len(points), np.inf))
+        found.append(
+            (frame.t, replace(profile, gap=gap, slope=np.full_like(profile.slope, np.nan), flux=None, **values))
+        )
+    return found
+
+
+def along_text(text: str) -> tuple[list[float], list[float]]:
+    """The ends of a line as the command `plot` takes them: "x0,y0:x1,y1".
+
+    Raises:
+        InputError: If the text is of another form.
+    """
+    try:
+        start, end = ([float(word) for word in part.split(",")] for part in text.split(":"))
+    except ValueError:
+        raise InputError(f"--along {text}: expected two points, such as 0,0.5:1,0.5") from None
+    return start, end
+
+
+def as_columns(profile: Profile) -> dict[str, list[float]]:
+    """Its columns by their names: x, s, u, p, gap, slope and flux."""
+    axes = "xyz"[: profile.points.shape[1]]
+    columns = {axis: profile.points[:, k] for k, axis in enumerate(axes)}
+    columns |= {"s": profile.s, "u": profile.u, "p": profile.pressure, "gap": profile.gap}
+    for name, vectors in (("slope", profile.slope), ("flux", profile.flux)):
+        if vectors is not None and np.isfinite(vectors).any():
+            columns |= {f"{name}_{axis}": vectors[:, k] for k, axis in enumerate(axes)}
+    return {name: values.tolist() for name, values in columns.items()}
+
+
+def as_csv(parts: Mapping[float | None, Profile]) -> str:
+    """A line for each point; of several moments with a first column t."""
+    lines: list[str] = []
+    for t, profile in parts.items():
+        columns = as_columns(profile)
+        heads = [*([] if t is None else ["t"]), *columns]
+        lines += [] if lines else [",".join(heads)]
+        rows = np.column_stack(list(columns.values()))
+        lines += [",".join(f"{x:.12g}" for x in (*([] if t is None else [t]), *row)) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _in_space(points: np.ndarray) -> np.ndarray:
+    x = np.zeros((len(points), 3))
+    x[:, : points.shape[1]] = points
+    return x
+
+
+def _on_curve(level: Level, name: str, n: int, place: str) -> np.ndarray:
+    """Points at equal distances along a named curve of a plane mesh (collective)."""
+    mesh = level.mesh
+    if mesh.topology.dim != 2:
+        raise InputError(f"{place} on: names curves of plane meshes")
+    if name not in level.facets:
+        raise InputError(f"{place} on: no curve named '{name}'" + nearest(name, level.facets))
+    cells, numbers, _ = sides(mesh, level.facets[name])
+    x = corners(mesh)[cells[:, None], np.array(facet_corners(mesh))[numbers]]
+    gathered = np.concatenate(mesh.comm.allgather(x))
+    if not len(gathered):
+        raise InputError(f"{place} on = '{name}': no facet of the mesh lies on it")
+    path = _chained(gathered, f"{place} on = '{name}'")
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0, s[-1], n)
+    return np.column_stack([np.interp(at, s, path[:, k]) for k in range(mesh.geometry.dim)])
+
+
+def _chained(segments: np.ndarray, place: str) -> np.ndarray:
+    """Segments (n, 2, 3) one after the other, as their points (n + 1, 3); a closed curve ends where it begins."""
+    size = max(np.ptp(segments.reshape(-1, 3), axis=0).max(), 1e-300)
+    keys = [tuple(key) for key in np.round(segments.reshape(-1, 3) / (_SAME * size)).astype(np.int64).tolist()]
+    at = dict(zip(keys, segments.reshape(-1, 3), strict=True))
+    beside: dict[Any, set[Any]] = {key: set() for key in at}
+    for a, b in zip(keys[::2], keys[1::2], strict=True):
+        beside[a].add(b)
+        beside[b].add(a)
+    ends = sorted(key for key, others in beside.items() if len(others) == 1)
+    if len(ends) not in (0, 2) or any(len(others) > 2 for others in beside.values()):
+        raise InputError(f"{place}: is no single curve")
+    path = [ends[0] if ends else min(beside)]
+    seen = {path[0]}
+    while further := sorted(beside[path[-1]] - seen):
+        path.append(further[0])
+        seen.add(further[0])
+    if len(seen) < len(beside):
+        raise InputError(f"{place}: is no single curve")
+    return np.array([at[key] for key in (path if ends else [*path, path[0]])])

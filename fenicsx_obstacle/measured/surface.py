@@ -1,0 +1,172 @@
+"""What a table of heights tells of itself: values at points, and bounds over segments and triangles."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Truth
+
+EDGE = 1e-9  # of its size: how far outside the data a point may lie
+AT_ONCE = 2_000_000  # values of a table that are looked at together
+MARGIN = 1 + 1e-12  # for round-off in bounds of slopes
+_ROUND_OFF = 1e-14  # of the largest height: of sums in an interpolant
+
+
+class Surface(ABC):
+    """Heights over a part of the plane or the line, piecewise polynomial.
+
+    Attributes:
+        continuous: Whether it is, for sure.
+        enclosed: Whether `bounds` holds over all of a simplex, without samples.
+        low: Least coordinates that it covers, shape (2,).
+        high: Largest coordinates.
+        spacing: Distance of neighbouring data, the median of all.
+    """
+
+    continuous: bool = True
+    enclosed: bool = True
+    low: np.ndarray
+    high: np.ndarray
+    spacing: float
+
+    @abstractmethod
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """Heights at points, shape (n, 2); not-a-number outside."""
+
+    @abstractmethod
+    def bounds(self, corners: np.ndarray) -> SurfaceBounds:
+        """Bounds over segments or triangles, shape (simplices, corners, 2)."""
+
+    @abstractmethod
+    def beside(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How far the heights are from linear functions.
+
+        Args:
+            corners: Of the simplices.
+            values: Of the linear functions there, shape (simplices, corners).
+
+        Returns:
+            Least and largest difference, the heights less these functions, and a bound of its gradient.
+        """
+
+    def cuts(self, corners: np.ndarray) -> np.ndarray:
+        """Values at the corners of linear functions that are 0 on a line where polynomials meet; 0 where none is
+        known."""
+        return np.zeros(corners.shape[:2])
+
+
+@dataclass(frozen=True)
+class SurfaceBounds:
+    """Bounds of heights over simplices, as `effects.field.Bounds` has them.
+
+    Attributes:
+        lower: Lower bound.
+        upper: Upper bound.
+        degree: Of the polynomial where it is `whole`.
+        whole: Whether one polynomial gives it on the whole simplex.
+        defined: Whether data cover the simplex.
+        steepest: Bound of the gradient.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    degree: np.ndarray
+    whole: np.ndarray
+    defined: np.ndarray
+    steepest: np.ndarray
+
+    @property
+    def finite(self) -> np.ndarray:
+        return self.defined
+
+    def derivative(self, k: int) -> np.ndarray:
+        return self.steepest if k == 1 else np.full(len(self.lower), np.inf)
+
+
+def bounds_of(
+    low: np.ndarray, high: np.ndarray, degree: int, whole: np.ndarray, covered: np.ndarray, steepest: np.ndarray
+) -> SurfaceBounds:
+    """Bounds with room for round-off."""
+    room = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
+    lower, upper = np.where(covered, low - room, -np.inf), np.where(covered, high + room, np.inf)
+    whole = whole & covered
+    return SurfaceBounds(lower, upper, np.where(whole, degree, NO_POLYNOMIAL), whole, covered, steepest * MARGIN)
+
+
+@dataclass(frozen=True, eq=False)
+class OnSurface:
+    """A surface on simplices: `effects.field.Enclosed`.
+
+    Attributes:
+        surface: The heights.
+        corners: Of the simplices, in the coordinates of the surface.
+    """
+
+    surface: Surface
+    corners: np.ndarray
+
+    def once(self) -> SurfaceBounds:
+        return self.surface.bounds(self.corners)
+
+    def some(self, cells: np.ndarray) -> OnSurface:
+        return OnSurface(self.surface, self.corners[cells])
+
+    def truth(self) -> Truth:
+        found = self.once()
+        return Truth((found.lower != 0) | (found.upper != 0), (found.lower <= 0) & (found.upper >= 0))
+
+    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        corners = self.corners[cells]
+        if not len(cells):
+            return np.zeros(corners.shape[:2]), np.zeros(0), np.zeros(0)
+        values = self.surface.at(corners.reshape(-1, 2)).reshape(corners.shape[:2])
+        low, high, steep = self.surface.beside(corners, values)
+        size = np.maximum(polynomials.row_size(values), np.maximum(np.abs(low), np.abs(high)))
+        return values + ((low + high) / 2)[:, None], (high - low) / 2 + _ROUND_OFF * size, steep * MARGIN
+
+    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values = self.surface.cuts(self.corners[cells])
+        known = np.ptp(values, axis=1) > 0 if len(cells) else np.zeros(0, dtype=bool)
+        return values, np.where(known, 0.0, np.inf)
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        points = polynomials.inner_points(self.corners.shape[1], degree)
+        inside = points @ self.corners[cells]
+        return self.surface.at(inside.reshape(len(cells) * len(points), 2)).reshape(len(cells), len(points))
+
+
+def gradients(corners: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Gradients of linear functions on triangles, or along segments, shape (simplices, 2).
+
+    Those of triangles without an area are not numbers.
+    """
+    edges, rises = corners[:, 1:] - corners[:, :1], values[:, 1:] - values[:, :1]
+    with np.errstate(all="ignore"):
+        if corners.shape[1] == 2:
+            edge = edges[:, 0]
+            return edge * (rises[:, 0] / np.sum(edge**2, axis=1))[:, None]
+        (a, b), (c, d) = edges[:, 0].T, edges[:, 1].T
+        cross = a * d - b * c
+        return np.column_stack([d * rises[:, 0] - b * rises[:, 1], a * rises[:, 1] - c * rises[:, 0]]) / cross[:, None]
+
+
+def runs(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Items counted row by row: the row of each item, its number within the row, and where rows start."""
+    starts = np.cumsum(counts) - counts
+    rows = np.repeat(np.arange(len(counts)), counts)
+    return rows, np.arange(len(rows)) - starts[rows], starts
+
+
+def parts(counts: np.ndarray) -> Iterator[slice]:
+    """Slices of rows that have `AT_ONCE` items at most, or one row."""
+    ends, start = np.cumsum(counts), 0
+    while start < len(counts):
+        before = ends[start - 1] if start else 0
+        end = max(start + 1, int(np.searchsorted(ends, before + AT_ONCE, "right")))
+        yield slice(start, end)
+        start = end

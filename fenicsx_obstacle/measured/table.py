@@ -1,0 +1,310 @@
+"""Measured heights as a datum of a problem: `Table("rough.csv", scale=1e-6)`, in TOML {file = "rough.csv"}."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import cos, isfinite, radians, sin
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.effects.field import Enclosed, Field, Names
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.measured.grid import Grid
+from fenicsx_obstacle.measured.read import Heights, of_arrays, read
+from fenicsx_obstacle.measured.surface import OnSurface, Surface
+from fenicsx_obstacle.measured.triangulated import Triangulated
+from fenicsx_obstacle.words import counted
+
+KEYS = ("file", "x", "y", "range", "scale", "rotate", "shift", "smooth")
+_NOTHING = {"scale": 1.0, "rotate": 0.0, "smooth": 0.0}  # what changes no table
+_SAME = 1e-4  # of the mean distance of the lines of a grid: distances that differ less are equal
+_FEWEST = 1e-7  # of the extent: lines of a grid that are nearer are one
+_LISTED = 3  # places in a message
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Heights from a file or from arrays.
+
+    A file holds columns x, y, z or x, z (.csv, .txt; .npy), arrays x, y, z (.npz), heights alone with their extents
+    (.npy, .csv, and images, .png), or facets in space (.stl), of which the highest above a point counts. Points of a
+    regular grid are recognised, others are triangulated. Between the points heights are linear or bilinear.
+
+    Attributes:
+        file: Its name, or None.
+        x: Of heights alone the first and the last x; beside `z` the coordinates of its columns.
+        y: The same of y.
+        z: Heights as an array, shape (len(y), len(x)), or (n,) with x and y of that shape.
+        range: Heights of black and white in an image.
+        scale: Factor of all coordinates, or one for each.
+        rotate: Angle about the z-axis in degrees, after scaling.
+        shift: What is added to x, y and z in the end; along one axis to x and z.
+        smooth: Standard deviation of a Gaussian filter in the unit of scaled x and y; for grids.
+    """
+
+    file: str | Path | None = None
+    x: Any = None
+    y: Any = None
+    z: Any = None
+    range: Any = None
+    scale: Any = 1.0
+    rotate: float = 0.0
+    shift: Any = None
+    smooth: float = 0.0
+    folder: Path = field(default=Path(), kw_only=True, repr=False)
+
+    @property
+    def path(self) -> Path | None:
+        """Its file, from where the process runs."""
+        return None if self.file is None else self.folder / self.file
+
+    def on(self, source: str) -> MeasuredField:
+        """It as the datum that stands at a place (every rank reads the file).
+
+        Raises:
+            InputError: Naming the place, the file and the line or point.
+        """
+        return MeasuredField(self, source)
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays x, y, z that were given."""
+        given = {key: getattr(self, key) for key in ("x", "y", "z")}
+        return {key: np.asarray(value, dtype=np.float64) for key, value in given.items() if value is not None}
+
+    @property
+    def in_toml(self) -> dict[str, Any]:
+        """The keys that say something, as a scene has them; without the arrays."""
+        given = {key: getattr(self, key) for key in KEYS if self.z is None or key not in ("x", "y")}
+        given["file"] = None if self.path is None else str(self.path)
+        return {key: value for key, value in given.items() if value is not None and value != _NOTHING.get(key)}
+
+    def __str__(self) -> str:
+        return in_words(self.in_toml | ({} if self.file is None else {"file": self.file}))
+
+
+def in_words(keys: Mapping[str, Any]) -> str:
+    """Keys of a table of heights as they stand in TOML."""
+    return "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in keys.items()) + "}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, str | Path):
+        return f'"{value}"'
+    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list | tuple) else f"{value:g}"
+
+
+class MeasuredField(Field):
+    """A table as a datum.
+
+    Attributes:
+        table: It.
+        surface: Its heights, before they are rotated and shifted.
+    """
+
+    def __init__(self, table: Table, source: str):
+        self.table, self.source = table, source
+        self.text = str(table) if table.file is not None else "heights in arrays"
+        self._name = f"{source}: {'arrays' if table.path is None else table.path}"
+        heights = self._heights()
+        self._along_x = heights.columns is not None and heights.columns.shape[1] == 2
+        scale = table.scale
+        factors = self._list("scale", scale) if np.iterable(scale) else [self._number("scale", scale)] * 3
+        self._scale = np.array([factors[0], 1.0, factors[2]] if self._along_x else factors)
+        if np.any(self._scale[:2] <= 0) or self._scale[2] == 0:
+            raise InputError(f"{self._name}: scale = {scale!r}: factors of x and y must be positive, that of z not 0")
+        turn = radians(self._number("rotate", table.rotate))
+        self._turn = np.array([[cos(turn), sin(turn)], [-sin(turn), cos(turn)]])  # of points, backwards
+        if self._along_x and turn:
+            raise InputError(f"{self._name}: rotate is for columns x, y, z")
+        self._shift = np.array([0.0, 0.0, 0.0] if table.shift is None else self._list("shift", table.shift))
+        self.surface = self._made(heights)
+
+    # reading
+
+    def _made(self, heights: Heights) -> Surface:
+        if heights.matrix is not None:
+            x, y, z = self._of_matrix(heights)
+            self._check_extents(used=True)
+            return self._grid(x, y, z)
+        self._check_extents(used=False)
+        assert heights.columns is not None
+        self._check_finite(heights.columns)
+        scaled = heights.columns * self._scale[[0, 2] if self._along_x else [0, 1, 2]]
+        if heights.triangles is not None:
+            return self._triangulated(scaled[:, :2], scaled[:, 2], heights.triangles)
+        if self._along_x:
+            order = np.argsort(scaled[:, 0], kind="stable")
+            if len(scaled) < 2 or np.any(np.diff(scaled[order, 0]) <= 0):
+                raise InputError(f"{self._name}: needs two points or more, each x once")
+            return self._grid(scaled[order, 0], None, scaled[order, 1])
+        return self._of_points(scaled)
+
+    def _heights(self) -> Heights:
+        table = self.table
+        if (table.file is None) == (table.z is None):
+            raise InputError(f"{self.source}: a table of heights needs either a file or an array z")
+        if table.path is None:
+            return of_arrays(table.x, table.y, table.z, self._name)
+        try:
+            return read(table.path)
+        except InputError as error:
+            raise InputError(f"{self.source}: {error}") from None
+
+    def _check_extents(self, *, used: bool) -> None:
+        """Refuse keys that say nothing about the data."""
+        if self.table.file is None or used:
+            return
+        for key in ("x", "y", "range"):
+            if getattr(self.table, key) is not None:
+                raise InputError(f"{self._name}: {key} says nothing about data that have their own coordinates")
+
+    def _of_matrix(self, heights: Heights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Axes and heights, shape (len(x), len(y)), scaled."""
+        z, axes = heights.matrix, []
+        assert z is not None
+        for key, own, count in (("x", heights.x, z.shape[1]), ("y", heights.y, z.shape[0])):
+            given = own if own is not None else getattr(self.table, key)
+            if given is None:
+                what = "an image" if heights.image else f"heights alone, {z.shape[0]} x {z.shape[1]}"
+                raise InputError(f"{self._name}: {what}: give extents, x = [first, last] and y = [first, last]")
+            axis = np.asarray(given if own is not None else self._list(key, given, 2), dtype=np.float64)
+            if len(axis) == 2 != count:
+                axis = np.linspace(axis[0], axis[1], count)
+            if axis.shape != (count,) or count < 2:
+                raise InputError(f"{self._name}: {count} heights along {key}, and {len(axis)} coordinates")
+            if not np.isfinite(axis).all() or not np.all(np.diff(axis) > 0):
+                raise InputError(f"{self._name}: {key} must ascend")
+            axes.append(axis)
+        if heights.image:
+            if self.table.range is None:
+                raise InputError(f"{self._name}: an image: give range = [height of black, height of white]")
+            low, high = self._list("range", self.table.range, 2)
+            z = low + (high - low) * z
+        elif self.table.range is not None:
+            raise InputError(f"{self._name}: range is for images")
+        bad = np.argwhere(~np.isfinite(z))
+        if len(bad):
+            places = [f"row {row + 1}, column {column + 1}" for row, column in bad[:_LISTED]]
+            self._refuse_missing(len(bad), z.size, places)
+        return axes[0] * self._scale[0], axes[1] * self._scale[1], z.T * self._scale[2]
+
+    def _check_finite(self, columns: np.ndarray) -> None:
+        bad = np.flatnonzero(~np.isfinite(columns).all(axis=1))
+        if len(bad):
+            places = [f"({', '.join(f'{x:.4g}' for x in columns[row, :-1])})" for row in bad[:_LISTED]]
+            self._refuse_missing(len(bad), len(columns), places)
+
+    def _refuse_missing(self, count: int, total: int, places: Sequence[str]) -> None:
+        more = " and more" if count > len(places) else ""
+        raise InputError(
+            f"{self._name}: {count} of {counted(total, 'height')} are no finite numbers: at {'; '.join(places)}{more}; "
+            "fill them, or leave these points out: others are triangulated"
+        )
+
+    def _of_points(self, points: np.ndarray) -> Surface:
+        """A grid if the points are one, else triangles between them."""
+        x, y = (_lines(points[:, axis]) for axis in (0, 1))
+        if len(x) * len(y) == len(points) and min(len(x), len(y)) > 1:
+            i, j = (_number_of_line(axis, points[:, k]) for k, axis in enumerate((x, y)))
+            z = np.full((len(x), len(y)), np.nan)
+            z[i, j] = points[:, 2]
+            if np.isfinite(z).all():
+                return self._grid(x, y, z)
+        distinct, times = np.unique(points[:, :2], axis=0, return_counts=True)
+        if len(distinct) < len(points):
+            place = ", ".join(f"{x:.4g}" for x in distinct[np.argmax(times > 1)])
+            raise InputError(f"{self._name}: two heights or more at ({place})")
+        from scipy.spatial import Delaunay, QhullError
+
+        try:
+            centre, size = points[:, :2].mean(axis=0), np.ptp(points[:, :2], axis=0).max()
+            triangles = Delaunay((points[:, :2] - centre) / (size or 1.0)).simplices
+        except (QhullError, ValueError):
+            raise InputError(f"{self._name}: {counted(len(points), 'point')} that span no area") from None
+        return self._triangulated(points[:, :2], points[:, 2], triangles)
+
+    def _grid(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray) -> Surface:
+        width = self._number("smooth", self.table.smooth)
+        if width < 0:
+            raise InputError(f"{self._name}: smooth = {width:g}: must not be negative")
+        if width:
+            axes = [x] if y is None else [x, y]
+            steps = [np.diff(axis) for axis in axes]
+            if any(
+                np.ptp(step) > _SAME * step.mean() + 1e-9 * np.ptp(axis) for step, axis in zip(steps, axes, strict=True)
+            ):
+                raise InputError(f"{self._name}: smooth is for grids with equal distances")
+            from scipy.ndimage import gaussian_filter
+
+            z = gaussian_filter(z, [width / step.mean() for step in steps], mode="nearest")
+        return Grid(x, y, z + self._shift[2])
+
+    def _triangulated(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray) -> Surface:
+        if self.table.smooth:
+            raise InputError(f"{self._name}: smooth is for heights on a grid")
+        return Triangulated(points, z + self._shift[2], triangles)
+
+    # numbers
+
+    def _number(self, key: str, value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not isfinite(value):
+            raise InputError(f"{self._name}: {key} = {value!r}: expected a finite number")
+        return float(value)
+
+    def _list(self, key: str, value: Any, count: int = 0) -> list[float]:
+        """Numbers of a list; of x, y and z, or x and z along one axis, where no count is given: then three."""
+        wanted = count or (2 if self._along_x else 3)
+        if not isinstance(value, list | tuple | np.ndarray) or len(value) != wanted:
+            names = f"{wanted} numbers" if count else "[x, z]" if self._along_x else "[x, y, z]"
+            raise InputError(f"{self._name}: {key} = {value!r}: expected {names}")
+        found = [self._number(key, one) for one in value]
+        return found if wanted == count or not self._along_x else [found[0], 0.0, found[1]]
+
+    # the datum
+
+    @property
+    def continuous(self) -> bool:  # type: ignore[override]
+        return self.surface.continuous
+
+    @property
+    def pointwise(self) -> bool:
+        return True
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring data."""
+        return self.surface.spacing
+
+    def _inward(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 2) in the coordinates of the surface."""
+        there = points - self._shift[:2]
+        return there @ self._turn.T if self.table.rotate else there
+
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        return self.surface.at(self._inward(x[:2].T))
+
+    def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
+        return OnSurface(self.surface, self._inward(corners)) if self.surface.enclosed else None
+
+    def because(self, point: np.ndarray, names: Names) -> str:
+        axes = "x" if self._along_x else "xy"
+        ends = zip(axes, self.surface.low + self._shift[:2], self.surface.high + self._shift[:2], strict=False)
+        turned = ", turned," if self.table.rotate else ""
+        return f"; the data{turned} reach over " + ", ".join(f"{a} = {low:.6g} .. {high:.6g}" for a, low, high in ends)
+
+
+def _lines(x: np.ndarray) -> np.ndarray:
+    """The lines of a grid that coordinates are on."""
+    found = np.sort(x)
+    near = _FEWEST * (found[-1] - found[0])
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(found) > near]))
+    return found[starts]
+
+
+def _number_of_line(lines: np.ndarray, x: np.ndarray) -> np.ndarray:
+    middles = (lines[1:] + lines[:-1]) / 2
+    return np.searchsorted(middles, x)

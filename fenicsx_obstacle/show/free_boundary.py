@@ -1,0 +1,84 @@
+"""The free boundary as a table: what it needs are the cells near it, which each rank finds among its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.parallel import gathered, largest, on_root, write_text
+from fenicsx_obstacle.problems.solution import Solution
+from fenicsx_obstacle.show.boundary import RINGS, SIDES, Patch, free_boundary, gap, pressed, with_levels
+
+
+def write_free_boundary(solution: Solution, path: Path) -> None:
+    """Write one line per piece of the free boundary: the coordinates of its ends, or of its corners (collective).
+
+    Raises:
+        InputError: If the file cannot be written.
+    """
+    on_root(solution.level.comm, _write, near_free_boundary(solution), path)
+
+
+def near_free_boundary(solution: Solution) -> Patch | None:
+    """The cells within `RINGS` of a free boundary with their levels, on rank 0; None elsewhere (collective)."""
+    plain = solution.plain
+    level, owned = plain.level, plain.level.owned
+    fields = {name: function.x.array.real for name, function in plain.functions().items()}
+    sides = [side for side in SIDES if side in fields]
+    gaps = {side: max(0.0, largest(level.comm, gap(fields, side)[:owned])) for side in sides}
+    near, nodes = _near(level, [pressed(fields, side) for side in sides])
+    rows = np.flatnonzero(nodes[:owned])
+    numbering, cells = level.V.dofmap.index_map, releases.cell_dofs(level.V)[: own_cells(level.mesh)][near]
+    parts: dict[str, np.ndarray] = {
+        "numbers": np.asarray(numbering.local_to_global(rows.astype(np.int32)), dtype=np.int64),
+        "cells": np.asarray(numbering.local_to_global(cells.ravel())).reshape(cells.shape),
+        "points": level.points.T[rows],
+        **{name: fields[name][rows] for name in ("u", "pressure", "contact", *sides)},
+    }
+    found = {name: gathered(level.comm, values) for name, values in parts.items()}
+    whole = {name: values for name, values in found.items() if values is not None}
+    if not whole:
+        return None
+    # owned numbers rise from rank to rank: the nodes stay in their order
+    renumbered = np.searchsorted(whole.pop("numbers"), whole.pop("cells"))
+    return with_levels(Patch(whole.pop("points"), renumbered, whole), gaps)
+
+
+def _near(level: Level, touching: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each owned cell, and each local node of these, is near the edge of a set of nodes (collective).
+
+    Args:
+        level: A mesh of simplices with P1.
+        touching: Sets of local nodes, ghosts included.
+    """
+    cells = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
+    near = np.zeros(len(cells), dtype=bool)
+    for nodes in touching:
+        inside = [nodes[corner] for corner in cells.T]
+        near |= np.logical_or.reduce(inside) & ~np.logical_and.reduce(inside)
+    marked = fem.Function(level.V)
+    for _ in range(RINGS + 1):  # cells of nodes that are told to touch lie beside the edge
+        marked.x.array[:] = 0.0
+        marked.x.array[cells[near]] = 1.0
+        releases.add_ghosts(marked)
+        marked.x.scatter_forward()
+        nodes = marked.x.array > 0
+        near = np.logical_or.reduce([nodes[corner] for corner in cells.T])
+    marked.x.array[:] = 0.0
+    marked.x.array[cells[near]] = 1.0
+    releases.add_ghosts(marked)
+    return near, marked.x.array > 0
+
+
+def _write(patch: Patch, path: Path) -> None:
+    lines = free_boundary(patch)
+    pieces = [line.points[line.cells].reshape(len(line.cells), -1) for line in lines]
+    table = np.concatenate([*pieces, np.empty((0, pieces[0].shape[1] if pieces else 6))])
+    heads = [f"{axis}{corner}" for corner in range(1, table.shape[1] // 3 + 1) for axis in "xyz"]
+    rows = [",".join(heads), *(",".join(f"{x:.9g}" for x in row) for row in table)]
+    write_text(path, "\n".join(rows) + "\n")

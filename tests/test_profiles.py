@@ -1,0 +1,104 @@
+"""[profile.NAME]: known values along lines and named curves, for every element, in time, in studies, on pages."""
+
+import csv
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import COMM, membrane
+
+from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.answers.profiles import profiles_of
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.show.profiles import draw_rows
+from fenicsx_obstacle.show.report import report_answer
+from fenicsx_obstacle.studies.convergence import Study
+from fenicsx_obstacle.studies.rows import as_csv
+
+LINE = {"line": {"from": [0.0, 0.25], "to": [1.0, 0.75], "n": 9}}
+
+
+@pytest.mark.parametrize("element", ("P1", "P2", "Q1", "Q2"))
+def test_known_values(element):
+    """u = 3x with tension 2: its values, slope and flux, and the gap to an obstacle that it does not touch."""
+    cell = "quadrilateral" if element[0] == "Q" else "triangle"
+    scene = Scene(
+        mesh={"shape": "rectangle", "cells": 4, "cell": cell}, tension=2, lower="-1 + x", profile=LINE,
+        boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 3}],
+    )  # fmt: skip
+    found = profiles_of(solve(scene, element=element))["line"]
+    x = np.linspace(0, 1, 9)
+    assert np.allclose(found.points, np.column_stack([x, 0.25 + x / 2])) and np.allclose(found.s, x * np.sqrt(1.25))
+    assert np.allclose(found.u, 3 * x) and np.allclose(found.gap, 2 * x + 1) and not found.pressure.any()
+    assert np.allclose(found.slope, [3, 0]) and np.allclose(found.flux, [6, 0])
+
+
+def test_along_a_named_curve():
+    """A side by its name, and the closed circle of the disk: points at equal distances, u = 0 there."""
+    side = solve(membrane(load=-1, profile={"side": {"on": "top", "n": 5}}))
+    found = profiles_of(side)["side"]
+    assert np.allclose(np.sort(found.points[:, 0]), np.linspace(0, 1, 5)) and np.allclose(found.points[:, 1], 1)
+    disk = Scene(mesh={"shape": "disk", "cells": 8}, tension=1, load=-1, profile={"rim": {"on": "circle", "n": 33}})
+    found = profiles_of(solve(disk))["rim"]
+    assert np.allclose(found.points[0], found.points[-1]) and found.s[-1] == pytest.approx(2 * np.pi, rel=1e-2)
+    assert np.abs(found.u).max() < 1e-12 and np.allclose(np.diff(found.s), found.s[1], rtol=1e-2)
+
+
+def test_files_page_and_time(folder):
+    """A table with a line for each point and moment, a plot, and the plot on the page."""
+    scene = membrane(load="-8*t", lower=-0.05, profile=LINE, time={"end": 1, "steps": 2})
+    answer = solve(scene)
+    answer.save(folder)
+    report_answer(answer, folder, picture=False)
+    rows = list(csv.DictReader((folder / "profile-line.csv").open()))
+    moments = {float(row["t"]) for row in rows}
+    assert moments == {0.0, 0.5, 1.0} and len(rows) == 3 * 9
+    last = [float(row["u"]) for row in rows if float(row["t"]) == 1.0]
+    assert np.allclose(last, answer.at(profiles_of(answer)["line"].points), atol=1e-7)
+    assert (folder / "profile-line.png").stat().st_size > 5000
+    assert "Profiles" in (folder / "report.html").read_text()
+
+
+def test_rows_of_a_study(folder):
+    """Each row has the columns of its profiles; they are drawn over one another."""
+    scene = membrane(load=-8, lower="-depth", define={"depth": 0.1}, profile=LINE)
+    vary = {"define.depth": [0.1, 0.05]}
+    rows = Study(scene, vary, {}).run()
+    on_root(COMM, draw_rows, rows, vary, "u", folder)
+    peaks = [min(row["profiles"]["line"]["u"]) for row in rows]
+    assert np.allclose(peaks, [-0.1, -0.05], rtol=0.05)
+    lines = (folder / "profile-line.csv").read_text().splitlines()
+    assert lines[0].startswith("define.depth,x,y,s,u,p,gap") and len(lines) == 1 + 2 * 9
+    assert (folder / "profile-line.png").exists() and "profiles." not in as_csv(rows).splitlines()[0]
+
+
+@pytest.mark.serial
+def test_plot_along(folder):
+    """`plot RESULT --along` writes a picture and the table; a line that leaves the mesh is a mistake."""
+    from fenicsx_obstacle.cli import commands
+
+    solve(membrane(load=-8, lower=-0.1)).save(folder)
+    CliRunner().invoke(commands, ["plot", str(folder), "--along", "0,0.5:1,0.5"], catch_exceptions=False)
+    table = np.genfromtxt(folder / "along.csv", delimiter=",", names=True)
+    assert table["gap"].min() < 1e-2 and (folder / "along.png").exists()
+    for line, message in (("0,0:1,2", "is outside the mesh"), ("0,0", "expected two points")):
+        with pytest.raises(InputError, match=message):
+            CliRunner().invoke(commands, ["plot", str(folder), "--along", line], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"from": [0, 0], "to": [1, 2]}, r"\[profile.line\]: the point \(.*\) is outside the mesh"),
+        ({"from": [0, 0, 0], "to": [1, 1, 0]}, "from: needs 2 coordinates, not 3"),
+        ({"from": [0, 0]}, "needs the keys 'from' and 'to', or 'on'"),
+        ({"from": [0, 0], "to": [0, 0]}, "from and to are the same point"),
+        ({"on": "tob"}, "no curve named 'tob'; did you mean 'top'"),
+        ({"from": [0, 0], "to": [1, 1], "m": 3}, "unknown key 'm'"),
+    ],
+)
+def test_mistakes(table, message):
+    """They are told before anything is solved, on all ranks."""
+    with pytest.raises(InputError, match=message):
+        solve(membrane(load=-1, profile={"line": table}))
+    COMM.Barrier()
