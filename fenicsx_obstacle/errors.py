@@ -1,4 +1,4 @@
-"""The errors a user can meet; each knows the exit status of the command line."""
+"""The errors of the package, each with its exit status on the command line."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class InputError(ObstacleError):
 
 
 class NotConverged(ObstacleError):
-    """A solver stopped short of its tolerance: there is no answer to return.
+    """A solver did not reach its tolerance; nothing is returned.
 
     Attributes:
-        solver: The method that was asked for; `penalty` where there is no obstacle.
+        solver: The requested method; `penalty` where there is no obstacle.
         reason: PETSc's reason, in words.
         iterations: Newton steps taken.
     """

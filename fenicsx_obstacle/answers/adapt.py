@@ -1,4 +1,4 @@
-"""From a tolerance to an answer: solve, bound the error, refine where it is, until the bound is below the tolerance."""
+"""From a tolerance to a solution: solve, bound the error, refine, until the bound is below the tolerance."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def solve(
     """Solve a scene (collective).
 
     Args:
-        scene: What to solve, or its file, or its name in the catalogue; the other arguments replace its values.
+        scene: A Scene, its file, or its name in the catalogue; the other arguments replace its values.
         eps: Penalty parameter: a number in units of u/p, or a formula in h.
         cells: Cells per side, for shapes.
         refine: Uniform refinements.
@@ -66,16 +66,16 @@ def solve(
         start: nested, from the coarsest level of the mesh on, or cold.
         element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
         comm: Communicator; a mesh of the scene's own brings its own.
-        yardstick: Time one linear Poisson solve on the same mesh as well.
+        yardstick: Also time a linear Poisson solve on the same mesh, the baseline.
         bound: Bound the error: answer.bound.
-        tol: Error to reach, in the energy norm and relative to it: the mesh and, if it is auto, eps are chosen.
+        tol: Tolerance for the relative error in the energy norm; the mesh and, if it is auto, eps are chosen.
         tol_absolute: The same in the unit of the energy norm.
-        budget: With a tolerance: stop earlier, with the best answer so far: "60s", "8GB", "1e6 unknowns".
-        restart: With [time]: go on from the state in this folder, which any number of ranks may have left there.
-        keep: With [time]: folder for the state, now and then and at the end.
+        budget: With a tolerance: a limit, "60s", "8GB" or "1e6 unknowns"; the best solution so far is returned.
+        restart: With [time]: continue from the state in this folder, saved by any number of ranks.
+        keep: With [time]: folder for the state, saved every 20 s and at the end.
 
     Returns:
-        The answer; there is none without convergence.
+        The solution, always converged.
 
     Raises:
         InputError: For bad data.

@@ -30,9 +30,9 @@ class Answer(Solution):
     """A solution of a scene.
 
     Attributes:
-        scene: What was solved, with all changes.
+        scene: The scene with all changes.
         error: Nodal distance to the exact solution, or None.
-        time_history: All steps, of a scene with [time]; the fields are those of the last moment.
+        time_history: All steps, of a scene with [time]; the fields are those at the final time.
     """
 
     scene: Scene = field(kw_only=True)
@@ -41,7 +41,7 @@ class Answer(Solution):
 
     @property
     def report(self) -> dict[str, float | None]:
-        """The figures of the scene's [report], in its units; None where one is not finite."""
+        """The values of the scene's [report], in its units; None if not finite."""
         return dict(self.record.get("report", {}))
 
     @property

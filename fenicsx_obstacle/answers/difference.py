@@ -70,7 +70,7 @@ def compare(a: Answer | str | Path, b: Answer | str | Path) -> dict[str, Any]:
 def _by_size(a: Answer, b: Answer) -> tuple[Answer, Answer]:
     """The finer one first."""
     if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
-        raise InputError("compare: the answers live in spaces of different dimensions")
+        raise InputError("compare: the results have meshes of different dimensions")
     return (a, b) if a.plain.level.dofs >= b.plain.level.dofs else (b, a)
 
 

@@ -78,7 +78,7 @@ def penalty_energy(u: Any, *, eps: Any, dI: Any, lower: Any = None, upper: Any =
 
 
 def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) -> Any:
-    """The contact pressure that comes for free: p(x_i) = -(u - g)^+(x_i) / eps, (3.7)-(3.8).
+    """The contact pressure at the nodes: p(x_i) = -(u - g)^+(x_i) / eps, (3.7)-(3.8).
 
     p <= 0 where u presses against `upper`, p >= 0 against `lower`: -div(mu grad u) = f + p.
 

@@ -66,18 +66,18 @@ class ObstacleProblem:
     """Find u between obstacles such that F(u; v) + (1/eps) I((u - g)^+, v) = 0 for all v, or the inequality itself.
 
     I is the rule at the nodes of u (3.5), (3.6): the penalty is diagonal, and (3.7) gives the contact pressure at the
-    nodes. Whether F is linear in u is found out; if so, its matrix is assembled once and kept while the values of the
+    nodes. Whether F is linear in u is detected; if so, its matrix is assembled once and reused while the values of the
     coefficients in it stay the same.
 
     Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
-    values are taken anew, and the iteration starts from u. So a loop over time steps is a loop. Where F is linear and
+    values are updated, and the iteration starts from u, as a loop over time steps needs it. Where F is linear and
     symmetric, and u is one number or turns out to be a bad start, algebraic coarse levels give a better one.
 
     All methods are collective.
 
     Attributes:
         u: The unknown: start and solution.
-        A: The matrix of the last linear system, for experts; rows of Dirichlet dofs are those of the identity.
+        A: The matrix of the last linear system; rows of Dirichlet dofs are those of the identity.
         b: The residual F(u; v_i) at the last u, without the contact forces; at Dirichlet dofs the reaction of the
             support.
     """
@@ -244,7 +244,7 @@ class ObstacleProblem:
 
         Raises:
             InputError: If an argument is of another kind, or no u can satisfy the data.
-            NotConverged: With PETSc's reason; u is then what it was.
+            NotConverged: With PETSc's reason; u is then unchanged.
         """
         started = time.perf_counter()
         if bound and self._estimator is None:

@@ -1,4 +1,4 @@
-"""A solution: what a converged solve found, frozen."""
+"""A solution: the frozen result of a converged solve."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A converged solution with everything known about it.
+    """A converged solution with its pressure, contact set, history and values.
 
     Attributes:
         level: The mesh and its spaces.
@@ -108,8 +108,8 @@ class Solution:
         lower: Nodal lower obstacle, or None.
         upper: Nodal upper obstacle, or None.
         history: The steps of the iteration.
-        record: All figures, as in answer.json.
-        bound: Of the energy error, where it was asked for; of a read solution only its figures are there, in `record`.
+        record: All values, as in answer.json.
+        bound: Of the energy error, where it was asked for; of a solution read from files only the values in `record`.
         tension: In UFL, a number or a matrix; None of a form of the caller's own, which hides it, and if read.
     """
 
@@ -164,7 +164,7 @@ class Solution:
 
     @property
     def penetration(self) -> float:
-        """Largest distance of u beyond an obstacle."""
+        """Largest penetration of an obstacle."""
         return self.record["penetration"]
 
     @property
@@ -179,7 +179,7 @@ class Solution:
 
     @property
     def seconds(self) -> Seconds:
-        """How long it took."""
+        """Wall time of the solve."""
         seconds = self.record["seconds"]
         return Seconds(seconds["total"], seconds["mesh"], seconds["solve"])
 
@@ -341,7 +341,7 @@ class Solution:
         return {key: function for key, function in named.items() if function is not None}
 
     def summary(self) -> str:
-        """The figures in a few lines of text."""
+        """The main values in a few lines of text."""
         r = self.record
         size = f"{counted(r['cells_total'], 'cell')}, {counted(r['dofs'], 'unknown')}, h = {r['h']:.4g}"
         eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
@@ -509,7 +509,7 @@ class Solution:
             path: A file to write, too: .png, .pdf or .svg.
 
         Returns:
-            The picture, which notebooks show, and in its words who drew it, and why.
+            The picture, which notebooks display, with a note on the library that drew it.
 
         Raises:
             InputError: If the name has another ending, or the file cannot be written.

@@ -51,5 +51,5 @@ def solve_augmented(problem: Problem, *, monitor: StepMonitor | None = None) -> 
         change = largest(comm, np.abs(penalty_pressure(problem) - multiplier.x.array[:own]))
         if eps * change <= CLOSE * span:
             return outcome
-    raise NotConverged("vi", "the multipliers of the augmented obstacle do not settle", outcome.iterations, eps=None,
+    raise NotConverged("vi", "the multipliers of the augmented obstacle do not converge", outcome.iterations, eps=None,
                        h=problem.level.h)  # fmt: skip

@@ -39,7 +39,7 @@ def study(
     ((5.6)-(5.9)).
 
     Args:
-        scene: What to solve, or its file, or its name in the catalogue.
+        scene: A Scene, its file, or its name in the catalogue.
         vary: Values of each key: cells, refine, eps, method, or a dotted key of the scene such as "define.ecc".
         comm: Communicator.
         **options: Fixed values, as in `solve`.
