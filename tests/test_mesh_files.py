@@ -7,6 +7,7 @@ import pytest
 from conftest import COMM, slow_except
 
 from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
 
@@ -281,6 +282,29 @@ def test_straight_boundaries_are_known_from_the_geometry(folder, name):
     assert level.straight is expected and level.polygonal is expected
     if level.mesh.topology.dim == 2:
         assert level_of(folder / "shape.geo", refine=1).polygonal is expected
+
+
+def test_the_mesh_of_a_geo_is_kept_as_long_as_its_text_stays(folder, monkeypatch):
+    """Gmsh meshes each text once; what may depend on other files is not kept."""
+    runs, run = [], meshing.subprocess.run
+    monkeypatch.setattr(meshing.subprocess, "run", lambda *given, **more: runs.append(given) or run(*given, **more))
+    file, text = folder / "shape.geo", OCC + "Rectangle(1) = {0, 0, 0, 2, 1};"
+
+    def found(text):
+        on_root(COMM, lambda: file.write_text(text + "\n") and None)
+        level = level_of(file)
+        return COMM.bcast(len(runs)), level.dofs, level.straight
+
+    first = found(text)
+    assert found(text) == first == (1, first[1], True)
+    finer = found(text + " MeshSize{:} = 0.05;")
+    assert finer[0] == 2 and finer[1] > first[1]
+    kept = [one.name for one in folder.iterdir() if one != file]
+    assert len(kept) == 1 and kept[0].startswith(".shape.geo.") and kept[0].endswith(".npz")
+    on_root(COMM, lambda: (folder / kept[0]).write_bytes(b"torn") and None)
+    assert found(text + " MeshSize{:} = 0.05;") == (3, *finer[1:])
+    on_root(COMM, lambda: file.write_text('Include "shape.pro"; ' + text) and None)
+    assert meshing._kept(file) is None
 
 
 def test_a_mesh_says_nothing_of_its_geometry(folder):

@@ -6,11 +6,19 @@ that fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (o
 
 from __future__ import annotations
 
+import glob
 import json
+import os
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
+from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -18,14 +26,23 @@ from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, straight
 from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
+FORMAT = b"1"  # of what is kept
+# commands of a .geo by which its mesh may depend on more than its text
+_ELSEWHERE = re.compile(rb"\b(Merge|Include|ShapeFromFile|System\w*|GetEnv|Onelab\w*|Exists|FileExists)\b")
 
 
 def load(path: Path) -> Arrays:
     """The mesh of a Gmsh file (one rank).
 
+    That of a .geo is kept beside it, as long as its text and the Gmsh that is installed stay the same.
+
     Raises:
         InputError: With what Gmsh says, or what is wrong with the mesh.
     """
+    kept = _kept(path)
+    if kept is not None:
+        with suppress(OSError, ValueError, LookupError, BadZipFile):  # not there, or damaged
+            return _arrays(kept)
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "mesh.npz"
         command = [sys.executable, "-m", __name__, str(path), str(arrays)]
@@ -39,13 +56,49 @@ def load(path: Path) -> Arrays:
         if done.returncode:
             reason = said.splitlines()[-1] if said else "it gives no reason"
             raise InputError(f"{path}: Gmsh cannot read it: {reason}; is it whole?")
-        with np.load(arrays) as file:
-            words = json.loads(str(file["words"]))
-            return Arrays(
-                file["points"], file["cells"], tuple(words["materials"]), file["cell_material"],
-                tuple(words["parts"]), file["facets"], file["facet_part"],
-                words["straight"], tuple(words["remarks"]),
-            )  # fmt: skip
+        if kept is not None:
+            _keep(arrays, path, kept)
+        return _arrays(arrays)
+
+
+def _arrays(file: Path) -> Arrays:
+    with np.load(file) as stored:
+        words = json.loads(str(stored["words"]))
+        return Arrays(
+            stored["points"], stored["cells"], tuple(words["materials"]), stored["cell_material"],
+            tuple(words["parts"]), stored["facets"], stored["facet_part"],
+            words["straight"], tuple(words["remarks"]),
+        )  # fmt: skip
+
+
+def _kept(path: Path) -> Path | None:
+    """Where the mesh of a .geo is kept; None of other files, and of those that name further files."""
+    if path.suffix != ".geo":
+        return None
+    try:
+        text, program = path.read_bytes(), find_spec("gmsh")
+        if program is None or program.origin is None or _ELSEWHERE.search(text):
+            return None
+        parts = (text, str(Path(program.origin).stat().st_mtime_ns).encode(), FORMAT)
+    except OSError:
+        return None
+    key = sha256(b"\0".join(parts)).hexdigest()[:16]
+    return path.with_name(f".{path.name}.{key}.npz")
+
+
+def _keep(arrays: Path, path: Path, kept: Path) -> None:
+    """Put a mesh beside its .geo, in place of that of an earlier text, where that can be done."""
+    scratch = kept.with_name(f"{kept.name}.{os.getpid()}")
+    try:
+        shutil.copyfile(arrays, scratch)
+        scratch.replace(kept)
+    except OSError:
+        with suppress(OSError):
+            scratch.unlink()
+        return
+    for other in path.parent.glob(f".{glob.escape(path.name)}.{'?' * 16}.npz"):
+        if other != kept:
+            other.unlink(missing_ok=True)
 
 
 def _run(source: str, target: str) -> int:
