@@ -320,10 +320,10 @@ def test_made_of_effects():
 BLOCKED = """
 import sys
 sys.modules["fenicsx_obstacle.scenes"] = None
+from fenicsx_obstacle import ObstacleProblem, Solution, releases
 import numpy as np, ufl
 from dolfinx import fem, mesh as dmesh
 from mpi4py import MPI
-from fenicsx_obstacle import ObstacleProblem, Solution, releases
 mesh = dmesh.create_unit_square(MPI.COMM_SELF, 8, 8)
 V = releases.functionspace(mesh, "Lagrange", 1)
 u, v = fem.Function(V), ufl.TestFunction(V)

@@ -46,7 +46,9 @@ def load(path: Path) -> Arrays:
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "mesh.npz"
         command = [sys.executable, "-m", __name__, str(path), str(arrays)]
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        # the process is no rank: MPICH would take it for one
+        env = {name: value for name, value in os.environ.items() if not name.startswith("PMI_")}
+        done = subprocess.run(command, env=env, capture_output=True, text=True, errors="replace", check=False)
         said = done.stdout.strip()
         if done.returncode < 0:
             other = ", or mesh it to a .msh there" if path.suffix == ".geo" else ""
