@@ -164,3 +164,11 @@ def test_a_pole_leaves_the_solution_as_it_is(element):
     u = answer.u.x.array
     assert smallest(COMM, u) > -0.01 and largest(COMM, u) < 1.05
     assert answer.bound.total > 0.09  # the true error
+
+
+def test_a_load_that_no_sample_sees():
+    """A load in a disk between the points of a rule is a force with a bound; u is above its boundary values then."""
+    load = "where(hypot(x - 0.583, y - 0.521) < 0.01, 10, -1e-7)"
+    answer = solve(membrane(load=load, boundary=[{"value": "1e-6*x"}]), element="P2", bound=True)
+    # of a point force F: u of the order of F/(2 pi) log(1/h)
+    assert 10 * np.pi * 0.01**2 / 20 < largest(COMM, answer.u.x.array) < 10 * np.pi * 0.01**2

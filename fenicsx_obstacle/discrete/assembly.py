@@ -27,6 +27,7 @@ from fenicsx_obstacle.parallel import largest, total
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
 FAR = 1e300  # an infinite distance, in a form
 HELD = 1e16  # times the diagonal of a row that is to answer zero
+MOSTLY = 0.25  # of the sum of the forces: those of P2 at vertices have either sign
 
 
 class Forms:
@@ -245,6 +246,11 @@ class Nodal(Forms):
         self.forces = forces if self.forces is None else self.forces + forces
         self._minus_load.array[:] -= forces
         self.set_reference()
+
+    def pushes(self, side: int) -> bool:
+        """Whether forces at nodes push mostly to a side, -1 or 1, whatever samples of the load say (collective)."""
+        forces, comm = -self._minus_load.array_r, self.data.level.comm
+        return total(comm, np.maximum(side * forces, 0.0)) > MOSTLY * total(comm, np.abs(forces))
 
     def weights(self) -> np.ndarray:
         return self._D

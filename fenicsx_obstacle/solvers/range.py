@@ -67,6 +67,8 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     for side, applies, allowed in ((-1, lowest >= 0, most - low), (1, highest <= 0, high - least)):
         if not applies or beyond[side] <= max(room, LIMIT * allowed):
             continue
+        if problem.affine and problem.level.pair.nodal and problem.nodal.pushes(side):
+            continue  # by a load that samples miss
         if beyond[side] > allowed or _monotone(problem):
             word, bound, sign = ("below", low, "negative") if side < 0 else ("above", high, "positive")
             return (
