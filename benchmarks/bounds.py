@@ -53,7 +53,7 @@ def effectivities(context: SolverContext, many: list) -> None:
     for eps in many:
         answer = context.answer(scene.options_with(eps=eps), bound=True)
         bound, error = answer.bound, answer.record["errors"]["energy"]
-        of_v = context.exact.errors(bound.admissible, answer.pressure, answer.record["eps"])["energy"]
+        of_v = context.exact.errors(bound.admissible, answer.pressure, answer.record["eps"])[0]["energy"]
         error_v = of_v if scene.pair.degree == 1 else float("nan")  # v is no function of P2
         show(f"{scene.name:20} {answer.record['cells']:5} {eps!s:>6} {error:10.3e} {bound.total:10.3e} "
              f"{bound.total / error:5.2f} {error_v:10.3e} {bound.admissible_total:10.3e} "

@@ -78,7 +78,7 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
     context = SolverContext(scene)
     for eps in EPS:
         answer = context.answer(scene.options_with(eps=eps), bound=True)
-        of_v = context.exact.errors(answer.bound.admissible, answer.pressure, answer.record["eps"])
+        of_v, _ = context.exact.errors(answer.bound.admissible, answer.pressure, answer.record["eps"])
         found[eps] = SimpleNamespace(
             bound=answer.bound, error=answer.record["errors"]["energy"], error_v=of_v["energy"]
         )

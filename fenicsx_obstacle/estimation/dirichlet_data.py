@@ -94,7 +94,8 @@ class DirichletData:
             if not pieces.finite.all():
                 place = edges.at(np.flatnonzero(~pieces.finite)[:1], np.full(1, 0.5))[0]
                 self.unbounded = np.append(place, 0.0)
-            self._take(pieces.groups, beside, opposite, number, ends)
+            groups = [jumps.between_samples(value, edges, group) for group in pieces.groups]
+            self._take(groups, beside, opposite, number, ends)
         jumps.reject()
         self.least, self.most = (fold(comm, np.concatenate(heights)) for fold in (smallest, largest))
         self.sampled = total(comm, self._sampled) > 0

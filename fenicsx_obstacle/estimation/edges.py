@@ -7,7 +7,7 @@ compared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.triangles import Triangles
 from fenicsx_obstacle.parallel import largest
 
@@ -24,6 +25,8 @@ WIDER = 64  # and so many times farther from it
 KEEPS = 0.9  # of the difference is left between the two if it is a jump; if it is steep, less
 CONTINUOUS = 1e-10  # of the boundary values: a smaller difference is none
 SLIVER = 1e-8  # of the extent of the mesh: a part so short of an edge does not count
+SHORT = 1e-6  # of an edge: parts where conditions are undecided, after division
+SAMPLES = 5  # on each
 MAX_PIECES = 20_000
 
 
@@ -101,6 +104,29 @@ class Jumps:
             for r in (room, WIDER * room)
         )
         self._judge(field, close, far, edges.at(which, (low + high) / 2))
+
+    def between_samples(self, field: Field, edges: Edges, group: Group) -> Group:
+        """Let samples bound a boundary value on the short parts of edges where its conditions are undecided.
+
+        Its terms may jump there although it does not, as `look` has found: bounds of the terms over a short part would
+        make it steep without limit. Its slope stays unknown there, so that the bound of the error rests on samples.
+
+        Args:
+            field: The boundary value.
+            edges: Where it holds.
+            group: Parts of the edges.
+        """
+        short = np.flatnonzero(~np.isfinite(group.steep) & (group.share <= SHORT))
+        if not len(short) or group.corners is None or group.degree > 0:
+            return group
+        rows, ends = group.rows[short], group.corners[short, :, 1]
+        samples = np.array([self._values(field, edges, rows, ends @ (1 - t, t)) for t in np.linspace(0, 1, SAMPLES)])
+        lower, upper, rest = group.lower.copy(), group.upper.copy(), group.rest.copy()
+        lower[short], upper[short] = samples.min(axis=0), samples.max(axis=0)
+        rest[short] = (upper - lower)[short] / 2
+        middle = group.coefficients.copy()
+        middle[short, 0] = (lower + upper)[short] / 2
+        return replace(group, coefficients=middle, rest=rest, lower=lower, upper=upper)
 
     def in_words(self) -> str | None:
         """Place and size of the largest jump on all ranks; None where there is none (collective)."""
