@@ -95,6 +95,9 @@ class DirichletData:
                 place = edges.at(np.flatnonzero(~pieces.finite)[:1], np.full(1, 0.5))[0]
                 self.unbounded = np.append(place, 0.0)
             groups = [jumps.between_samples(value, edges, group) for group in pieces.groups]
+            for known, group in zip(pieces.groups, groups, strict=True):
+                replaced = (group.rest < known.rest) & (known.rest > ROUND_OFF * self._heights)
+                self._sampled += np.count_nonzero(replaced)
             self._take(groups, beside, opposite, number, ends)
         jumps.reject()
         self.least, self.most = (fold(comm, np.concatenate(heights)) for fold in (smallest, largest))
