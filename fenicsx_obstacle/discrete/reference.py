@@ -83,9 +83,7 @@ class Reference:
             count = releases.cell_dofs(space).shape[1]
             if count == 1:
                 points = self.vertices.mean(axis=0)[None]
-            elif releases.called(space.ufl_element().family).startswith("Crouzeix"):
-                points = np.array([self.vertices[members].mean(axis=0) for members in self.facets])
-            else:
+            else:  # the nodes, those of Crouzeix and Raviart too
                 points = np.asarray(releases.called(space.element.interpolation_points))[:, : self.dim]
             self._of_space[key] = Lagrange(points, simplex=self.simplex)
         return self._of_space[key]
