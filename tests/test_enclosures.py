@@ -221,6 +221,12 @@ def check_linear(text, x, seed):
     assert np.isinf(rest[0]) or np.abs(weights @ at_corners[0] - values).max() <= rest[0] + slack, (text, rest)
 
 
+def test_what_is_no_number_has_no_finite_bounds():
+    """Neither 0 over an angle that is 0 everywhere, nor the remainder by a logarithm that is no number."""
+    for text in ("0/atan2(0, 0)", "0 % ln(-1.5)"):
+        assert not enclosed(text, [[(0, 0), (0, 1), (1, 0)]]).finite.any(), text
+
+
 @settings(max_examples=400, deadline=None)
 @given(FORMULAS, CORNERS, st.integers(0, 99))
 def test_linear_functions_are_near(text, x, seed):

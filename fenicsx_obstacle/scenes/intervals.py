@@ -341,7 +341,8 @@ def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     high = np.where(across | origin, np.where((y.upper <= margin) & (y.lower < -margin), 0.0, pi), high)
     turning = slopes.angle(np.hypot(_smallest(x), _smallest(y)), x.slopes, y.slopes)
     through = origin & ((y.lower == y.upper) | (x.lower == x.upper))  # along an axis it jumps at the origin
-    return _made(low, high, _degree(y, x), y, x, slopes=turning).cut(across | through)
+    nowhere = (y.lower == y.upper) & (x.lower == x.upper) & origin  # the origin alone: no angle
+    return _made(low, high, _degree(y, x), y, x, slopes=turning, defined=~nowhere).cut(across | through)
 
 
 def absolute(a: Enclosure, up: np.ndarray, down: np.ndarray) -> Enclosure:

@@ -131,7 +131,7 @@ class TreeWalk:
                 whole = b.is_number and float(b.lower) >= 0 and float(b.lower).is_integer()
                 return intervals.raised(a if whole else self._argument(formula, left), b)
         if a.is_number and b.is_number and b.lower != 0:
-            return intervals.constant(float(np.mod(a.lower, b.lower)))
+            return intervals.constant(float(np.mod(a.lower, b.lower))).inheriting(a).inheriting(b)
         # the remainder is that of the exact quotient, which may be on the other side of an integer; not so of integers
         quotient, exact = intervals.divide(a, b), intervals.whole_numbers(a) & intervals.whole_numbers(b)
         rough = intervals.widened(quotient)
