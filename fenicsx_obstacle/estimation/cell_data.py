@@ -19,7 +19,7 @@ from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, 
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.triangles import Triangles
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.parallel import largest, smallest, total
 
 TENSION = Division(6)
 # by the degree of the elements; the mean of the rest counts with Friedrichs' constant, not with h
@@ -145,10 +145,12 @@ class Load:
         if degree == 1:
             sides = [largest(comm, triangles.x[..., k]) - smallest(comm, triangles.x[..., k]) for k in range(2)]
             division = replace(division, length=min(sides) / np.pi)  # about Friedrichs' constant
-        pieces = in_cells(triangles, value, division)
-        seen = triangles.values(value, points)
-        limit = SEEN * largest(comm, np.abs(seen))
-        self.pieces = replace(pieces, groups=[_near_seen(group, seen, limit) for group in pieces.groups])
+        self.pieces = in_cells(triangles, value, division)
+        uncertain = sum(np.count_nonzero(group.rest) for group in self.pieces.groups if group.degree == 0)
+        if total(comm, uncertain) > 0:
+            seen = triangles.values(value, points)
+            limit = SEEN * largest(comm, np.abs(seen))
+            self.pieces = replace(self.pieces, groups=[_near_seen(one, seen, limit) for one in self.pieces.groups])
         self._integrate(self.pieces)
         self.missing = self.moments - solver
 
