@@ -209,7 +209,6 @@ def test_wherever_a_datum_stands(files):
     """Obstacles, loads, tensions by material, boundary values; in TOML, in Python and on a mesh of the user's own."""
     import ufl
     from dolfinx import fem, mesh
-    from petsc4py import PETSc  # noqa: F401
 
     table = Table(files / "rough.npz", shift=[0, 0, 1])
     scene = membrane(tension=table, load=Table(files / "rough.csv", scale=[1, 1, 60], shift=[0, 0, -4]), lower=-0.05,
