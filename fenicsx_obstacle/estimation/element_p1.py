@@ -99,7 +99,7 @@ class ElementP1(Element):
             sigma /= (2 * triangles.area[cells])[:, None, None]
             return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape), sigma
 
-        self.tension.integrate_distances(squares, fields)
+        self.tension.integrate_distances(squares, fields, degree=1)
         if self.equilibration.load.pieces is None:
             return squares, squares
         load = self.oscillation

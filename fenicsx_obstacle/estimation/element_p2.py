@@ -543,7 +543,7 @@ class ElementP2(Element):
             sigma = np.einsum("cyx,cpx->cpy", J, reference) / (2 * triangles.area[cells])[:, None, None]
             return slopes_at(cells, points), sigma
 
-        self.tension.integrate_distances(squares, fields)
+        self.tension.integrate_distances(squares, fields, degree=2)
         return squares
 
     def _slopes_of(self, u: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
