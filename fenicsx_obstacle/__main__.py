@@ -53,6 +53,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         if set(arguments) - {"-h", "--help", "--version"} and not {"-h", "--help"} & set(arguments):
             _begin(petsc)
         result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
+        _name_unread(petsc)
         if _received:  # swallowed to the end
             raise KeyboardInterrupt
     except ObstacleError as error:
@@ -79,6 +80,16 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
             raise
         return _fail(f"Error: {error.filename}: {error.strerror}" if error.filename else f"Error: {error}", 2)
     return result if isinstance(result, int) else 0
+
+
+def _name_unread(petsc: list[str]) -> None:
+    """Tell rank 0's user of PETSc options that nothing has asked for."""
+    names = [word[1:] for word in petsc if word[:1] == "-" and word[1:2].isalpha()]
+    if names and _RANK == 0:
+        from fenicsx_obstacle.solvers.linear import unread
+
+        if found := unread(names):
+            click.echo(f"PETSc options that nothing has asked for: -{', -'.join(found)}; misspelled?", err=True)
 
 
 def _several() -> bool:

@@ -180,11 +180,10 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 
     A and B are folders of 'solve'. Meshes may differ: the difference is taken at the nodes of the finer one.
     """
-    from fenicsx_obstacle.answers.answer import Answer
     from fenicsx_obstacle.answers.difference import compare
     from fenicsx_obstacle.show.tables import difference
 
-    found = compare(Answer.read(first), Answer.read(second))
+    found = compare(first, second)
     if json_file is not None:
         write_json(json_file, [found])
     if json_file != "-":

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, penalty, releases, solve
+from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, compare, penalty, releases, solve
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.own_form import OfForm
 from fenicsx_obstacle.releases import NEW, vec
@@ -253,6 +254,36 @@ def test_options_belong_to_the_problem():
     assert PETSc.Options().getAll() == before
 
 
+def test_options_that_petsc_does_not_know():
+    """A misspelled option is named once the solution is there; what PETSc refuses is named with the options."""
+    own = Membrane()
+    told = r"nothing has asked for: ksp_tpye$" if COMM.rank == 0 else None
+    with pytest.warns(UserWarning, match=told) if told else nullcontext():
+        found = own.problem(petsc_options={"ksp_tpye": "cg", "ksp_max_it": 900}).solve(eps=1e-6)
+    assert found.record["converged"]
+    with pytest.raises(InputError, match=r"petsc_options = \{'pc_type': 'fast'\}: PETSc: .*fast"):
+        own.problem(petsc_options={"pc_type": "fast"}).solve(eps=1e-6)
+    with pytest.raises(NotConverged, match="in 1 step "):  # not once more for every line search
+        Membrane().problem(petsc_options={"snes_max_it": 1}).solve(eps=1e-9)
+
+
+def test_a_mistake_on_one_rank_is_an_error_on_all():
+    """The others do not wait for ever."""
+    own = Membrane(cells=4)
+    bcs = [3] if COMM.rank == COMM.size - 1 else own.bc
+    with pytest.raises(InputError, match=r"bcs\[0\] = 3: expected what dolfinx.fem.dirichletbc returns"):
+        own.problem(bcs=bcs)
+
+
+def test_solutions_of_forms_are_compared(folder):
+    """Two meshes, one solution saved and read: u differs by the error of the coarser one."""
+    fine, coarse = (Membrane(cells=cells).problem().solve(eps=1e-8) for cells in (32, 16))
+    fine.save(folder)
+    found = compare(folder, coarse)
+    assert found["outside"] == 0 and 0 < found["u"]["max"] < 0.1 * 0.3
+    assert found["contact"]["jaccard"] > 0.5 and found["u"] == compare(fine, coarse)["u"]
+
+
 def test_steps_are_told():
     """The monitor sees the start as number 0 and every Newton step."""
     told = []
@@ -319,6 +350,7 @@ def test_made_of_effects():
 
 BLOCKED = """
 import sys
+from contextlib import nullcontext
 sys.modules["fenicsx_obstacle.scenes"] = None
 from fenicsx_obstacle import ObstacleProblem, Solution, releases
 import numpy as np, ufl

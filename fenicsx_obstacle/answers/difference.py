@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
@@ -15,30 +16,31 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.signatures import checked
 
-_EXPECTED = "an Answer, or the folder of a saved one"
+_EXPECTED = "a Solution, or the folder of a saved one"
 
 
 @checked(a=_EXPECTED, b=_EXPECTED)
-def compare(a: Answer | str | Path, b: Answer | str | Path) -> dict[str, Any]:
-    """Differences of two answers, taken at the nodes of the finer mesh (collective).
+def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any]:
+    """Differences of two solutions, of scenes or of forms, taken at the nodes of the finer mesh (collective).
 
     Args:
-        a: An answer, or the folder of a saved one.
+        a: An Answer or a Solution, or the folder of a saved one.
         b: The other one.
 
     Returns:
-        `u`: l2, h1 and max norm of the difference, and `energy` ||mu^(1/2) grad(.)|| where the tension of the finer
-        answer is a formula of the place; `pressure`: l2 and max; `contact`: Jaccard measure (common area / joint area,
-        1 for equal sets) and Hausdorff distance of the contact nodes, and areas; `force` and `energy` of both;
-        `outside`, the number of nodes of the finer mesh that do not lie in the other.
+        `u`: l2, h1 and max norm of the difference, and `energy` ||mu^(1/2) grad(.)|| where the finer one is of a scene
+        whose tension is a formula of the place; `pressure`: l2 and max; `contact`: Jaccard measure (common area /
+        joint area, 1 for equal sets) and Hausdorff distance of the contact nodes, and areas; `force` and `energy` of
+        both; `outside`, the number of nodes of the finer mesh that do not lie in the other.
 
     Raises:
-        InputError: If the answers live in spaces of different dimensions.
+        InputError: If their meshes are of different dimensions, or a folder has no result.
     """
-    a, b = (one if isinstance(one, Answer) else Answer.read(one) for one in (a, b))
+    a, b = (one if isinstance(one, Solution) else read_solution(Path(one)) for one in (a, b))
     fine, coarse = _by_size(a, b)
     points, mine = _everywhere(fine)
     there = {"u": coarse.values(points)[mine]}
@@ -67,14 +69,24 @@ def compare(a: Answer | str | Path, b: Answer | str | Path) -> dict[str, Any]:
     }
 
 
-def _by_size(a: Answer, b: Answer) -> tuple[Answer, Answer]:
+def read_solution(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Solution:
+    """What a folder holds: the answer of a scene, or the solution of a form (collective).
+
+    Raises:
+        InputError: If it holds neither.
+    """
+    of_scene = on_root(comm, (folder / "scene.toml").exists)
+    return Answer.read(folder, comm) if of_scene else Solution.read(folder, comm)
+
+
+def _by_size(a: Solution, b: Solution) -> tuple[Solution, Solution]:
     """The finer one first."""
     if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
         raise InputError("compare: the results have meshes of different dimensions")
     return (a, b) if a.plain.level.dofs >= b.plain.level.dofs else (b, a)
 
 
-def _everywhere(answer: Answer) -> tuple[np.ndarray, slice]:
+def _everywhere(answer: Solution) -> tuple[np.ndarray, slice]:
     """The local nodes of all ranks, shape (n, 3), and which are those of this one (collective)."""
     mine, comm = answer.plain.level.points.T, answer.level.comm
     parts = comm.allgather(mine)
@@ -82,7 +94,7 @@ def _everywhere(answer: Answer) -> tuple[np.ndarray, slice]:
     return np.vstack(parts), slice(start, start + len(mine))
 
 
-def _norms(answer: Answer, nodal: np.ndarray) -> dict[str, float]:
+def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
     """Norms of a P1 function given at the local nodes, exact on each cell (collective)."""
     level = answer.level
     count, comm = own_cells(level.mesh), level.comm
@@ -96,14 +108,14 @@ def _norms(answer: Answer, nodal: np.ndarray) -> dict[str, float]:
     slopes = np.einsum("ci,ci->c", rises, np.linalg.solve(gram, rises[:, :, None])[:, :, 0])
     l2, gradient = total(comm, squared), total(comm, size * slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
-    tension = answer.scene.model.elastic.isotropic_tension
+    tension = answer.scene.model.elastic.isotropic_tension if isinstance(answer, Answer) else None
     if tension is not None and tension.parts is None and not tension.needs_distance:
         mu = tension.at(np.ascontiguousarray(x.mean(axis=1).T), {})
         norms["energy"] = math.sqrt(total(comm, mu * size * slopes))
     return norms
 
 
-def _lumped(answer: Answer) -> np.ndarray:
+def _lumped(answer: Solution) -> np.ndarray:
     """D_i at owned nodes (collective)."""
     level = answer.level
     count, weights = own_cells(level.mesh), fem.Function(level.V)
@@ -113,7 +125,7 @@ def _lumped(answer: Answer) -> np.ndarray:
     return weights.x.array[: level.owned].copy()
 
 
-def _hausdorff(a: Answer, b: Answer) -> float | None:
+def _hausdorff(a: Solution, b: Solution) -> float | None:
     """Largest distance from a contact node of one to the nearest of the other; None where one has none (collective)."""
     sets = []
     for answer in (a, b):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,14 +23,14 @@ from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.problems.figures import course_of, figures_of
 from fenicsx_obstacle.problems.own_form import OfForm, check_form, conditions, number_of, obstacle
 from fenicsx_obstacle.problems.solution import Seconds, Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
-from fenicsx_obstacle.solvers.linear import overriding
+from fenicsx_obstacle.solvers.linear import overriding, unread
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
@@ -133,19 +134,21 @@ class ObstacleProblem:
         V = u.function_space
         facets = None if measure is None else _facets(measure, V.mesh, self.name)
         level = of_space(V, self.name, None if facets is None else {"contact": facets})
-        check_form(F, u, f"{self.name}: F", arguments=1)
-        if energy is not None:
-            check_form(energy, u, f"{self.name}: energy", arguments=0)
-        if J is not None:
-            check_form(J, u, f"{self.name}: J", arguments=2)
-        sides = {
-            name: None if g is None else obstacle(g, u, f"{self.name}: {name}")
-            for name, g in (("lower", lower), ("upper", upper))
-        }
+        with agree(level.comm):
+            check_form(F, u, f"{self.name}: F", arguments=1)
+            if energy is not None:
+                check_form(energy, u, f"{self.name}: energy", arguments=0)
+            if J is not None:
+                check_form(J, u, f"{self.name}: J", arguments=2)
+            sides = {
+                name: None if g is None else obstacle(g, u, f"{self.name}: {name}")
+                for name, g in (("lower", lower), ("upper", upper))
+            }
+            held = conditions(bcs, V, self.name)
         form = OfForm(F=F, u=u, functional=energy, J=J)
         where: dict[str, Any] = sides if measure is None else {"boundary": (Part("measure", ("contact",), **sides),)}
         model = Model((form,), source=self.name, **where)
-        data = Data(model, level, bcs=conditions(bcs, V, self.name), live=True)
+        data = Data(model, level, bcs=held, live=True)
         compiled = (form_compiler_options, jit_options)
         self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
         if energy is not None:
@@ -337,7 +340,17 @@ class ObstacleProblem:
         prefixes = [self._problem.prefix] if self._problem.prefix else ["penalty_", "vi_"]
         options = {prefix + key: value for prefix in prefixes for key, value in self._options.items()}
         with overriding(options), releases.compiled_with(*self._compiled):
-            yield
+            try:
+                yield
+            except PETSc.Error as error:
+                if not options:
+                    raise
+                why = str(error).strip().splitlines()[-1]
+                raise InputError(f"{self.name}: petsc_options = {self._options}: PETSc: {why}") from error
+            left = unread(options)
+        ignored = [key for key in self._options if all(prefix + key in left for prefix in prefixes)]
+        if ignored and self.level.comm.rank == 0:
+            warnings.warn(f"{self.name}: petsc_options that nothing has asked for: {', '.join(ignored)}", stacklevel=5)
 
     def _begin(self) -> None:
         """Take what has changed since the last solve, and start from u (collective)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from petsc4py import PETSc
@@ -108,3 +108,14 @@ class overriding:
 def user_has_set(option: str) -> bool:
     """Whether the user's PETSc options name this one."""
     return bool(PETSc.Options().hasName(option))
+
+
+def unread(options: Iterable[str]) -> list[str]:
+    """Those of some options, with their prefix, that are set and that no PETSc object has asked for."""
+    library, found = ctypes.CDLL(PETSc.__file__), []
+    for option in options:
+        used = ctypes.c_int(1)  # PetscBool, in newer releases one byte, of which the first counts
+        library.PetscOptionsUsed(None, option.encode(), ctypes.byref(used))
+        if PETSc.Options().hasName(option) and not used.value & 1:
+            found.append(option)
+    return found

@@ -79,8 +79,7 @@ def solve_penalty(
     how: dict[str, Any] = {"unchanged": successive, "least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
-    limited = user_has_set(problem.options_of("penalty") + "snes_max_it")  # a limit is kept
-    if problem.affine or not problem.constrained or limited:
+    if problem.affine or not problem.constrained or _is_limited(problem):
         return require(_settled(problem, how, multigrid), problem, eps, tolerance)
     start = problem.solution().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
@@ -88,6 +87,11 @@ def solve_penalty(
         problem.set_reference(start)
         outcome = joined(outcome, _by_continuation(problem, eps, how))
     return require(outcome, problem, eps, tolerance)
+
+
+def _is_limited(problem: Problem) -> bool:
+    """Whether the user's options limit the number of steps: the limit is kept."""
+    return user_has_set(problem.options_of("penalty") + "snes_max_it")
 
 
 def soft_eps(problem: Problem) -> float:
@@ -150,7 +154,7 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
     searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
-        if "patience" in how and outcome.reason == TOO_MANY:
+        if outcome.reason == TOO_MANY and ("patience" in how or _is_limited(problem)):
             break  # far from everything: full steps would only stray
         if not outcome.converged and outcome.reason != ACTIVE_SET_GREW:
             outcome = joined(outcome, _attempt(problem, search, how, multigrid))

@@ -98,6 +98,8 @@ def run(
     if direct or not problem.level.pair.nodal or (not chosen and direct_first(problem.level.dofs)):
         linear = DIRECT  # stiff springs that couple nodes defeat algebraic multigrid
     database = {**options, **(linear if multigrid is None else INEXACT)}
+    if user_has_set(f"{prefix}ksp_type"):
+        database.pop("ksp_norm_type", None)  # the natural norm is one of few methods
     snes = PETSc.SNES().create(problem.level.comm)
     x = problem.state()
     residual = x.duplicate()
