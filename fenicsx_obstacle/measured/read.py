@@ -152,13 +152,13 @@ def _npz(path: Path, name: str) -> Heights:
 
     try:
         with np.load(path, allow_pickle=False) as file:
-            found = {key: file[key] for key in ("x", "y", "z") if key in file}
             held = list(file)
+            found = {key: file[key] for key in held if key in ("x", "y", "z") or len(held) == 1}
     except (ValueError, EOFError, BadZipFile) as error:
         raise InputError(f"{name}: no archive of NumPy: {error}") from None
     if "z" not in found:
         if len(held) == 1:
-            return _of_array(_loaded(path, name)[held[0]], name)
+            return _of_array(found[held[0]], name)
         raise InputError(f"{name}: has no array z; it holds {', '.join(held) or 'none'}")
     return of_arrays(found.get("x"), found.get("y"), found["z"], name)
 
