@@ -30,7 +30,9 @@ QUANTITIES = {"energy": "energy", "area": "contact.area", "penetration": "penetr
               "force.lower": "contact.lower.force", "force.upper": "contact.upper.force"}  # fmt: skip
 
 
-@checked(scene=SCENE, vary='one key and an interval such as {"define.gap": (0, 0.2)}', target='a text such as "force = 30"')
+@checked(
+    scene=SCENE, vary='one key and an interval such as {"define.gap": (0, 0.2)}', target='a text such as "force = 30"'
+)
 def find(
     scene: Scene | str | Path, vary: Mapping[str, Sequence[float]], target: str, *, within: float = WITHIN,
     comm: MPI.Comm = MPI.COMM_WORLD, **options: Any,
@@ -217,7 +219,7 @@ def _target(text: str, scene: Scene) -> tuple[str, str, float]:
         raise InputError(f"{scene.source}: target '{text}': expected NAME = VALUE, such as force = 30")
     sides = scene.sides
     absent = {f"force.{side}" for side in ("lower", "upper") if side not in sides}
-    known = {one: place for one, place in QUANTITIES.items() if one == "energy" or sides and one not in absent}
+    known = {one: place for one, place in QUANTITIES.items() if one == "energy" or (sides and one not in absent)}
     if len(sides) == 1:
         known["force"] = f"contact.{sides[0]}.force"
     known |= {one: f"report.{one}" for one in scene.report}
