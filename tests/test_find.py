@@ -66,7 +66,7 @@ def test_same_solution_from_the_last():
 @pytest.mark.parametrize(
     ("vary", "target", "message"),
     [
-        ({"define.q": (1, 2)}, "force = 30", "it is 1.17[0-9]* at define.q = 1 and 3.99[0-9]* at define.q = 2, both below"),
+        ({"define.q": (1, 2)}, "force = 30", "at define.q = 1 and 3.99[0-9]* at define.q = 2, both below"),
         ({"define.q": (1, 1)}, "force = 1", "expected two numbers"),
         ({"define.q": (1, 2), "define.base": (0, 0.5)}, "force = 1", "one key varies"),
         ({"define.q": (1, 2)}, "force 30", "expected NAME = VALUE"),

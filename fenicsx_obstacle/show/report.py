@@ -41,12 +41,14 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
     comm = answer.level.comm
     write_free_boundary(answer, folder / "free_boundary.csv")
     file = folder / PICTURE if picture and _has_picture(answer) else None
+    others = dict[str, Path]()
     if file is not None:
         said = answer.plot(file).said
         if answer.bound is not None:
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
             said += "\n  " + draw_bound(answer.bound, gather(answer), comm, folder / NAME)
+            others["Where the bound comes from"] = folder / NAME
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
@@ -54,12 +56,13 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
         from fenicsx_obstacle.show.newton import animate_newton  # only where it is asked for
 
         said += "\n  " + animate_newton(answer, folder / STEPS)
+        others["Newton steps"] = folder / STEPS
     drawn = draw_profiles(answer, folder)
     moving = None
     if answer.time_history is not None:
         moving, words = on_root(comm, _draw_course, answer, gather(answer), folder, picture)
         said += words
-    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn)
+    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn, others)
     return said
 
 
