@@ -16,7 +16,7 @@ _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "
 
 def _kept() -> str:
     """What to say of the rows of an interrupted command."""
-    has_rows = sys.argv[1:2] in (["study"], ["cost"])
+    has_rows = sys.argv[1:2] in (["study"], ["cost"], ["find"])
     return "; finished rows are kept, the same command goes on from them" if has_rows else ""
 
 

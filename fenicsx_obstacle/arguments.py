@@ -136,6 +136,19 @@ def varied(item: str) -> tuple[str, list[Any]]:
     return key.strip(), values_of(text.strip(), key.strip())
 
 
+def interval(item: str) -> tuple[str, tuple[float, float]]:
+    """Key and ends of KEY=A..B.
+
+    Raises:
+        InputError: If it is not.
+    """
+    match = re.fullmatch(r"\s*([^=\s]+)\s*=\s*(.+?)\.\.(.+)", item)
+    ends = [] if match is None else [_value(match[2]), _value(match[3])]
+    if match is None or not all(isinstance(end, int | float) for end in ends):
+        raise InputError(f"--vary {item}: expected KEY=A..B, the ends of the interval to search, such as gap=0..0.2")
+    return match[1], (float(ends[0]), float(ends[1]))
+
+
 def _value(text: str) -> Any:
     """A number or list as TOML reads it, otherwise the text itself, such as a formula."""
     for read in (int, float, lambda text: tomllib.loads(f"v = {text}")["v"]):

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from fenicsx_obstacle.arguments import CHANGES, Place, options, typed, varied
+from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.outlets import check_places, tell, tolerance_status, write_json
 
@@ -134,6 +134,48 @@ def study(
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress(scene.name, quiet=quiet):
         rows = report_study(scene, values, fixed, folder, say, fresh=fresh, latex=latex)
+    if json_file is not None:
+        write_json(json_file, rows)
+
+
+@commands.command()
+@click.argument("scene_file", metavar="SCENE")
+@click.option("--vary", metavar="KEY=A..B", required=True, help="The key, and the interval to search.")
+@click.option("--target", metavar="'NAME = VALUE'", required=True,
+              help="What to reach: energy, area, penetration, force, or a name of [report].")  # fmt: skip
+@click.option("--within", type=float, metavar="R", help="Accuracy of the value, as a share of the interval.  [1e-4]")
+@click.option("--fresh", is_flag=True, help="Discard saved rows instead of continuing from them.")
+@options(*CHANGES, "plugin", "output", "json", "quiet", "log")
+def find(
+    scene_file: str,
+    vary: str,
+    target: str,
+    within: float | None,
+    output: Path | None,
+    json_file: str | None,
+    quiet: bool,
+    fresh: bool,
+    **given: Any,
+) -> None:
+    """Find the value of a key for which a quantity reaches a target.
+
+    Solves at both ends of the interval, then where Brent's method asks for. Writes rows, a picture, a page and the
+    answer found into out/SCENE/find-KEY; the last row is the one found. An interrupted run continues from its rows.
+
+    \b
+    find bearing.toml --vary define.ecc=0.3..0.9 --target "sommerfeld = 0.1212"
+    """
+    (key, ends), fixed = interval(vary), typed(given)
+    scene = _read(scene_file, {**fixed, key: ends[0]})
+    from fenicsx_obstacle.show.progress import progress
+    from fenicsx_obstacle.show.report import report_find
+    from fenicsx_obstacle.studies.find import WITHIN
+
+    folder = output or Path("out") / scene.name / f"find-{key}"
+    check_places(folder, json_file)
+    say = (lambda text: None) if quiet or json_file == "-" else tell
+    with progress(scene.name, quiet=quiet):
+        rows = report_find(scene, {key: ends}, target, fixed, folder, say, within=within or WITHIN, fresh=fresh)
     if json_file is not None:
         write_json(json_file, rows)
 

@@ -63,6 +63,7 @@ COMMANDS = {  # in this order: compare and plot take what solve has written
     "solve": BALL,
     "explain": ["ball"],
     "study": ["string_parabola", "--vary", "cells=8,16", "--output", "study"],
+    "find": ["string_parabola", "--vary", "define.f=4..12", "--target", "force = 3", "--output", "find"],
     "cost": ["string_parabola", "--budget", "100 unknowns", "--output", "cost"],
     "compare": ["result", "result"],
     "plot": ["result", "--output", "result.svg"],

@@ -29,7 +29,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.choose import Method, chain, hierarchy, method_of, nested, stepwise
 from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.nested import solve_nested
+from fenicsx_obstacle.solvers.nested import solve_from, solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.solvers.snes import Outcome
@@ -98,6 +98,21 @@ class SolverContext:
         self._estimator: Estimator | None = None
         self._poisson: float | None = None
 
+    def renewed(self, scene: Scene) -> SolverContext:
+        """A solver context for other data on the same mesh; this one is freed, except for the mesh (collective).
+
+        Args:
+            scene: With the mesh and the element of the present one.
+        """
+        level = self.problem.level
+        self._free()
+        return SolverContext(scene, level.comm, level)
+
+    def _free(self) -> None:
+        """Free everything but the mesh (collective)."""
+        del self.problem
+        self._grids = self._problems = self._report = self._exact = self._estimator = None
+
     def close(self) -> None:
         """Free matrices and solvers; answers stay (collective)."""
         close([self])
@@ -153,6 +168,7 @@ class SolverContext:
         keep: Path | None = None,
         monitor: StepMonitor | None = None,
         errors: bool = True,
+        near: np.ndarray | None = None,
     ) -> Answer:
         """Solve (collective).
 
@@ -164,6 +180,7 @@ class SolverContext:
             keep: With [time]: folder for states on the way.
             monitor: Called after each Newton step, on all levels.
             errors: Measure them, if the scene has an exact solution.
+            near: Without [time]: values of u, ghosts included, of a solution that is near, to begin from.
 
         Raises:
             InputError: For a bad eps, or elements that the bound is not for.
@@ -190,7 +207,7 @@ class SolverContext:
         if monitor is not None:
             method = replace(method, solve=partial(method.solve, monitor=monitor))
         if scene.time is None:
-            outcomes = self._at_rest(method, grids)
+            outcomes = self._at_rest(method, grids, near)
             last = outcomes[-1]
             counts = {"newton_total": sum(o.iterations for o in outcomes),
                       "krylov_total": sum(o.krylov for o in outcomes)}  # fmt: skip
@@ -211,16 +228,20 @@ class SolverContext:
         """The answer with its errors, if the scene has an exact solution (collective)."""
         return answer if self.exact is None else _with_errors(answer, self.exact)
 
-    def _at_rest(self, method: Method, grids: Sequence[Multigrid | Problem]) -> list[Outcome]:
-        """Solve from a cold start, or from the coarsest level on (collective)."""
+    def _at_rest(
+        self, method: Method, grids: Sequence[Multigrid | Problem], near: np.ndarray | None = None
+    ) -> list[Outcome]:
+        """Solve from a near solution, from the coarsest level on, or from a cold start (collective)."""
         if not grids:
+            if near is not None and (found := solve_from(self.problem, near, method.solve)) is not None:
+                return [found]
             self.problem.set_reference(self.problem.cold_start())
             return [method.solve(self.problem)]
         stiffness = np.inf if method.eps is None else 1.0 / method.eps
         if self._solved_below:
             new = 2 if self.problem.level.pair.has_p1_coarse_space else 1
             return solve_nested(grids[-new:], method.solve, stiffness, self._hierarchy()[-1 - new].problem)
-        return solve_nested(grids, method.solve, stiffness)
+        return solve_nested(grids, method.solve, stiffness, start=near)
 
     def _time_stepper(self, method: Method, grids: Sequence[Multigrid | Problem]) -> TimeStepper:
         """The time stepper of the scene (collective)."""
@@ -340,6 +361,5 @@ def close(benches: Sequence[SolverContext]) -> None:
         level for context in benches for level in context.problem.level.downward
     ]  # communicators live until the end
     for context in benches:
-        del context.problem
-        context._grids = context._problems = context._report = context._exact = context._estimator = None
+        context._free()
     releases.free(level.comm for level in meshes)

@@ -43,6 +43,21 @@ def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
     return of_pair(level, scene.pair)
 
 
+def same(one: Scene, other: Scene) -> bool:
+    """Whether two scenes have the same mesh and element: they differ in data only."""
+    if one.tables.mesh != other.tables.mesh or one.own_mesh is not other.own_mesh or one.pair is not other.pair:
+        return False
+    if one.tables.mesh.shape is None:
+        return one.folder == other.folder
+    return _extents(one) == _extents(other)
+
+
+def _extents(scene: Scene) -> tuple[object, ...]:
+    """What the formulas in [mesh] amount to."""
+    shape = shape_of(scene)
+    return shape.lower, shape.upper, shape.h
+
+
 def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level, and how often to refine it."""
     table, pair = scene.tables.mesh, scene.pair

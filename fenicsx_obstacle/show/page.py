@@ -19,6 +19,12 @@ from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.words import counted, title_of
 
 NAME = "report.html"
+_PARTS = {  # of the bound: what makes each smaller
+    "discretisation": "a finer mesh makes it smaller",
+    "penalty": "a smaller eps makes it smaller",
+    "algebraic": "further iterations make it smaller",
+    "data": "load, obstacle and boundary values between the nodes",
+}
 _STYLE = """
 body { color: #111; background: #fff; font: 16px/1.5 system-ui, sans-serif; max-width: 74rem; margin: 0 auto;
        padding: 1rem; }
@@ -52,7 +58,7 @@ figure img, figure svg { display: block; max-width: 100%; height: auto; }
 
 def write_answer_page(
     path: Path, scene: Scene, record: Mapping[str, Any], picture: Path | None, time_history: Path | None = None,
-    profiles: Mapping[str, str] | None = None,
+    profiles: Mapping[str, str] | None = None, others: Mapping[str, Path] | None = None,
 ) -> None:  # fmt: skip
     """Write the page of an answer (one rank).
 
@@ -63,6 +69,7 @@ def write_answer_page(
         picture: PNG file of the answer, or None.
         time_history: PNG file of all moments, or None.
         profiles: SVG elements of the profiles, by name.
+        others: Further pictures, PNG or GIF, by what they show, if they could be drawn.
     """
     size = f"{counted(record['cells_total'], 'cell')}, {counted(record['dofs'], 'unknown')}"
     parts = [] if picture is None else [section("The solution", _picture(picture, _title(scene)))]
@@ -70,6 +77,9 @@ def write_answer_page(
         [] if time_history is None else [section("All moments", _picture(time_history, f"{_title(scene)}, over time"))]
     )
     parts += [section("Profiles", plots(profiles))] if profiles else []
+    drawn = {name: file for name, file in (others or {}).items() if file.exists()}  # not of every mesh
+    parts += [section("Error bound", facts(_bound(record["bound"])))] if "bound" in record else []
+    parts += [section(name, _picture(file, f"{_title(scene)}: {name}")) for name, file in drawn.items()]
     _write(path, scene, f"{_how(record)}; {size}.", [*parts, *_facts_of(scene, record)], record, record["command"])
 
 
@@ -192,8 +202,8 @@ def _table(table: StudyTable) -> str:
 
 
 def _picture(path: Path, title: str) -> str:
-    data = b64encode(path.read_bytes()).decode()
-    return f'<figure><img alt="{escape(title)}" src="data:image/png;base64,{data}"></figure>'
+    data, kind = b64encode(path.read_bytes()).decode(), path.suffix.removeprefix(".")
+    return f'<figure><img alt="{escape(title)}" src="data:image/{kind};base64,{data}"></figure>'
 
 
 def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[str]:
@@ -224,6 +234,17 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     facts += [(f"error, {norm}", f"{value:.4g}") for norm, value in (record.get("errors") or {}).items()]
     facts.append(("seconds", f"{seconds['solve']:.3g} for the solve, {seconds['mesh']:.3g} for the mesh"))
     return facts
+
+
+def _bound(bound: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The bound of the energy error, what it rests on, and its parts."""
+    most = "at most" if bound["words"].startswith("certified") else "about"
+    relative = "" if bound["relative"] is None else f", {bound['relative']:.3g} of the energy norm of u"
+    known = [("energy error", f"{most} {bound['total']:.4g}{relative}"), ("it is", bound["words"])]
+    known += [(f"part: {part}", f"{bound[part]:.4g}: {words}") for part, words in _PARTS.items()]
+    if bound["effectivity"] is not None:
+        known.append(("bound over true error", f"{bound['effectivity']:.3g}"))
+    return known
 
 
 def facts(known: Iterable[tuple[str, str | list[str]]]) -> str:

@@ -19,7 +19,9 @@ from fenicsx_obstacle.show.free_boundary import write_free_boundary
 from fenicsx_obstacle.show.profiles import draw_profiles, draw_rows
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
+from fenicsx_obstacle.studies.find import Find
 from fenicsx_obstacle.studies.rows import RowStore
+from fenicsx_obstacle.words import counted
 
 PICTURE = "answer.png"
 Say = Callable[[str], None]
@@ -39,12 +41,14 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
     comm = answer.level.comm
     write_free_boundary(answer, folder / "free_boundary.csv")
     file = folder / PICTURE if picture and _has_picture(answer) else None
+    others = dict[str, Path]()
     if file is not None:
         said = answer.plot(file).said
         if answer.bound is not None:
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
             said += "\n  " + draw_bound(answer.bound, gather(answer), comm, folder / NAME)
+            others["Where the bound comes from"] = folder / NAME
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
@@ -52,12 +56,13 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
         from fenicsx_obstacle.show.newton import animate_newton  # only where it is asked for
 
         said += "\n  " + animate_newton(answer, folder / STEPS)
+        others["Newton steps"] = folder / STEPS
     drawn = draw_profiles(answer, folder)
     moving = None
     if answer.time_history is not None:
         moving, words = on_root(comm, _draw_course, answer, gather(answer), folder, picture)
         said += words
-    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn)
+    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn, others)
     return said
 
 
@@ -109,16 +114,60 @@ def report_study(
             store.close()
 
 
+def report_find(
+    scene: Scene,
+    vary: Mapping[str, Sequence[float]],
+    target: str,
+    options: Mapping[str, Any],
+    folder: Path,
+    say: Say,
+    *,
+    within: float,
+    fresh: bool = False,
+) -> list[Row]:
+    """Find the value of a key for a target, or go on with an interrupted search; print, save and draw (collective).
+
+    Args:
+        scene: What to solve.
+        vary: The key, and the ends of the interval.
+        target: Quantity and value.
+        options: Fixed values.
+        folder: As for `report_study`; the last answer is the one that was found.
+        say: Prints a line on rank 0.
+        within: Accuracy of the value, as a share of the interval.
+        fresh: Forget the rows that are there.
+
+    Raises:
+        InputError: For bad data, a target that is not between the values at both ends, or a folder that cannot be
+            written.
+        NotConverged: With PETSc's reason; the rows before it are on the disk.
+    """
+    comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
+    search = Find(scene, vary, target, options, comm, within=within)
+    stores: list[RowStore] = []
+    run = on_root(comm, _open_store, stores, folder, fresh)
+    try:
+        table = StudyTable(search.vary, run, penalised=search.penalised)
+        rows = _report(search, table, stores[0] if stores else None, folder, say, None)
+    finally:
+        for store in stores:
+            store.close()
+    words = f"{search.quantity} = {search.reached(rows[-1]):.6g}, the target is {search.target:g}"
+    say(f"{search.key} = {search.found:.6g}: {words}; {counted(len(rows), 'solve')}")
+    return rows
+
+
 def _report(
-    study: Study, table: StudyTable, store: RowStore | None, folder: Path, say: Say, latex: Path | None
+    study: Study | Find, table: StudyTable, store: RowStore | None, folder: Path, say: Say, latex: Path | None
 ) -> list[Row]:
     comm = study.comm
-    answers: list[Answer | None] = []
+    answers: list[Answer | None] = [None]
 
     def on_row(row: Row, answer: Answer | None) -> None:
         for line in table.lines(row):
             say(line)
-        answers[:] = [answer]
+        if isinstance(study, Study):  # a search knows which was found
+            answers[:] = [answer]
 
     rows = study.run(on_row, store)
     for note in table.notes():
@@ -147,7 +196,7 @@ def _is_drawn(folder: Path, row: Row) -> bool:
     return mark.exists() and mark.read_text() == row["key"]
 
 
-def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) -> list[str]:
+def _draw_study(folder: Path, study: Study | Find, rows: list[Row], table: StudyTable) -> list[str]:
     """Draw the plots and write the page (one rank).
 
     Returns:

@@ -22,6 +22,7 @@ from fenicsx_obstacle.solvers.snes import Outcome
 
 _log = logging.getLogger(__name__)
 # on coarse levels, whose discretisation error is larger by far: a step, and this unbalanced force
+FEW = 8  # Newton steps from a start that is said to be near
 ON_THE_WAY: dict[str, Any] = {"least": 1, "tolerance": 1e-2}
 
 
@@ -30,6 +31,7 @@ def solve_nested(
     solve: Callable[..., Outcome],
     stiffness: float,
     before: Problem | None = None,
+    start: np.ndarray | None = None,
 ) -> list[Outcome]:
     """Solve on each level from the coarsest on (collective).
 
@@ -39,6 +41,8 @@ def solve_nested(
         solve: Solves a problem from its present state, given `multigrid`, and `ON_THE_WAY`.
         stiffness: Of the obstacle, 1/eps or infinite.
         before: The problem of the level below the first of these, holding its solution; by default there is none.
+        start: Values of u on the finest level, ghosts included, near its solution: Newton begins there, and where few
+            steps do not do, as always.
 
     Returns:
         The outcome of each level, the finest last.
@@ -51,6 +55,9 @@ def solve_nested(
     for grid in grids:
         multigrid = grid if isinstance(grid, Multigrid) else None
         problem = grid.problem if isinstance(grid, Multigrid) else grid
+        finest = grid is grids[-1]
+        if finest and start is not None and (found := solve_from(problem, start, solve, multigrid)) is not None:
+            return [*outcomes, found]
         if before is None:
             problem.set_reference(problem.cold_start())
         else:
@@ -58,7 +65,6 @@ def solve_nested(
             if problem.constrained and multigrid is not None:
                 none = np.zeros(len(problem.weights))
                 relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
-        finest = grid is grids[-1]
         unwatched = {"monitor": None} if isinstance(problem, GalerkinProblem) else {}  # it has no mesh to be shown on
         try:
             outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY | unwatched)))
@@ -75,6 +81,25 @@ def solve_nested(
                 continue
         before = problem
     return outcomes
+
+
+def solve_from(
+    problem: Problem, start: np.ndarray, solve: Callable[..., Outcome], multigrid: Multigrid | None = None
+) -> Outcome | None:
+    """Solve from the solution of other data; None where that takes more than a few steps (collective).
+
+    Args:
+        problem: What to solve.
+        start: Values of u, ghosts included.
+        solve: As for `solve_nested`.
+        multigrid: Preconditioner.
+    """
+    problem.set_reference(start)
+    try:
+        return solve(problem, multigrid=multigrid, patience=FEW)
+    except NotConverged:
+        _log.info("the solution of other data is too far off to begin from")
+        return None
 
 
 def _algebraic(grids: Sequence[Multigrid | Problem]) -> bool:

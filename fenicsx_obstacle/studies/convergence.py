@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,13 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
-from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.estimation.norms import Distance
-from fenicsx_obstacle.parallel import largest, on_root
+from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.studies.orders import parameter
 from fenicsx_obstacle.studies.rows import RowStore, flat, row_key
+from fenicsx_obstacle.studies.solves import Solves
 
 _log = logging.getLogger(__name__)
 Row = dict[str, Any]
@@ -89,11 +87,12 @@ class Study:
                 raise InputError(f"{scene.source}: {key} = {values!r} cannot vary: expected a list of values")
         self.vary, self.by = vary, parameter(list(vary))
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
-        self._bench: _Bench | None = None
+        self._solves = Solves(self.comm)
         self._store: RowStore | None = None
-        base = changed(scene, dict(options))
+        self._stored = False
+        self._base = changed(scene, dict(options))
         combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
-        self.points = [(combination, changed(base, combination)) for combination in combinations]
+        self.points = [(combination, self.scene(combination)) for combination in combinations]
         self.last = self.points[-1][1]
         penalised = [point.penalised for _, point in self.points]
         if self.by == "eps" and not all(penalised):
@@ -107,27 +106,57 @@ class Study:
             on_row: Called with each row, and its answer where it was computed now.
             store: Where finished rows are kept: on rank 0, None elsewhere or for none.
         """
-        self._store, stored = store, self.comm.bcast(store is not None)
+        self.keep_in(store)
         rows: list[Row] = []
         for number, (combination, scene) in enumerate(self.points, start=1):
             values = ", ".join(f"{key}={value}" for key, value in combination.items())
             _log.info(values, extra={"row": number, "rows": len(self.points)})
-            key = on_root(self.comm, row_key, scene, self.by, self.comm.size) if stored else ""
-            row = on_root(self.comm, self._find, key)
-            answer = None
-            if row is None:
-                answer = self._answer(scene)
-                row = {"vary": combination, **answer.record, **self._extras(answer)}
-                row = on_root(self.comm, self._add, key, row)
+            row, answer = self.row(combination, scene)
             rows.append(row)
-            on_root(self.comm, self._write_table, rows)
+            self.write_table(rows)
             if on_row is not None:
                 on_row(row, answer)
         return rows
 
     def last_answer(self) -> Answer:
         """The answer of the last row, for a study whose last row came from its store (collective)."""
-        return self._answer(self.last)
+        return self.solve(*self.points[-1])
+
+    def scene(self, combination: Mapping[str, Any]) -> Scene:
+        """The scene with these values of the keys.
+
+        Raises:
+            InputError: If one does not fit its key.
+        """
+        return changed(self._base, dict(combination))
+
+    def solve(self, combination: Mapping[str, Any], scene: Scene) -> Answer:
+        """The answer of a scene with these values of the keys (collective)."""
+        return self._solves.answer(combination, scene)
+
+    def keep_in(self, store: RowStore | None) -> None:
+        """Let finished rows be kept: on rank 0, None elsewhere or for none (collective)."""
+        self._store, self._stored = store, self.comm.bcast(store is not None)
+
+    def row(self, combination: Mapping[str, Any], scene: Scene, *, keep: bool = True) -> tuple[Row, Answer | None]:
+        """A row, and its answer where it is computed now; it is kept if so (collective)."""
+        row = on_root(self.comm, self._find, self._key(scene))
+        if row is not None:
+            return row, None
+        answer = self.solve(combination, scene)
+        row = {"vary": dict(combination), **answer.record, **self._extras(answer)}
+        return self.keep(row, scene) if keep else row, answer
+
+    def keep(self, row: Row, scene: Scene) -> Row:
+        """Keep a row, unless it is there (collective)."""
+        return row if "key" in row else on_root(self.comm, self._add, self._key(scene), row)
+
+    def write_table(self, rows: list[Row]) -> None:
+        """Write rows.csv, where rows are kept (collective)."""
+        on_root(self.comm, self._write_table, rows)
+
+    def _key(self, scene: Scene) -> str:
+        return on_root(self.comm, row_key, scene, self.by, self.comm.size) if self._stored else ""
 
     def _find(self, key: str) -> Row | None:
         return None if self._store is None else self._store.find(key)
@@ -139,59 +168,19 @@ class Study:
         if self._store is not None:
             self._store.write_table(rows)
 
-    def _answer(self, scene: Scene) -> Answer:
-        if self._bench is None or not self._bench.serves(scene):
-            if self._bench is not None:
-                self._bench.close()
-            self._bench = None  # the old mesh goes before the new one comes
-            self._bench = _Bench(scene, self.comm)
-        return self._bench.work.answer(scene.options, yardstick=True)
-
     def _extras(self, answer: Answer) -> Row:
         """What a study measures beyond a single answer (collective)."""
-        assert self._bench is not None
+        work = self._solves.work
+        assert work is not None
         by, eps, extras = self.by, answer.record["eps"], Row()
         if answer.scene.tables.profile:
             from fenicsx_obstacle.answers.profiles import as_columns, profiles_of  # only where a scene names one
 
             extras["profiles"] = {name: as_columns(profile) for name, profile in profiles_of(answer).items()}
         if by == "eps" and eps is not None:
-            extras["to_vi"] = self._bench.to_reference(answer)
+            extras["to_vi"] = self._solves.to_reference(answer)
         at_rest = self.last.time is None
-        if by == "h" and self._bench.work.exact is not None and at_rest:
-            dual = self._bench.work.exact.dual.error(answer.pressure, eps)
+        if by == "h" and work.exact is not None and at_rest:
+            dual = work.exact.dual.error(answer.pressure, eps)
             extras["errors"] = {**answer.record["errors"], "pressure_dual": dual}
         return extras
-
-
-class _Bench:
-    """A solver context with its reference solution."""
-
-    def __init__(self, scene: Scene, comm: MPI.Comm):
-        self.scene, self.work = scene, SolverContext(scene, comm)
-        self._reference: Answer | None = None
-        self._distance: Distance | None = None
-
-    def close(self) -> None:
-        """Free what it holds (collective)."""
-        self._reference = self._distance = None
-        self.work.close()
-
-    def serves(self, scene: Scene) -> bool:
-        """Whether the scene differs in its method and its eps only."""
-        ours = replace(self.scene.options, eps=scene.options.eps, method=scene.options.method)
-        return self.scene.with_options(ours).tables == scene.tables
-
-    def to_reference(self, answer: Answer) -> dict[str, float]:
-        """Distance to the solution of the variational inequality on this mesh (collective)."""
-        if self._reference is None:
-            self._reference = self.work.answer(replace(self.work.options, method="vi"))
-            self._distance = Distance(self.work.problem)
-        assert self._distance is not None
-        reference, comm = self._reference, answer.level.comm
-        u, p = answer.u.x.array - reference.u.x.array, answer.pressure.x.array - reference.pressure.x.array
-        strongest = largest(comm, np.abs(reference.pressure.x.array))
-        return {
-            "energy": self._distance.energy(u), "l2": self._distance.l2(u), "max": largest(comm, np.abs(u)),
-            "pressure_l2": self._distance.pressure(p), "pressure_max": strongest,
-        }  # fmt: skip

@@ -1,0 +1,235 @@
+"""The value of a key for which a quantity reaches a target: a bracketing root finder, one solve for each value."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from scipy.optimize import brentq
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.changes import SCENE, scene_of
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.signatures import checked
+from fenicsx_obstacle.studies.convergence import OnRow, Row, Study
+from fenicsx_obstacle.studies.grid import last_part
+from fenicsx_obstacle.studies.orders import lookup
+from fenicsx_obstacle.studies.rows import RowStore, flat
+from fenicsx_obstacle.words import nearest
+
+_log = logging.getLogger(__name__)
+WITHIN = 1e-4  # of the interval: accuracy of the value that is found
+SMALLEST = 1e-12  # of the interval: what can be asked for
+JUMP = 0.05  # of the range of the quantity: a distance from the target that a continuous quantity does not keep
+QUANTITIES = {"energy": "energy", "area": "contact.area", "penetration": "penetration",
+              "force.lower": "contact.lower.force", "force.upper": "contact.upper.force"}  # fmt: skip
+
+
+@checked(
+    scene=SCENE, vary='one key and an interval such as {"define.gap": (0, 0.2)}', target='a text such as "force = 30"'
+)
+def find(
+    scene: Scene | str | Path, vary: Mapping[str, Sequence[float]], target: str, *, within: float = WITHIN,
+    comm: MPI.Comm = MPI.COMM_WORLD, **options: Any,
+) -> list[Row]:  # fmt: skip
+    """Find the value of a key for which a quantity reaches a target (collective).
+
+    Both ends of the interval are solved first; the quantity must be below the target at one and above it at the other.
+    Brent's method chooses the other values.
+
+    Args:
+        scene: A Scene, its file, or its name in the catalogue.
+        vary: One key and the interval to search: {"define.gap": (0, 0.2)}.
+        target: A quantity and its value, "force = 30": energy, area, penetration, force (force.lower or force.upper
+            where there are two obstacles), or a name of [report].
+        within: Accuracy of the value found, as a share of the interval; the accuracy of the mesh is apart from it.
+        comm: Communicator.
+        **options: Fixed values, as in `solve`.
+
+    Returns:
+        One row for each solve, as `study` returns them; the last is the one that was found, `rows[-1]["vary.KEY"]`.
+
+    Raises:
+        InputError: For bad data, and where the target is not between the values at both ends.
+        NotConverged: With PETSc's reason.
+    """
+    return [flat(row) for row in Find(scene_of(scene), vary, target, options, comm, within=within).run()]
+
+
+class Find:
+    """A search that may be interrupted: rows in a store are not computed again.
+
+    Attributes:
+        vary: The key, and the ends of the interval.
+        key: The key.
+        quantity: What has a target, as it was named.
+        target: Its value there.
+        study: Solves the scenes.
+        last: The scene of the value that was found; before, of the upper end.
+    """
+
+    def __init__(
+        self, scene: Scene, vary: Mapping[str, Sequence[float]], target: str, options: Mapping[str, Any],
+        comm: MPI.Comm = MPI.COMM_WORLD, *, within: float = WITHIN,
+    ):  # fmt: skip
+        """Check what can be checked before the first solve.
+
+        Args:
+            scene: What to solve.
+            vary: One key with two numbers.
+            target: NAME = VALUE.
+            options: Fixed values.
+            comm: Communicator; a mesh of the scene's own brings its own.
+            within: Share of the interval.
+
+        Raises:
+            InputError: If one of them is wrong.
+        """
+        if len(vary) != 1:
+            raise InputError('find: one key varies, as in {"define.gap": (0, 0.2)}')
+        self.key, ends = next(iter(vary.items()))
+        numbers = isinstance(ends, Sequence) and all(isinstance(x, int | float) and math.isfinite(x) for x in ends)
+        if not numbers or len(ends) != 2 or ends[0] == ends[1]:
+            raise InputError(f"find: {self.key} = {ends!r}: expected two numbers, the ends of the interval to search")
+        if not SMALLEST <= within < 1:
+            raise InputError(f"find: within = {within:g}: expected a share of the interval, {SMALLEST:g} to 1")
+        self.ends = float(min(ends)), float(max(ends))
+        self.vary = {self.key: list(self.ends)}
+        self.within = within
+        self.study = Study(scene, self.vary, options, comm)
+        self.last = self.study.last
+        self.quantity, self._place, self.target = _target(target, self.last)
+        self.rows: dict[float, Row] = {}
+        self._nearest: tuple[float, Answer | None] = (math.inf, None)
+        self._found = self.ends[1]
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """Of the solves."""
+        return self.study.comm
+
+    @property
+    def penalised(self) -> bool:
+        """Whether rows have an eps."""
+        return self.study.penalised
+
+    def run(self, on_row: OnRow | None = None, store: RowStore | None = None) -> list[Row]:
+        """All rows in the order of their solves, but the one that was found last (collective).
+
+        Args:
+            on_row: Called with each row, and its answer where it was computed now.
+            store: Where finished rows are kept: on rank 0, None elsewhere or for none.
+
+        Raises:
+            InputError: If the target is not between the values at both ends; no row is kept then.
+        """
+        self.study.keep_in(store)
+        solved = [self.study.row({self.key: x}, self._scene(x), keep=False) for x in self.ends]
+        values = [self._value(x, row) for x, (row, _) in zip(self.ends, solved, strict=True)]
+        self._check_bracket(values)
+        for x, (row, answer) in zip(self.ends, solved, strict=True):
+            self._take(x, self.study.keep(row, self._scene(x)), answer, on_row)
+        del solved
+
+        def difference(x: float) -> float:
+            x = self.comm.bcast(float(x))  # one value on all ranks
+            if x not in self.rows:
+                row, answer = self.study.row({self.key: x}, self._scene(x))
+                self._take(x, row, answer, on_row)
+            return self._value(x, self.rows[x]) - self.target
+
+        width = self.ends[1] - self.ends[0]
+        found = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
+        self._found = self.comm.bcast(float(found))
+        self.last = self._scene(self._found)
+        row = self.rows.pop(self._found)
+        self._check_continuous(self._value(self._found, row), values)
+        rows = [*self.rows.values(), row]
+        self.study.write_table(rows)
+        return rows
+
+    @property
+    def found(self) -> float:
+        """The value of the key that was found."""
+        return self._found
+
+    def reached(self, row: Row) -> float:
+        """The quantity in a row."""
+        return self._value(row["vary"][self.key], row)
+
+    def last_answer(self) -> Answer:
+        """The answer of the row that was found (collective)."""
+        x, answer = self._nearest
+        if answer is not None and x == self._found:
+            return answer
+        return self.study.solve({self.key: self._found}, self.last)
+
+    def _scene(self, x: float) -> Scene:
+        return self.study.scene({self.key: x})
+
+    def _take(self, x: float, row: Row, answer: Answer | None, on_row: OnRow | None) -> None:
+        self.rows[x] = row
+        best, _ = self._nearest
+        if not math.isfinite(best) or self._distance(x) < self._distance(best):
+            self._nearest = x, answer
+        if on_row is not None:
+            on_row(row, answer)
+
+    def _distance(self, x: float) -> float:
+        return abs(self._value(x, self.rows[x]) - self.target)
+
+    def _value(self, x: float, row: Row) -> float:
+        """The quantity in a row.
+
+        Raises:
+            InputError: If it has none.
+        """
+        value = lookup(row, self._place)
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise InputError(f"{self.last.source}: {self.quantity} is not finite at {self.key} = {x:.6g}")
+        return float(value)
+
+    def _check_bracket(self, values: Sequence[float]) -> None:
+        if (values[0] - self.target) * (values[1] - self.target) <= 0:
+            return
+        at = " and ".join(f"{value:.6g} at {self.key} = {x:g}" for x, value in zip(self.ends, values, strict=True))
+        beyond = "below" if max(values) < self.target else "above"
+        raise InputError(
+            f"{self.last.source}: {self.quantity} = {self.target:g} is not reached between the ends: it is {at}, both "
+            f"{beyond} the target; choose another interval"
+        )
+
+    def _check_continuous(self, value: float, ends: Sequence[float]) -> None:
+        if abs(value - self.target) > JUMP * abs(ends[1] - ends[0]):
+            raise InputError(
+                f"{self.last.source}: {self.quantity} jumps over {self.target:g} at {self.key} = {self._found:.6g}, "
+                f"where it is {value:.6g}: no value of {last_part(self.key)} reaches the target"
+            )
+
+
+def _target(text: str, scene: Scene) -> tuple[str, str, float]:
+    """The quantity as it was named, where it stands in a row, and its value."""
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not equals or not name or not value:
+        raise InputError(f"{scene.source}: target '{text}': expected NAME = VALUE, such as force = 30")
+    sides = scene.sides
+    absent = {f"force.{side}" for side in ("lower", "upper") if side not in sides}
+    known = {one: place for one, place in QUANTITIES.items() if one == "energy" or (sides and one not in absent)}
+    if len(sides) == 1:
+        known["force"] = f"contact.{sides[0]}.force"
+    known |= {one: f"report.{one}" for one in scene.report}
+    if name not in known:
+        raise InputError(f"{scene.source}: target '{text}': no quantity '{name}'" + nearest(name, known))
+    number: Any = value
+    for kind in (int, float):
+        try:
+            number = kind(value)
+            break
+        except ValueError:
+            continue
+    return name, known[name], scene.number(number, f"target '{text}'")

@@ -1,0 +1,131 @@
+"""The solves of a study, one after another: what the next scene has in common with the last is taken over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.estimation.norms import Distance
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.scenes import meshes
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.choose import nested
+
+NEAR = 1.0  # layers of nodes by which contact may move so that the last solution is a better start than a coarse one
+
+
+class Solves:
+    """A solver context, kept where scenes differ in their options, and its mesh where they differ in data.
+
+    Attributes:
+        comm: Communicator.
+        work: The solver context of the last scene; None before the first.
+    """
+
+    def __init__(self, comm: MPI.Comm):
+        self.comm = comm
+        self.work: SolverContext | None = None
+        self._reference: Answer | None = None
+        self._distance: Distance | None = None
+        self._last: tuple[Mapping[str, Any], Answer] | None = None
+        self._speed: tuple[str, float] | None = None  # nodes that contact gained or lost, for a unit of this key
+
+    def close(self) -> None:
+        """Free what it holds (collective)."""
+        self._reference = self._distance = self._last = self._speed = None
+        if self.work is not None:
+            self.work.close()
+        self.work = None
+
+    def answer(self, values: Mapping[str, Any], scene: Scene) -> Answer:
+        """The solution of a scene (collective).
+
+        Args:
+            values: In which the scenes differ.
+            scene: With these values.
+        """
+        near = None
+        if self.work is None:
+            self.work = SolverContext(scene, self.comm)
+        elif not self._serves(scene):
+            self._reference = self._distance = None
+            if meshes.same(self.work.scene, scene):
+                near = self._near(values, scene)
+                self.work = self.work.renewed(scene)
+            else:
+                self.close()  # the old mesh goes before the new one comes
+                self.work = SolverContext(scene, self.comm)
+        answer = self.work.answer(scene.options, yardstick=True, near=near)
+        self._measure(values, answer)
+        self._last = values, answer
+        return answer
+
+    def to_reference(self, answer: Answer) -> dict[str, float]:
+        """Distance to the solution of the variational inequality on the mesh of the last solve (collective)."""
+        assert self.work is not None
+        if self._reference is None:
+            self._reference = self.work.answer(replace(self.work.options, method="vi"))
+            self._distance = Distance(self.work.problem)
+        assert self._distance is not None
+        reference, comm = self._reference, answer.level.comm
+        u, p = answer.u.x.array - reference.u.x.array, answer.pressure.x.array - reference.pressure.x.array
+        strongest = largest(comm, np.abs(reference.pressure.x.array))
+        return {
+            "energy": self._distance.energy(u), "l2": self._distance.l2(u), "max": largest(comm, np.abs(u)),
+            "pressure_l2": self._distance.pressure(p), "pressure_max": strongest,
+        }  # fmt: skip
+
+    def _serves(self, scene: Scene) -> bool:
+        """Whether the scene differs from the last in its method and its eps only."""
+        assert self.work is not None
+        ours = replace(self.work.scene.options, eps=scene.options.eps, method=scene.options.method)
+        return self.work.scene.with_options(ours).tables == scene.tables
+
+    def _near(self, values: Mapping[str, Any], scene: Scene) -> np.ndarray | None:
+        """The last solution, where Newton's method is expected to need few steps from there (collective).
+
+        Contact moves by about one layer of nodes in a step. Nested iteration is right up to a layer or two; where it
+        does not serve, any neighbour is better than a cold start.
+        """
+        if self._last is None or scene.time is not None or scene.options.method == "successive":
+            return None
+        if scene.options.start == "cold" or not all(effect.convex for effect in scene.effects):
+            return None  # with several solutions the last must not decide which
+        before, answer = self._last
+        if nested(scene.effects, scene.pair, scene.options):
+            step = _step(before, values)
+            if step is None or self._speed is None or self._speed[0] != step[0]:
+                return None
+            dim = answer.level.mesh.topology.dim
+            if self._speed[1] * step[1] > NEAR * answer.level.dofs ** (1 - 1 / dim):
+                return None
+        return answer.u.x.array
+
+    def _measure(self, values: Mapping[str, Any], answer: Answer) -> None:
+        """How many nodes change between contact and none when a number changes (collective)."""
+        if self._last is None or self._last[1].level is not answer.level:
+            self._speed = None
+            return
+        before, other = self._last
+        step = _step(before, values)
+        if step is not None:
+            own = answer.level.Q.dofmap.index_map.size_local
+            changed = (answer.contact.x.array[:own] > 0.5) != (other.contact.x.array[:own] > 0.5)
+            self._speed = step[0], total(answer.level.comm, np.count_nonzero(changed)) / step[1]
+
+
+def _step(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[str, float] | None:
+    """The one number that differs, and by how much."""
+    changed = [key for key in values if values[key] != before.get(key)]
+    if len(changed) != 1:
+        return None
+    pair = before.get(changed[0]), values[changed[0]]
+    if not all(isinstance(value, int | float) for value in pair):
+        return None
+    return changed[0], abs(pair[1] - pair[0])

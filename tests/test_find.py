@@ -1,0 +1,101 @@
+"""`find`: the value of a key for which a quantity reaches a target, and starts from the last solution."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from test_cli import run
+
+from fenicsx_obstacle import InputError, Scene, find, solve, study
+
+COMM = MPI.COMM_WORLD
+BEARING = {  # the journal bearing, cut open along its groove and unrolled
+    "define": {"ecc": 0.6, "H": "1 + ecc*cos(x)"},
+    "mesh": {"shape": "rectangle", "x": [0, "2*pi"], "y": [-1, 1], "cells": 384},
+    "tension": "H^3",
+    "load": "6*ecc*sin(x)",
+    "lower": 0,
+    "boundary": [{"value": 0}],
+    "report": {"Wr": "-integral(u*cos(x))", "Wt": "integral(u*sin(x))", "sommerfeld": "2/(pi*sqrt(Wr^2 + Wt^2))"},
+}
+# for a Sommerfeld number of .1212: five-point finite volumes on the unrolled bearing (`strip` of test_applications)
+# with 90 x 30, 180 x 60 and 360 x 120 cells, extrapolated with order 2
+ECCENTRICITY = 0.59947
+
+
+def string(**changes):
+    """A parabola over a floor: -u'' = -1, u = 1 at both ends, contact where the ends are far apart."""
+    tables = {"mesh": {"shape": "interval", "x": [0, 4], "cells": 64}, "tension": 1, "load": "-q",
+              "define": {"q": 1, "base": 0}, "lower": "base", "boundary": [{"value": 1}]}  # fmt: skip
+    return Scene(**{**tables, **changes})
+
+
+def test_journal_bearing():
+    """The eccentricity for a Sommerfeld number of .1212 within 1e-4 of finite volumes, in at most 8 solves."""
+    rows = find(Scene(**BEARING), {"define.ecc": (0.3, 0.9)}, "sommerfeld = 0.1212")
+    assert len(rows) <= 8
+    assert abs(rows[-1]["vary.define.ecc"] - ECCENTRICITY) < 1e-4
+    assert abs(rows[-1]["report.sommerfeld"] - 0.1212) < 1e-4
+
+
+def test_known_value():
+    """A floor 1 below a string under the load q carries 4 q - 2 sqrt(2 q), which is 2 at q = (3 + 5^.5)/4."""
+    exact = (3 + np.sqrt(5)) / 4
+    assert abs(4 * exact - 2 * np.sqrt(2 * exact) - 2) < 1e-12
+    rows = find(string(), {"define.q": [0.7, 3]}, "force = 2", within=1e-6, cells=256)
+    assert abs(rows[-1]["vary.define.q"] - exact) < 1e-4
+    assert rows == sorted(rows, key=lambda row: row is rows[-1])
+
+
+def test_same_solution_from_the_last():
+    """Rows of a study that begins each solve from the last equal single solves, and take fewer Newton steps."""
+    values = [1.0, 1.01, 1.02, 1.021]
+    rows = study(string(), {"define.q": values}, cells=512)
+    for value, row in zip(values, rows, strict=True):
+        alone = solve(string().change({"define.q": value}), cells=512)
+        assert abs(row["energy"] - alone.energy) < 1e-9 * abs(alone.energy)
+        assert abs(row["contact.lower.force"] - alone.force.lower) < 1e-9
+        assert row["dofs"] == 513
+    assert rows[-1]["newton_iterations"] <= alone.iterations
+
+
+@pytest.mark.parametrize(
+    ("vary", "target", "message"),
+    [
+        ({"define.q": (1, 2)}, "force = 30", "at define.q = 1 and 3.99[0-9]* at define.q = 2, both below"),
+        ({"define.q": (1, 1)}, "force = 1", "expected two numbers"),
+        ({"define.q": (1, 2), "define.base": (0, 0.5)}, "force = 1", "one key varies"),
+        ({"define.q": (1, 2)}, "force 30", "expected NAME = VALUE"),
+        ({"define.q": (1, 2)}, "forse = 30", "did you mean 'force'"),
+        ({"define.q": (1, 2)}, "force = x", "x"),
+        ({"define.p": (1, 2)}, "force = 1", "define"),
+    ],
+)
+def test_mistakes(vary, target, message):
+    """A search that cannot succeed is one message; of a target that is not bracketed with the values at both ends."""
+    with pytest.raises(InputError, match=message):
+        find(string(), vary, target)
+
+
+@pytest.mark.serial
+def test_command(tmp_path):
+    """A line of JSON for each solve, the found one last; nothing is computed twice; a wrong interval leaves nothing."""
+    (tmp_path / "s.toml").write_text(string().toml())
+    command = ["find", "s.toml", "--vary", "define.q=0.7..3", "--target", "force = 2", "--output", "f"]
+    done = run(*command, "--json", "-", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert abs(rows[-1]["contact"]["lower"]["force"] - 2) < 1e-3
+    assert len((tmp_path / "f" / "rows.jsonl").read_text().splitlines()) == len(rows)
+    assert (tmp_path / "f" / "report.html").exists() and (tmp_path / "f" / "last" / "answer.json").exists()
+    again = run(*command, "--json", "-", cwd=tmp_path)
+    assert [json.loads(line)["key"] for line in again.stdout.splitlines()] == [row["key"] for row in rows]
+    assert len((tmp_path / "f" / "rows.jsonl").read_text().splitlines()) == len(rows)
+    before = set(Path(tmp_path).rglob("*"))
+    done = run("find", "s.toml", "--vary", "define.q=0.7..1", "--target", "force = 30", cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "both below the target" in done.stderr
+    assert set(Path(tmp_path).rglob("*")) == before
