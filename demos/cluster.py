@@ -79,7 +79,9 @@ beta = brentq(lambda b: np.sqrt(np.pi) * b * np.exp(b**2) * erf(b) - 1, 0.1, 1)
 assert np.isclose(beta, 0.6201, atol=1e-4)
 error = np.abs(front[5:] - 2 * beta * np.sqrt(t[5:])).max()
 if comm.rank == 0:
-    print(f"front at t = 1: {front[-1]:.4f}, exact {2 * beta:.4f}; largest distance {error:.4f}, cells of {2 / 128:.4f}")
+    print(
+        f"front at t = 1: {front[-1]:.4f}, exact {2 * beta:.4f}; largest distance {error:.4f}, cells of {2 / 128:.4f}"
+    )
 assert error < 2 / 128  # one cell
 
 # %% [markdown]

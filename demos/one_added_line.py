@@ -129,12 +129,15 @@ def soap_film(**options):
     """The soap film (collective)."""
     c = np.sqrt(1 - b**2) + neck * np.arccosh(b / neck)
     return over_ball(
-        lambda slope: slope / ufl.sqrt(1 + ufl.inner(slope, slope)), lambda r: c - neck * np.arccosh(r / neck), **options
+        lambda slope: slope / ufl.sqrt(1 + ufl.inner(slope, slope)),
+        lambda r: c - neck * np.arccosh(r / neck),
+        **options,
     )
 
 
 # %% [markdown]
 # Both are solved by the same Newton method.
+
 
 # %%
 def line(function):

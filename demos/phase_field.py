@@ -103,6 +103,7 @@ def displace():
 # The crack length is measured by the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy of
 # the upper half.
 
+
 # %%
 def total(form):
     """An integral over all ranks, for both halves."""
@@ -139,7 +140,9 @@ growing = slice(loads.index(2.5), loads.index(3.25) + 1)
 slope = np.polyfit(loads[growing], lengths[growing], 1)[0]
 cost = np.polyfit(lengths[growing], surfaces[growing], 1)[0]
 if comm.rank == 0:
-    print(f"da/dt = {slope:.3f}, expected {np.sqrt(mu * H / G_c):.3f}; energy per length {cost:.3f}, expected {G_c:.3f}")
+    print(
+        f"da/dt = {slope:.3f}, expected {np.sqrt(mu * H / G_c):.3f}; energy per length {cost:.3f}, expected {G_c:.3f}"
+    )
 assert np.isclose(slope, np.sqrt(mu * H / G_c), rtol=0.05)
 assert np.isclose(cost, G_c, rtol=0.05)
 assert np.allclose(lengths[-2:], max(lengths), rtol=1e-3)

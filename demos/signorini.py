@@ -51,7 +51,9 @@ def signorini(cells):
     V = releases.functionspace(domain, "Lagrange", 1)
     u, v, g = fem.Function(V), ufl.TestFunction(V), fem.Function(V)
     g.interpolate(exact)
-    given = fem.locate_dofs_geometrical(V, lambda x: (x[1] > 1e-9) & (np.isclose(x[1], 1.0) | np.isclose(abs(x[0]), 1.0)))
+    given = fem.locate_dofs_geometrical(
+        V, lambda x: (x[1] > 1e-9) & (np.isclose(x[1], 1.0) | np.isclose(abs(x[0]), 1.0))
+    )
     F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
     problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(g, given)], lower=0.0, measure=ds(3))
     return problem.solve(method="vi")
