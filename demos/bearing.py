@@ -8,7 +8,8 @@
 #
 # $$ -\nabla \cdot (H^3 \nabla u) = 6 \epsilon \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$
 #
-# The file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`) for a bearing as long as its
+# The file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`) for a bearing as long as
+# its
 # diameter. It reports the *Sommerfeld number* $S$, which is small if the load is large, and the *attitude*, the angle
 # between the load and the narrowest gap.
 #
@@ -73,11 +74,11 @@ points = solution.level.V.tabulate_dof_coordinates()[:own]
 everywhere = comm.gather(np.column_stack([points, solution.u.x.array[:own], solution.contact.x.array[:own]]))
 if comm.rank == 0:
     x, y, z, u, contact = np.concatenate(everywhere).T
-    theta = np.degrees(np.arctan2(y, x)) % 360
+    theta = np.arctan2(y, x) % (2 * np.pi)
     page, (left, right) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained", width_ratios=(1.5, 1))
     image = left.tricontourf(theta, z, u, levels=20, cmap="viridis")
     left.tricontour(theta, z, contact, levels=[0.5], colors="white")
-    left.set(xlabel=r"$\theta$ (degrees)", ylabel="z", title="film pressure; white: boundary of the cavity")
+    left.set(xlabel=r"$\theta$", ylabel="z", title="film pressure; white: boundary of the cavity")
     page.colorbar(image, ax=left, ticks=[0, 0.5, 1, 1.5, 2])
     right.semilogy(list(known), [S for S, _ in found], "-", color="#0072B2", label="computed")
     right.semilogy(list(known), [S for S, _ in known.values()], "o", color="#D55E00", label="Raimondi and Boyd")

@@ -13,8 +13,8 @@
 #
 # ## The job
 #
-# A scene file needs no Python. This is a job for Slurm on two nodes with 32 processes each; the folder must be on a file
-# system that all nodes see.
+# A scene file needs no Python. This is a job for Slurm on two nodes with 32 processes each; the folder must be on a
+# file system that all nodes see.
 #
 # ```sh
 # #!/bin/bash
@@ -87,8 +87,8 @@ assert error < 2 / 128  # one cell
 # %% [markdown]
 # ## Results
 #
-# `save` writes a folder in parallel; each process writes its own rows. `read` takes it again on any number of processes,
-# for example on a workstation. `fields.xdmf` in the folder opens in ParaView.
+# `save` writes a folder in parallel; each process writes its own rows. `read` takes it again on any number of
+# processes, for example on a workstation. `fields.xdmf` in the folder opens in ParaView.
 
 # %%
 second.save("ice")

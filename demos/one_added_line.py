@@ -111,9 +111,10 @@ def over_ball(stress, outside, cells=64, eps=1e-4, rtol=1e-10):
 #
 # ## A nonlinear equation: a soap film
 #
-# The energy of a soap film is its area, so that $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact set
-# the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$. It touches the ball at $r = b$ without a kink if $a = b^2$,
-# and the force is $2 \pi a$. Here $b = 0.6$.
+# The energy of a soap film is its area, so that $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
+# set
+# the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$. It touches the ball at $r = b$ without a kink if $a =
+# b^2$, and the force is $2 \pi a$. Here $b = 0.6$.
 
 # %%
 A, b = 0.680259411891719, 0.6

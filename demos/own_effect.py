@@ -1,7 +1,8 @@
 # %% [markdown]
 # # An effect of your own: a microswitch that is pulled in by a voltage
 #
-# A membrane hangs at distance 1 above an electrode. A voltage pulls it down with the force $\lambda/(1 + u)^2$ per area,
+# A membrane hangs at distance 1 above an electrode. A voltage pulls it down with the force $\lambda/(1 + u)^2$ per
+# area,
 # where $\lambda$ is the square of the voltage in suitable units. The electrode has an insulating layer, on which the
 # membrane comes to rest, so that $u \ge -0.8$:
 #
@@ -9,8 +10,8 @@
 #    \ \text{in } (-\tfrac12, \tfrac12), \qquad u(\pm\tfrac12) = 0 . $$
 #
 # The package does not know this force. An effect is one class: its name in a scene, its term in the residual
-# $a(u, v) - f(v)$ in UFL, and its energy. `data.cellwise(self.value)` is the datum, whatever the user gives: a number, a
-# formula, a Function. `data.dI` integrates by the nodal rule. The energy $-\lambda/(1 + u)$ is not convex.
+# $a(u, v) - f(v)$ in UFL, and its energy. `data.cellwise(self.value)` is the datum, whatever the user gives: a
+# number, a formula, a Function. `data.dI` integrates by the nodal rule. The energy $-\lambda/(1 + u)$ is not convex.
 #
 # Run it in the clone with `.venv/bin/python demos/own_effect.py`.
 
@@ -72,7 +73,8 @@ assert np.isclose(pull_in, 1.400, atol=1e-3) and np.isclose(release, 0.560, atol
 # %% [markdown]
 # ## Up and down
 #
-# `electrostatic` is now a key of scenes like `tension`. The load rises to 1.8 and falls to 0 again, slowly compared with
+# `electrostatic` is now a key of scenes like `tension`. The load rises to 1.8 and falls to 0 again, slowly compared
+# with
 # the damping of the air, which is the effect `rate`. The state is therefore close to an equilibrium, except where it
 # snaps. With `tolerance` the time steps are chosen: they are short during the snaps.
 

@@ -17,8 +17,8 @@
 # ## A crack that grows in proportion to the load
 #
 # The body is a strip of height $2H$. A crack of length $a_0$ in its middle line starts at the left side, where the two
-# arms above and below it are displaced by $w = \pm t$. Above a crack of length $a$ the arm carries $w = t\,(1 - x/a)$ if
-# $a \gg H$, so that elastic energy and energy release rate of both arms are
+# arms above and below it are displaced by $w = \pm t$. Above a crack of length $a$ the arm carries $w = t\,(1 - x/a)$
+# if $a \gg H$, so that elastic energy and energy release rate of both arms are
 #
 # $$ E = \mu H\,\frac{t^2}{a}, \qquad G = -\frac{\partial E}{\partial a} = \mu H\,\frac{t^2}{a^2} . $$
 #
@@ -26,8 +26,8 @@
 #
 # $$ a = t\,\sqrt{\mu H/G_c} + \text{const.} $$
 #
-# The tutorial loads up to $t = 3.25$ and then unloads: the crack must grow along this line and must not heal. $w$ is odd
-# and $d$ is even in $y$, so the upper half is enough, with $w = 0$ at $y = 0$.
+# The tutorial loads up to $t = 3.25$ and then unloads: the crack must grow along this line and must not heal. $w$ is
+# odd and $d$ is even in $y$, so the upper half is enough, with $w = 0$ at $y = 0$.
 #
 # Run it in the clone with `.venv/bin/python demos/phase_field.py`.
 
@@ -100,8 +100,10 @@ def displace():
 # %% [markdown]
 # ## Loading and unloading
 #
-# The crack length is measured by the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy of
-# the upper half.
+# The crack length is measured by the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy
+# of
+# the upper half. The material ahead of the tip also yields, so that this length exceeds that of the damaged line by a
+# constant of about $H$.
 
 
 # %%
@@ -132,8 +134,8 @@ for t in loads:
         print(f"t = {t:4.2f}  {steps:3d} steps  crack length {lengths[-1]:.3f}  surface energy {surfaces[-1]:.3f}")
 
 # %% [markdown]
-# While the crack grows, from $t = 2.5$ on, its length follows $a = t\sqrt{\mu H/G_c}$ with the slope 1, and each unit of
-# length costs $G_c = 1$. When the load is removed, the length stays.
+# While the crack grows, from $t = 2.5$ on, its length follows $a = t\sqrt{\mu H/G_c}$ with the slope 1, and each unit
+# of length costs $G_c = 1$. When the load is removed, the length stays.
 
 # %%
 growing = slice(loads.index(2.5), loads.index(3.25) + 1)

@@ -3,8 +3,8 @@
 #
 # Measured heights come as a file: an array, an image, a table with columns x, y, z, or an STL surface. Here the file is
 # made first: a self-affine surface $z$, whose power spectrum falls like $|k|^{-2 - 2H}$ with the Hurst exponent
-# $H = 0.8$, as that of many fractured or ground surfaces. A membrane with tension 1 lies above it and is pressed down by
-# the load $f$:
+# $H = 0.8$, as that of many fractured or ground surfaces. A membrane with tension 1 lies above it and is pressed down
+# by the load $f$:
 #
 # $$ -\Delta u = -f + p, \qquad u \ge z - 0.1, \quad p \ge 0, \quad p\,(u - z + 0.1) = 0 \ \text{in } (0, 1)^2 . $$
 #
@@ -51,8 +51,8 @@ assert abs(slope + 1 + 2 * HURST) < 0.15
 # %% [markdown]
 # ## The scene
 #
-# `lower = {file = "rough.npz"}` stands where a formula or a number could stand; `shift` moves the surface down by 0.1. The
-# file name is relative to the scene file.
+# `lower = {file = "rough.npz"}` stands where a formula or a number could stand; `shift` moves the surface down by
+# 0.1. The file name is relative to the scene file.
 
 # %%
 SCENE = """

@@ -35,7 +35,8 @@ def exact(x):
 
 
 # %% [markdown]
-# The facets of the bottom side have the tag 3. `measure=ds(3)` tells `ObstacleProblem` that contact is possible on these
+# The facets of the bottom side have the tag 3. `measure=ds(3)` tells `ObstacleProblem` that contact is possible on
+# these
 # facets only. Everything else is ordinary DOLFINx: the exact values are prescribed on the other three sides. They are
 # not prescribed at the two corners of the bottom side, where the obstacle acts.
 

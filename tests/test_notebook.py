@@ -1,4 +1,4 @@
-"""The seminar: each section runs after the first cell alone. Tutorials run as a whole. What they assert holds on any ranks."""
+"""The seminar runs section by section, tutorials as a whole; what they assert holds on any number of ranks."""
 
 import re
 import time
