@@ -4,7 +4,7 @@
 # Everything below is DOLFINx and PETSc as you know them, except the lines marked with <---. The penalty method of
 # Kikuchi adds one term to a residual $F(u; v)$: find $u \in V_h$ with
 #
-# $$ F(u; v) - \frac1\varepsilon\, I\big((g - u)^+, v\big) = 0 \quad \text{for all } v \in V_h, $$
+# $$ F(u; v) - \frac1\varepsilon\, I((g - u)^+, v) = 0 \quad \text{for all } v \in V_h, $$
 #
 # where $g$ is a lower obstacle and $I$ a quadrature rule at the nodes. The contact pressure is
 # $p = (g - u)^+/\varepsilon$ at the nodes. It does not matter whether $F$ is linear in $u$.
