@@ -1,13 +1,22 @@
-"""A plain Poisson code becomes an obstacle problem by one added line.
+# %% [markdown]
+# # One added line in a DOLFINx code of your own
+#
+# Everything below is DOLFINx and PETSc as you know them, except the lines marked with <---. The penalty method of
+# Kikuchi adds one term to a residual $F(u; v)$: find $u \in V_h$ with
+#
+# $$ F(u; v) - \frac1\varepsilon\, I((g - u)^+, v) = 0 \quad \text{for all } v \in V_h, $$
+#
+# where $g$ is a lower obstacle and $I$ a quadrature rule at the nodes. The contact pressure is
+# $p = (g - u)^+/\varepsilon$ at the nodes. It does not matter whether $F$ is linear in $u$.
+#
+# Run it in the clone with `.venv/bin/python demos/one_added_line.py`.
 
-Everything below is DOLFINx and PETSc as you know them, except the line marked with <---.
-Run it with mpirun -n 2 .venv/bin/python demos/one_added_line.py once ./obstacle has set up .venv.
-"""
-
+# %%
 from mpi4py import MPI  # first: where pip has installed dolfinx, MPI must be loaded before it
 
 # isort: split
 import dolfinx.fem.petsc  # noqa: F401  (not imported by dolfinx.fem in newer releases)
+import matplotlib.pyplot as plt
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
@@ -17,31 +26,13 @@ from fenicsx_obstacle import contact_pressure, penalty
 
 functionspace = getattr(fem, "functionspace", None) or fem.FunctionSpace  # its name in DOLFINx 0.5
 
-
-def membrane(cells=64, eps=1e-4, rtol=1e-10):
-    """Membrane on (-2, 2)^2 held at the boundary, pushed up by a ball of radius 1; returns u, p, the SNES reason."""
-    domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.array([-2.0, -2.0]), np.array([2.0, 2.0])], [cells, cells])
-    V = functionspace(domain, ("Lagrange", 1))
-    u, v, ball = fem.Function(V), ufl.TestFunction(V), fem.Function(V)
-    ball.interpolate(_ball)
-
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
-    F += penalty(u, v, lower=ball, eps=eps)  # <--- the one added line
-
-    domain.topology.create_connectivity(1, 2)
-    boundary = fem.locate_dofs_topological(V, 1, mesh.exterior_facet_indices(domain.topology))
-    held = fem.Function(V)
-    held.interpolate(lambda x: 0.471519893402110 - 0.680259411891719 * np.log(np.hypot(x[0], x[1]) + 1e-300))
-    reason = newton(F, u, fem.dirichletbc(held, boundary), rtol)
-    return u, contact_pressure(u, lower=ball, eps=eps), reason
+# %% [markdown]
+# ## A Newton solver as in any DOLFINx code
+#
+# SNES with residual and Jacobian, nothing special to obstacles.
 
 
-def _ball(x):
-    r = np.hypot(x[0], x[1])
-    cone = np.sqrt(1 - 0.9**2) - 0.9 / np.sqrt(1 - 0.9**2) * (r - 0.9)
-    return np.where(r < 0.9, np.sqrt(np.maximum(1 - r**2, 0)), cone)
-
-
+# %%
 def newton(F, u, bc, rtol):
     """PETSc SNES with its usual tests, as in any DOLFINx code."""
     form, J = fem.form(F), fem.form(ufl.derivative(F, u))
@@ -79,10 +70,105 @@ def newton(F, u, bc, rtol):
     return snes.getConvergedReason()
 
 
+# %% [markdown]
+# ## The residual, and the added line
+#
+# $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$ for any stress $\sigma$, with given boundary values. A
+# ball of radius 1 pushes $u$ up.
+
+
+# %%
+def ball(x):
+    """The ball; beyond r = 0.9, where there is no contact, its tangent cone."""
+    r = np.hypot(x[0], x[1])
+    cone = np.sqrt(1 - 0.9**2) - 0.9 / np.sqrt(1 - 0.9**2) * (r - 0.9)
+    return np.where(r < 0.9, np.sqrt(np.maximum(1 - r**2, 0)), cone)
+
+
+def over_ball(stress, outside, cells=64, eps=1e-4, rtol=1e-10):
+    """u, p and the reason of SNES, with u = outside(r) on the boundary (collective)."""
+    domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.array([-2.0, -2.0]), np.array([2.0, 2.0])], [cells, cells])
+    V = functionspace(domain, ("Lagrange", 1))
+    u, v, g = fem.Function(V), ufl.TestFunction(V), fem.Function(V)
+    g.interpolate(ball)
+
+    F = ufl.inner(stress(ufl.grad(u)), ufl.grad(v)) * ufl.dx
+    F += penalty(u, v, lower=g, eps=eps)  # <--- the one added line
+
+    domain.topology.create_connectivity(1, 2)
+    boundary = fem.locate_dofs_topological(V, 1, mesh.exterior_facet_indices(domain.topology))
+    held = fem.Function(V)
+    held.interpolate(lambda x: outside(np.maximum(np.hypot(x[0], x[1]), 1.0)))
+    reason = newton(F, u, fem.dirichletbc(held, boundary), rtol)
+    return u, contact_pressure(u, lower=g, eps=eps), reason  # <--- the pressure
+
+
+# %% [markdown]
+# ## A linear equation: a membrane
+#
+# $\sigma = \nabla u$. Outside of the contact set $u = A \ln(2/r)$ with $A = 0.68026$ (see the tutorial *A membrane over
+# an obstacle*), and the force on the ball is $2 \pi A$.
+#
+# ## A nonlinear equation: a soap film
+#
+# The energy of a soap film is its area, so that $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
+# set
+# the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$. It touches the ball at $r = b$ without a kink if $a =
+# b^2$, and the force is $2 \pi a$. Here $b = 0.6$.
+
+# %%
+A, b = 0.680259411891719, 0.6
+neck = b**2
+
+
+def membrane(**options):
+    """The membrane (collective)."""
+    return over_ball(lambda slope: slope, lambda r: A * np.log(2 / r), **options)
+
+
+def soap_film(**options):
+    """The soap film (collective)."""
+    c = np.sqrt(1 - b**2) + neck * np.arccosh(b / neck)
+    return over_ball(
+        lambda slope: slope / ufl.sqrt(1 + ufl.inner(slope, slope)),
+        lambda r: c - neck * np.arccosh(r / neck),
+        **options,
+    )
+
+
+# %% [markdown]
+# Both are solved by the same Newton method.
+
+
+# %%
+def line(function):
+    """Rows r and value at the owned nodes with y = 0, x >= 0, on rank 0."""
+    V, own = function.function_space, function.function_space.dofmap.index_map.size_local
+    x = V.tabulate_dof_coordinates()[:own]
+    mine = np.column_stack([x[:, 0], function.x.array[:own]])[(abs(x[:, 1]) < 1e-9) & (x[:, 0] > -1e-9)]
+    rows = MPI.COMM_WORLD.gather(mine)
+    return None if rows is None else np.concatenate(rows)[np.argsort(np.concatenate(rows)[:, 0])].T
+
+
 if __name__ == "__main__":
-    u, p, reason = membrane()
-    own = u.function_space.dofmap.index_map.size_local
-    centre = MPI.COMM_WORLD.allreduce(float(u.x.array[:own].max(initial=-np.inf)), op=MPI.MAX)
-    largest = MPI.COMM_WORLD.allreduce(float(p.x.array[:own].max(initial=0.0)), op=MPI.MAX)
+    page, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
+    for name, solver, exact, colour in (
+        ("membrane", membrane, 2 * np.pi * A, "#0072B2"),
+        ("soap film", soap_film, 2 * np.pi * neck, "#D55E00"),
+    ):
+        u, p, reason = solver()
+        force = MPI.COMM_WORLD.allreduce(fem.assemble_scalar(fem.form(p * ufl.dx)), op=MPI.SUM)
+        rows = line(u), line(p)
+        if MPI.COMM_WORLD.rank == 0:
+            print(f"{name}: SNES reason {reason}, force on the ball {force:.4f}, exact {exact:.4f}")
+            axes[0].plot(*rows[0], ".-", color=colour, label=name)
+            axes[1].plot(*rows[1], ".-", color=colour, label=name)
+        assert reason > 0 and np.isclose(force, exact, rtol=3e-3)
     if MPI.COMM_WORLD.rank == 0:
-        print(f"SNES reason {reason}; largest height {centre:.6f}, largest contact pressure {largest:.4f}")
+        r = np.linspace(0, 0.9, 100)
+        axes[0].plot(r, np.sqrt(1 - r**2), "k:", label="ball")
+        axes[0].set(xlabel="r", title="u")
+        axes[1].set(xlabel="r", title="contact pressure")
+        for one in axes:
+            one.legend(frameon=False)
+        page.savefig("one_added_line.png", dpi=120)

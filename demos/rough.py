@@ -1,79 +1,102 @@
-"""A self-affine rough surface under a membrane: contact area and force over the load, as one picture.
+# %% [markdown]
+# # A rough surface from a file
+#
+# Measured heights come as a file: an array, an image, a table with columns x, y, z, or an STL surface. Here the file is
+# made first: a self-affine surface $z$, whose power spectrum falls like $|k|^{-2 - 2H}$ with the Hurst exponent
+# $H = 0.8$, as that of many fractured or ground surfaces. A membrane with tension 1 lies above it and is pressed down
+# by the load $f$:
+#
+# $$ -\Delta u = -f + p, \qquad u \ge z - 0.1, \quad p \ge 0, \quad p\,(u - z + 0.1) = 0 \ \text{in } (0, 1)^2 . $$
+#
+# How do contact area and contact force grow with the load?
+#
+# Run it in the clone with `.venv/bin/python demos/rough.py`.
 
-python3 demos/rough.py [FOLDER]
-
-Writes into FOLDER, by default out/rough: the heights rough.npz, the scene rough.toml that reads them, and rough.png.
-"""
-
-import sys
+# %%
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle import Scene, study
+from fenicsx_obstacle import Scene, solve, study
 
-HURST, SIZE, SEED = 0.8, 512, 1
-ROUGHNESS = 0.01  # standard deviation of the heights
-LOADS = [2, 4, 8, 16, 32]
-SCENE = """\
-title = "Membrane pressed on a rough surface"
-[define]
-load = 4                            # pressure on the membrane
-[mesh]
-shape = "rectangle"
-cells = 256
-[effects]
-tension = 1
-load = "-load"
-[obstacle]
-lower = {file = "rough.npz", shift = [0, 0, -0.1]}
-[[boundary]]
-value = 0
-[profile.middle]
-from = [0, 0.5]
-to = [1, 0.5]
-n = 1000
-[report]
-carried = "integral(p)/load"        # share of the load that the surface carries
-"""
+comm = MPI.COMM_WORLD
+HURST, SIZE = 0.8, 512
 
 
-def surface(size=SIZE, hurst=HURST, seed=SEED):
-    """Heights whose power spectrum falls like |k|^(-2 - 2 hurst), with mean 0, shape (size, size)."""
-    noise = np.fft.fft2(np.random.default_rng(seed).standard_normal((size, size)))
-    k = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
+def surface():
+    """Heights with mean 0 and standard deviation 0.01, shape (SIZE, SIZE)."""
+    noise = np.fft.fft2(np.random.default_rng(1).standard_normal((SIZE, SIZE)))
+    k = np.hypot(*np.meshgrid(np.fft.fftfreq(SIZE), np.fft.fftfreq(SIZE)))
     k[0, 0] = np.inf
-    z = np.fft.ifft2(noise * k ** (-1 - hurst)).real
-    return ROUGHNESS * z / z.std()
+    z = np.fft.ifft2(noise * k ** (-1 - HURST)).real
+    return 0.01 * z / z.std()
 
 
-def main(folder, cells=256):
-    """Solve for all loads and draw (collective); returns the rows."""
-    comm = MPI.COMM_WORLD
-    if comm.rank == 0:
-        folder.mkdir(parents=True, exist_ok=True)
-        axis = np.linspace(0, 1, SIZE)
-        np.savez_compressed(folder / "rough.npz", x=axis, y=axis, z=surface())
-        (folder / "rough.toml").write_text(SCENE)
-    comm.barrier()
-    rows = study(Scene.read(folder / "rough.toml", {"mesh.cells": cells}), {"define.load": LOADS})
-    if comm.rank == 0:
-        page, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), dpi=150, layout="constrained")
-        left.semilogx(LOADS, [row["contact.area"] for row in rows], "o-", color="#0072B2")
-        left.set(xlabel="load", ylabel="contact area (of 1)")
-        right.loglog(LOADS, LOADS, ":", color="0.4", label="all of the load")
-        right.loglog(LOADS, [row["contact.lower.force"] for row in rows], "s-", color="#D55E00", label="surface")
-        right.set(xlabel="load", ylabel="force carried")
-        right.legend(frameon=False)
-        for axes in (left, right):
-            axes.grid(True, color="0.9")
-        page.savefig(folder / "rough.png")
-        for load, row in zip(LOADS, rows, strict=True):
-            print(f"load {load:3d}  contact area {row['contact.area']:.4f}  force {row['contact.lower.force']:.4f}")
-    return rows
+z = surface()
+if comm.rank == 0:
+    axis = np.linspace(0, 1, SIZE)
+    np.savez_compressed("rough.npz", x=axis, y=axis, z=z)
+comm.barrier()
 
+# %% [markdown]
+# The spectrum of a line through the surface falls like $|k|^{-1 - 2H}$:
 
-if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/rough"))
+# %%
+power = np.abs(np.fft.fft(z, axis=1)[:, 1:128] ** 2).mean(axis=0)
+slope = np.polyfit(np.log(np.arange(4, 64)), np.log(power[3:63]), 1)[0]
+assert abs(slope + 1 + 2 * HURST) < 0.15
+
+# %% [markdown]
+# ## The scene
+#
+# `lower = {file = "rough.npz"}` stands where a formula or a number could stand; `shift` moves the surface down by
+# 0.1. The file name is relative to the scene file.
+
+# %%
+SCENE = """
+title = "Membrane pressed on a rough surface"
+define = {load = 4}
+mesh = {shape = "rectangle", cells = 128}
+effects = {tension = 1, load = "-load"}
+obstacle = {lower = {file = "rough.npz", shift = [0, 0, -0.1]}}
+boundary = [{value = 0}]
+"""
+if comm.rank == 0:
+    Path("rough.toml").write_text(SCENE)
+comm.barrier()
+loads = [2, 4, 8, 16, 32, 64, 128]
+rows = study("rough.toml", vary={"define.load": loads})
+areas = [row["contact.area"] for row in rows]
+forces = [row["contact.lower.force"] for row in rows]
+if comm.rank == 0:
+    for load, area, force in zip(loads, areas, forces, strict=True):
+        print(f"load {load:4d}  contact area {area:.4f}  force {force:8.4f}  share of the load {force / load:.3f}")
+assert np.all(np.diff(areas) > 0) and np.all(np.diff(forces) > 0)
+assert np.all(np.array(forces) < loads)  # the boundary carries the rest
+assert np.all(np.diff(np.divide(forces, loads)) > 0)
+
+# %% [markdown]
+# ## Picture
+#
+# Left: the heights, and the contact set at the load 8, which consists of many small spots. Right: its area, and the
+# share of the load that the surface carries; the boundary carries the rest.
+
+# %%
+solution = solve(Scene.read("rough.toml").change({"define.load": 8}))
+own = solution.level.V.dofmap.index_map.size_local
+points = solution.level.V.tabulate_dof_coordinates()[:own]
+spots = comm.gather(points[solution.contact.x.array[:own] > 0.5])
+if comm.rank == 0:
+    x, y, _ = np.concatenate(spots).T
+    page, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+    image = left.imshow(z, origin="lower", extent=[0, 1, 0, 1], cmap="Greys_r")
+    page.colorbar(image, ax=left, label="height z")
+    left.plot(x, y, "s", color="#D55E00", markersize=1.3)
+    left.set(xlabel="x", ylabel="y", title="contact nodes at the load 8")
+    right.semilogx(loads, areas, "o-", color="#0072B2", label="contact area (of 1)")
+    right.semilogx(loads, np.divide(forces, loads), "s-", color="#D55E00", label="share of the load on the surface")
+    right.set(xlabel="load f", ylim=(0, 1))
+    right.legend(frameon=False)
+    page.savefig("rough.png", dpi=120)

@@ -234,18 +234,9 @@ def test_the_library_loads_no_verification():
 def test_one_added_line(tmp_path):
     """The demo for somebody else's code runs as it stands, under plain mpirun."""
     command = [*mpirun(2), sys.executable, str(DEMOS / "one_added_line.py")]
-    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, cwd=tmp_path, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
-    assert "SNES reason 3; largest height 0.9998" in done.stdout
-
-
-def test_own_mesh(tmp_path):
-    """A mesh from Gmsh with tags, a Function as tension and a formula as obstacle: certified 1 % on 2 ranks."""
-    command = [*mpirun(2), sys.executable, str(DEMOS / "own_mesh.py")]
-    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=150, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "certified on the polygon of the mesh" in done.stdout
-    assert "the relative tolerance 0.01 is reached" in done.stdout
+    assert "membrane: SNES reason 3, force on the ball 4.27" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,8 @@
 """Measured heights as data: files and arrays of one surface, bounds over cells, saved results, mistakes."""
 
-from importlib.util import module_from_spec, spec_from_file_location
-
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
+from conftest import COMM, membrane
 
 from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Table, releases, solve
 from fenicsx_obstacle.parallel import on_root
@@ -277,19 +275,3 @@ def test_an_image_needs_extents_and_range(files):
             Scene.read(place)
     with pytest.raises(InputError, match=r"rough.csv = |obstacle.*0 .. 1"):
         solve(membrane(mesh={"shape": "rectangle", "x": [0, 2], "cells": 8}, lower=Table(files / "rough.csv")))
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-def test_rough_surface_demo(tmp_path):
-    """demos/rough.py: heights with the spectrum of its Hurst exponent; area and force grow with the load."""
-    spec = spec_from_file_location("rough", DEMOS / "rough.py")
-    rough = module_from_spec(spec)
-    spec.loader.exec_module(rough)
-    power = np.abs(np.fft.fft(rough.surface(), axis=1)[:, 1:128] ** 2).mean(axis=0)  # of lines: |k|^(-1 - 2 hurst)
-    slope = np.polyfit(np.log(np.arange(4, 64)), np.log(power[3:63]), 1)[0]
-    assert abs(slope + 1 + 2 * rough.HURST) < 0.15
-    rows = rough.main(tmp_path, cells=64)
-    for key in ("contact.area", "contact.lower.force"):
-        assert np.all(np.diff([row[key] for row in rows]) > 0)
-    assert (tmp_path / "rough.png").exists()

@@ -1,4 +1,4 @@
-"""docs/kikuchi_in_an_hour.py: each section runs after the first cell alone, and what it asserts holds on any ranks."""
+"""The seminar runs section by section, tutorials as a whole; what they assert holds on any number of ranks."""
 
 import re
 import time
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import matplotlib
 import matplotlib.pyplot as plt
 import pytest
-from conftest import COMM, slow_except
+from conftest import COMM, DEMOS, slow_except
 
 NOTEBOOK = Path(__file__).parent.parent / "docs" / "kikuchi_in_an_hour.py"
 
@@ -37,14 +37,16 @@ def cells_of(path):
     return found
 
 
-def run(cell, names):
+def run(cell, names, file=NOTEBOOK):
     """Execute a cell as a notebook does; its seconds. Tracebacks name the line of the file."""
     start = time.perf_counter()
-    exec(compile("\n" * cell.line + cell.source, NOTEBOOK, "exec"), names)
+    exec(compile("\n" * cell.line + cell.source, file, "exec"), names)
     return time.perf_counter() - start
 
 
 FIRST, *SECTIONS = cells_of(NOTEBOOK)
+TUTORIALS = sorted(file for file in DEMOS.glob("*.py") if "# %% [markdown]" in file.read_text())
+QUICK = {"membrane", "one_added_line"}
 
 
 @pytest.fixture(autouse=True)
@@ -80,3 +82,28 @@ def test_sections_have_exercises():
     """Two in each, numbered as the section."""
     numbers = re.findall(r"^# \*\*Exercise (\d+\.\d+)\.\*\*", NOTEBOOK.read_text(), re.MULTILINE)
     assert numbers == [f"{k + 1}.{i}" for k in range(len(SECTIONS)) for i in (1, 2)]
+
+
+@pytest.mark.parametrize(
+    "file",
+    slow_except(TUTORIALS, *(file for file in TUTORIALS if file.stem in QUICK)),
+    ids=lambda file: file.stem,
+)
+def test_tutorial(file, folder, monkeypatch):
+    """Its assertions hold, and its picture is written."""
+    monkeypatch.chdir(folder)
+    if COMM.rank == 0:
+        (folder / "demos").symlink_to(DEMOS)
+    COMM.barrier()
+    names = {"__name__": "__main__"}
+    for cell in cells_of(file):
+        run(cell, names, file)
+    COMM.barrier()
+    assert (folder / f"{file.stem}.png").stat().st_size > 10000
+
+
+def test_tutorials_are_listed():
+    """The index page has a row for each, and the site a page."""
+    text = (DEMOS.parent / "docs" / "tutorials.md").read_text()
+    for file in TUTORIALS:
+        assert f"| {{doc}}`generated/{file.stem}` |" in text and f"\ngenerated/{file.stem}\n" in text

@@ -10,16 +10,25 @@ from pathlib import Path
 
 import jupytext
 import matplotlib
+import matplotlib.pyplot as plt
 from nbformat import NotebookNode
 from nbformat.v4 import new_output
 from sphinx.application import Sphinx
 
-NOTEBOOKS = ("kikuchi_in_an_hour",)
+ROOT = Path(__file__).parent.parent.parent
+CELL = "# %% [markdown]"
+
+
+def notebooks() -> list[Path]:
+    """The seminar, and all demos in the percent format."""
+    demos = sorted((ROOT / "demos").glob("*.py"))
+    return [ROOT / "docs" / "kikuchi_in_an_hour.py", *(file for file in demos if CELL in file.read_text())]
 
 
 def run(notebook: NotebookNode, folder: Path) -> None:
     """Execute all code cells in this folder; what they print and the pictures they write become their outputs."""
     matplotlib.use("agg")
+    (folder / "demos").symlink_to(ROOT / "demos")
     names = {"__name__": "__main__"}
     before = Path.cwd()
     os.chdir(folder)
@@ -30,6 +39,7 @@ def run(notebook: NotebookNode, folder: Path) -> None:
             known = set(folder.rglob("*.png"))
             with contextlib.redirect_stdout(io.StringIO()) as printed:
                 exec(compile(cell.source, "cell", "exec"), names)
+            plt.close("all")
             if printed.getvalue():
                 cell.outputs.append(new_output("stream", name="stdout", text=printed.getvalue()))
             for picture in sorted(set(folder.rglob("*.png")) - known):
@@ -63,12 +73,12 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Write page and notebook before pages are read, unless they are newer than their source."""
     folder = Path(app.srcdir) / "generated"
     folder.mkdir(exist_ok=True)
-    for name in NOTEBOOKS:
-        source, page = Path(app.srcdir) / f"{name}.py", folder / f"{name}.md"
+    for source in notebooks():
+        name, page = source.stem, folder / f"{source.stem}.md"
         if page.exists() and page.stat().st_mtime > source.stat().st_mtime:
             continue
         notebook = jupytext.read(source)
-        with tempfile.TemporaryDirectory() as place:
+        with tempfile.TemporaryDirectory() as place, matplotlib.rc_context():
             run(notebook, Path(place))
             text = page_of(notebook, name, folder)
         jupytext.write(notebook, folder / f"{name}.ipynb", fmt="ipynb")

@@ -1,0 +1,88 @@
+# %% [markdown]
+# # A journal bearing
+#
+# A shaft turns in a bearing with the eccentricity $\epsilon$ (axis distance over clearance). The oil film has the
+# thickness $H = 1 + \epsilon \cos\theta$, and its pressure $u$ satisfies Reynolds' equation. Where the gap opens, the
+# film cavitates: pressure cannot fall below that of the air, $u \ge 0$. In dimensionless form, on the surface of a
+# cylinder,
+#
+# $$ -\nabla \cdot (H^3 \nabla u) = 6 \epsilon \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$
+#
+# The file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`) for a bearing as long as
+# its
+# diameter. It reports the *Sommerfeld number* $S$, which is small if the load is large, and the *attitude*, the angle
+# between the load and the narrowest gap.
+#
+# Run it in the clone with `.venv/bin/python demos/bearing.py`.
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+from mpi4py import MPI
+from scipy.optimize import brentq
+
+from fenicsx_obstacle import Scene, solve, study
+
+comm = MPI.COMM_WORLD
+bearing = Scene.read("demos/bearing.toml")
+
+# %% [markdown]
+# ## A sweep
+#
+# `study` solves for several values of a number of the scene and returns a list of dictionaries. The known values are
+# those of Raimondi and Boyd (1958).
+
+# %%
+known = {0.1: (1.33, 79.5), 0.2: (0.631, 74.02), 0.4: (0.264, 63.10), 0.6: (0.121, 50.58), 0.8: (0.0446, 36.24)}
+rows = study(bearing, vary={"define.ecc": list(known)})
+found = [(row["report.sommerfeld"], row["report.attitude"]) for row in rows]
+if comm.rank == 0:
+    print("eccentricity  S       known   attitude  known")
+    for eccentricity, one, other in zip(known, found, known.values(), strict=True):
+        print(f"{eccentricity:12.1f}  {one[0]:.4f}  {other[0]:.4f}  {one[1]:8.2f}  {other[1]:.2f}")
+assert np.allclose([S for S, _ in found], [S for S, _ in known.values()], rtol=0.013)
+assert np.allclose([angle for _, angle in found], [angle for _, angle in known.values()], atol=0.6)
+
+# %% [markdown]
+# ## A target
+#
+# Load, speed and viscosity of a machine give the Sommerfeld number; the eccentricity follows. Here $S = 0.2$: a root of
+# one equation in one unknown, found by SciPy. Every rank calls `solve`, and all have the same values.
+
+
+# %%
+def excess(eccentricity):
+    """S - 0.2 (collective)."""
+    return solve(bearing.change({"define.ecc": eccentricity})).report["sommerfeld"] - 0.2
+
+
+eccentricity = brentq(excess, 0.3, 0.6, xtol=1e-4)
+solution = solve(bearing.change({"define.ecc": eccentricity}))
+if comm.rank == 0:
+    print(f"S = 0.2 at the eccentricity {eccentricity:.3f}; narrowest gap {1 - eccentricity:.3f} of the clearance")
+assert abs(solution.report["sommerfeld"] - 0.2) < 1e-3
+assert np.isclose(eccentricity, 0.475, atol=0.01)
+
+# %% [markdown]
+# ## Picture
+#
+# Left: the pressure on the unrolled cylinder at $S = 0.2$, with the boundary of the cavity. Right: the sweep.
+
+# %%
+own = solution.level.V.dofmap.index_map.size_local
+points = solution.level.V.tabulate_dof_coordinates()[:own]
+everywhere = comm.gather(np.column_stack([points, solution.u.x.array[:own], solution.contact.x.array[:own]]))
+if comm.rank == 0:
+    x, y, z, u, contact = np.concatenate(everywhere).T
+    theta = np.arctan2(y, x) % (2 * np.pi)
+    page, (left, right) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained", width_ratios=(1.5, 1))
+    image = left.tricontourf(theta, z, u, levels=20, cmap="viridis")
+    left.tricontour(theta, z, contact, levels=[0.5], colors="white")
+    left.set(xlabel=r"$\theta$", ylabel="z", title="film pressure; white: boundary of the cavity")
+    page.colorbar(image, ax=left, ticks=[0, 0.5, 1, 1.5, 2])
+    right.semilogy(list(known), [S for S, _ in found], "-", color="#0072B2", label="computed")
+    right.semilogy(list(known), [S for S, _ in known.values()], "o", color="#D55E00", label="Raimondi and Boyd")
+    right.semilogy(eccentricity, 0.2, "k*", markersize=11, label="S = 0.2")
+    right.set(xlabel=r"eccentricity $\epsilon$", ylabel="Sommerfeld number S")
+    right.legend(frameon=False)
+    page.savefig("bearing.png", dpi=120)

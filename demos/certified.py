@@ -1,0 +1,81 @@
+# %% [markdown]
+# # A certified tolerance
+#
+# A solution without its error is of little use in a proof of safety. For tension and load on triangles, `solve(scene,
+# tol=0.03)` refines the mesh and reduces the penalty parameter until the relative error in the energy norm
+# $\|v\|_a = (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %.
+#
+# The proof is an inequality without unknown constants. Let $v_h$ be a function close to the computed solution that
+# satisfies the obstacle constraint $v_h \ge \psi$. From the computed solution the program constructs a multiplier
+# $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$. Then
+#
+# $$ \|u - v_h\|_a \le \frac S2 + \sqrt{\frac{S^2}4 + \int \lambda\,(v_h - \psi)}, \qquad
+#    S = \|\mu^{1/2} \nabla v_h - \mu^{-1/2} \sigma\|_0 . $$
+#
+# The page *Error bound* of the documentation has the proof, and the further terms where the load is not a polynomial.
+# The right side is computable. Where it is large, triangles are refined.
+#
+# Run it in the clone with `.venv/bin/python demos/certified.py`.
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.collections import PolyCollection
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases, solve
+
+comm = MPI.COMM_WORLD
+
+# %% [markdown]
+# `ball` is a scene of the catalogue whose exact solution is known, so that the bound can be compared with the true
+# error. The bound itself does not use the exact solution.
+
+# %%
+tolerances = [0.3, 0.1, 0.03]
+solutions = [solve("ball", tol=tolerance) for tolerance in tolerances]
+bounds = [solution.record["bound"] for solution in solutions]
+errors = [solution.record["errors"]["energy"] for solution in solutions]
+unknowns = [solution.record["dofs"] for solution in solutions]
+if comm.rank == 0:
+    print("tolerance  unknowns  relative bound  bound   true error  bound/error")
+    for tolerance, n, bound, error in zip(tolerances, unknowns, bounds, errors, strict=True):
+        print(f"{tolerance:9.2f}  {n:8d}  {bound['relative']:14.4f}  {bound['total']:.4f}  {error:10.4f}"
+              f"  {bound['total'] / error:11.2f}  {bound['words']}")  # fmt: skip
+for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
+    assert bound["guaranteed"] and bound["words"] == "certified"
+    assert bound["relative"] <= tolerance
+    assert error <= bound["total"] <= 3 * error
+
+# %% [markdown]
+# The bound is larger than the error, as it must be, and at most three times as large. What it consists of is in
+# `solution.record["bound"]`: `discretisation`, `penalty`, `algebraic` (the linear solver) and `data`.
+#
+# If a part of the data is known by samples only, such as a Python callable, `words` says so: *certified for the sampled
+# load*. `guaranteed` is true for `certified` alone. If the tolerance cannot be reached with the memory or the time that
+# `budget="60s"` allows, the best solution is returned and `solution.record["adaptive"]["reached"]` is false.
+#
+# ## Picture
+#
+# The last mesh is fine where the curvature of $u$ is large, and finest beside the free boundary. The bound falls like
+# $N^{-1/2}$ with the number of unknowns $N$, the best possible order for linear elements.
+
+# %%
+last = solutions[-1]
+path = last.record["adaptive"]["path"]
+mesh = last.level.mesh
+corners = comm.gather(mesh.geometry.x[releases.geometry_dofs(mesh)])
+if comm.rank == 0:
+    triangles = np.concatenate(corners)[:, :, :2]
+    page, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    left.add_collection(PolyCollection(triangles, facecolor="none", edgecolor="#0072B2", linewidth=0.15))
+    left.add_patch(plt.Circle((0, 0), 0.69797, fill=False, color="#D55E00", label="free boundary"))
+    left.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", title=f"mesh for 3 %: {len(triangles)} triangles")
+    left.legend(loc="lower left")
+    n = np.array([step["dofs"] for step in path])
+    right.loglog(n, [step["total"] for step in path], "o-", color="#0072B2", label="certified bound, all meshes")
+    right.loglog(unknowns, errors, "s", color="#D55E00", label="true error")
+    right.loglog(n, 0.6 * errors[-1] * np.sqrt(n[-1] / n), "k:", label="order $N^{-1/2}$")
+    right.set(xlabel="unknowns N", title="error in the energy norm")
+    right.legend(frameon=False)
+    page.savefig("certified.png", dpi=120)

@@ -1,0 +1,64 @@
+# %% [markdown]
+# # A membrane over an obstacle
+#
+# A membrane with tension 1 is held at the boundary of the square $\Omega = (-2, 2)^2$ and rests on a ball of radius 1.
+# Its height $u$ minimises the energy $\frac12 \int |\nabla u|^2$ among all functions with the given boundary values and
+# $u \ge \psi$, where $\psi$ is the upper side of the ball. Equivalently,
+#
+# $$ -\Delta u = p, \qquad u \ge \psi, \qquad p \ge 0, \qquad p\,(u - \psi) = 0 \quad \text{in } \Omega . $$
+#
+# The boundary values are those of a radial solution: the membrane touches the ball for $r \le a$, and is
+# $u = A \ln(R/r)$ outside with $R = 2$. Value and slope agree at $r = a$ if
+#
+# $$ a^2 \left(1 + \ln \frac Ra\right) = 1, \qquad A = \frac{a^2}{\sqrt{1 - a^2}}, $$
+#
+# so that $a = 0.69797$ and $A = 0.68026$. The force on the ball is $2\pi A$.
+#
+# Run it in the clone with `.venv/bin/python demos/membrane.py`, or in parallel with
+# `mpirun -n 2 .venv/bin/python demos/membrane.py`.
+
+# %%
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from fenicsx_obstacle import ObstacleProblem, releases
+
+a, A, R = 0.6979651482233736, 0.6802594118917189, 2.0
+domain = mesh.create_rectangle(MPI.COMM_WORLD, [np.array([-2.0, -2.0]), np.array([2.0, 2.0])], [64, 64])
+V = releases.functionspace(domain, "Lagrange", 1)
+u, v = fem.Function(V), ufl.TestFunction(V)
+F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+
+edge = fem.locate_dofs_geometrical(V, lambda x: np.isclose(abs(x[:2]).max(axis=0), 2.0))
+held = fem.Function(V)
+held.interpolate(lambda x: A * np.log(R / np.maximum(np.hypot(x[0], x[1]), a)))
+
+
+def ball(x):
+    """The ball; beyond r = 0.9, where there is no contact, its tangent cone."""
+    r = np.hypot(x[0], x[1])
+    cone = np.sqrt(1 - 0.9**2) - 0.9 / np.sqrt(1 - 0.9**2) * (r - 0.9)
+    return np.where(r < 0.9, np.sqrt(np.maximum(1 - r**2, 0)), cone)
+
+
+solution = ObstacleProblem(F, u, bcs=[fem.dirichletbc(held, edge)], lower=ball).solve()
+
+# %% [markdown]
+# `solution.u`, `solution.pressure` and `solution.contact` are DOLFINx Functions. Contact force and contact area are
+# numbers, the same on every rank.
+
+# %%
+radius = np.sqrt(solution.area / np.pi)
+if domain.comm.rank == 0:
+    print(f"force {solution.force.lower:.4f}, exact {2 * np.pi * A:.4f}")
+    print(f"contact radius {radius:.3f}, exact {a:.3f}; {solution.iterations} Newton steps")
+assert np.isclose(solution.force.lower, 2 * np.pi * A, rtol=2e-3)
+assert abs(radius - a) < 4 / 64  # one cell
+
+# %% [markdown]
+# The picture shows $u$ and, in colour, the contact pressure; the black line is the free boundary.
+
+# %%
+picture = solution.plot("membrane.png")

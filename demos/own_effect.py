@@ -1,0 +1,122 @@
+# %% [markdown]
+# # An effect of your own: a microswitch that is pulled in by a voltage
+#
+# A membrane hangs at distance 1 above an electrode. A voltage pulls it down with the force $\lambda/(1 + u)^2$ per
+# area,
+# where $\lambda$ is the square of the voltage in suitable units. The electrode has an insulating layer, on which the
+# membrane comes to rest, so that $u \ge -0.8$:
+#
+# $$ -u'' + \frac{\lambda}{(1 + u)^2} = p, \qquad u \ge -0.8, \quad p \ge 0, \quad p\,(u + 0.8) = 0
+#    \ \text{in } (-\tfrac12, \tfrac12), \qquad u(\pm\tfrac12) = 0 . $$
+#
+# The package does not know this force. An effect is one class: its name in a scene, its term in the residual
+# $a(u, v) - f(v)$ in UFL, and its energy. `data.cellwise(self.value)` is the datum, whatever the user gives: a
+# number, a formula, a Function. `data.dI` integrates by the nodal rule. The energy $-\lambda/(1 + u)$ is not convex.
+#
+# Run it in the clone with `.venv/bin/python demos/own_effect.py`.
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+from mpi4py import MPI
+from scipy.optimize import minimize_scalar
+
+from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.effects.effect import Effect, register
+
+comm = MPI.COMM_WORLD
+
+
+@register
+class Electrostatic(Effect):
+    """lambda/(1 + u)^2 on the left side, lambda >= 0; unit: force per area times length squared."""
+
+    key = "electrostatic"
+    equation = "electrostatic/(1 + u)^2"
+    left = True
+    term = "+ int electrostatic/(1 + u)^2 v"
+    unit = "force"
+    affine = False
+    convex = False
+
+    def terms(self, u, v, data):
+        return data.cellwise(self.value, least=0.0) / (1 + u) ** 2 * v * data.dI
+
+    def energy(self, u, data):
+        return -data.cellwise(self.value, least=0.0) / (1 + u) * data.dI
+
+
+# %% [markdown]
+# ## What to expect
+#
+# Without contact, multiply the equation by $u'$ and integrate from the middle, where the distance $1 + u$ has its
+# least value $\alpha$. The length of the interval then gives the load for each $\alpha$,
+#
+# $$ \lambda(\alpha) = 2\alpha \left(\sqrt{1 - \alpha}
+#    + \alpha \,\mathrm{arsinh} \sqrt{\tfrac{1 - \alpha}{\alpha}}\right)^2 . $$
+#
+# Its maximum, $\lambda = 1.400$ at $\alpha = 0.61$, is the load of *pull-in*: for larger loads there is no equilibrium
+# without contact. On the way back the membrane stays on the layer until $\lambda = \lambda(0.2) = 0.560$, where the
+# contact length becomes zero, and is then *released*.
+
+
+# %%
+def load_of(distance):
+    """lambda of the equilibrium without contact that has this distance in the middle."""
+    return 2 * distance * (np.sqrt(1 - distance) + distance * np.arcsinh(np.sqrt((1 - distance) / distance))) ** 2
+
+
+pull_in = -minimize_scalar(lambda distance: -load_of(distance), bounds=(0.3, 0.9), method="bounded").fun
+release = load_of(0.2)
+assert np.isclose(pull_in, 1.400, atol=1e-3) and np.isclose(release, 0.560, atol=1e-3)
+
+# %% [markdown]
+# ## Up and down
+#
+# `electrostatic` is now a key of scenes like `tension`. The load rises to 1.8 and falls to 0 again, slowly compared
+# with
+# the damping of the air, which is the effect `rate`. The state is therefore close to an equilibrium, except where it
+# snaps. With `tolerance` the time steps are chosen: they are short during the snaps.
+
+# %%
+scene = Scene(
+    title="Microswitch",
+    mesh={"shape": "interval", "x": [-0.5, 0.5], "cells": 128},
+    define={"voltage": "1.8*min(t, 2 - t)"},
+    tension=1,
+    rate=0.003,
+    electrostatic="voltage",
+    lower=-0.8,
+    time={"end": 2, "steps": 200, "tolerance": 1e-3, "start": 0},
+    report={"opening": "1 + at(u, 0)"},
+)
+history = solve(scene).time_history
+t, distance, contact = (history.column(name)[1:] for name in ("t", "opening", "contact_area"))
+load = 1.8 * np.minimum(t, 2 - t)
+
+closed = np.flatnonzero(contact > 0)
+up, down = load[closed[0]], load[closed[-1]]
+if comm.rank == 0:
+    print(f"pull-in at {up:.3f}, for an infinitely slow load {pull_in:.3f}")
+    print(f"release at {down:.3f}, for an infinitely slow load {release:.3f}")
+assert pull_in < up < 1.02 * pull_in
+assert abs(down - release) < 0.02
+assert np.isclose(distance.min(), 0.2, atol=1e-3)
+
+# %% [markdown]
+# The loop below follows the equilibria (black) where they are stable. Between pull-in and release there are two stable
+# states, open and closed, and the history decides.
+
+# %%
+if comm.rank == 0:
+    page, axes = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
+    half = np.argmax(t >= 1) + 1
+    axes.plot(load[:half], distance[:half], "-", color="#0072B2", linewidth=3, label="load rises")
+    axes.plot(load[half - 1 :], distance[half - 1 :], "-", color="#D55E00", linewidth=3, label="load falls")
+    alpha = np.linspace(0.2, 0.9999, 300)
+    axes.plot(load_of(alpha), alpha, "k--", linewidth=1, label=r"equilibria $\lambda(\alpha)$")
+    axes.set(xlabel=r"load $\lambda$", ylabel="distance in the middle", ylim=(0, 1.05))
+    axes.annotate("pull-in", (pull_in, 0.45), textcoords="offset points", xytext=(12, 0))
+    axes.annotate("release", (release, 0.3), textcoords="offset points", xytext=(-52, 0))
+    axes.legend(frameon=False)
+    page.savefig("own_effect.png", dpi=120)

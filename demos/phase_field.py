@@ -1,0 +1,175 @@
+# %% [markdown]
+# # An irreversible phase field: fracture in antiplane shear
+#
+# A phase-field model of fracture has two unknowns: the displacement $w$, here out of the plane, and the damage
+# $d \in [0, 1]$, which is 1 in a crack of width $\ell$. Damage never heals, $d \ge d_{\text{old}}$: at each load the
+# damage solves an obstacle problem whose lower obstacle is the damage of the previous load.
+#
+# With shear modulus $\mu$ and fracture energy $G_c$, the energy of the model AT1 is
+#
+# $$ E(w, d) = \int \tfrac12 \left((1 - d)^2 + \kappa\right) \mu\,|\nabla w|^2
+#    + \frac{3 G_c}{8} \int \left(\frac d\ell + \ell\,|\nabla d|^2\right), \qquad
+#    d_{\text{old}} \le d \le 1 . $$
+#
+# It is quadratic in $w$ for a given $d$ and quadratic in $d$ for a given $w$. The staggered scheme minimises in turn:
+# a linear problem for $w$, an obstacle problem for $d$, until neither changes.
+#
+# ## A crack that grows in proportion to the load
+#
+# The body is a strip of height $2H$. A crack of length $a_0$ in its middle line starts at the left side, where the two
+# arms above and below it are displaced by $w = \pm t$. Above a crack of length $a$ the arm carries $w = t\,(1 - x/a)$
+# if $a \gg H$, so that elastic energy and energy release rate of both arms are
+#
+# $$ E = \mu H\,\frac{t^2}{a}, \qquad G = -\frac{\partial E}{\partial a} = \mu H\,\frac{t^2}{a^2} . $$
+#
+# $G$ decreases with $a$, so the crack grows stably, with $G = G_c$:
+#
+# $$ a = t\,\sqrt{\mu H/G_c} + \text{const.} $$
+#
+# The tutorial loads up to $t = 3.25$ and then unloads: the crack must grow along this line and must not heal. $w$ is
+# odd and $d$ is even in $y$, so the upper half is enough, with $w = 0$ at $y = 0$.
+#
+# Run it in the clone with `.venv/bin/python demos/phase_field.py`.
+
+# %%
+from mpi4py import MPI  # first: where pip has installed dolfinx, MPI must be loaded before it
+
+# isort: split
+import dolfinx.fem.petsc  # noqa: F401  (not imported by dolfinx.fem in newer releases)
+import matplotlib.pyplot as plt
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from petsc4py import PETSc
+
+from fenicsx_obstacle import ObstacleProblem, releases
+
+comm = MPI.COMM_WORLD
+mu, G_c, H, a_0, ell, kappa = 1.0, 1.0, 1.0, 1.5, 0.1, 1e-5
+domain = mesh.create_rectangle(comm, [np.array([0.0, 0.0]), np.array([5.0, 1.0])], [125, 16])
+domain.geometry.x[:, 1] **= 1.7  # cells of height 0.009 beside the crack
+V = releases.functionspace(domain, "Lagrange", 1)
+w, d, d_old = fem.Function(V, name="w"), fem.Function(V, name="d"), fem.Function(V)
+test, trial = ufl.TestFunction(V), ufl.TrialFunction(V)
+
+elastic = 0.5 * ((1 - d) ** 2 + kappa) * mu * ufl.inner(ufl.grad(w), ufl.grad(w)) * ufl.dx
+surface = 3 * G_c / 8 * (d / ell + ell * ufl.inner(ufl.grad(d), ufl.grad(d))) * ufl.dx
+
+# %% [markdown]
+# ## The two problems
+#
+# Both are derivatives of the same energy. The damage is an `ObstacleProblem`. `lower=d_old` is the irreversibility;
+# `d_old` is a Function, and each `solve()` takes its present values. The displacement is an ordinary linear problem.
+
+# %%
+damage = ObstacleProblem(ufl.derivative(elastic + surface, d, test), d, lower=d_old, upper=1.0)
+
+
+def on(where):
+    """Dofs of the boundary facets where `where(x)` holds."""
+    return fem.locate_dofs_topological(V, 1, mesh.locate_entities_boundary(domain, 1, where))
+
+
+pulled = fem.Function(V)
+bcs = [
+    fem.dirichletbc(pulled, on(lambda x: np.isclose(x[0], 0.0))),
+    fem.dirichletbc(fem.Function(V), on(lambda x: np.isclose(x[1], 0.0))),  # the last one counts at the corner
+]
+K = fem.form(ufl.derivative(ufl.derivative(elastic, w, test), w, trial))
+zero = fem.form(fem.Constant(domain, 0.0) * test * ufl.dx)
+solver = PETSc.KSP().create(comm)
+solver.setType("preonly")
+solver.getPC().setType("lu")
+solver.getPC().setFactorSolverType("mumps")
+
+
+def displace():
+    """Minimise the energy over w (collective)."""
+    A, b = fem.petsc.assemble_matrix(K, bcs=bcs), fem.petsc.assemble_vector(zero)
+    A.assemble()
+    fem.petsc.apply_lifting(b, [K], bcs=[bcs])
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    fem.petsc.set_bc(b, bcs)
+    solver.setOperators(A)
+    x = b.duplicate()
+    solver.solve(b, x)
+    w.x.array[: V.dofmap.index_map.size_local] = x.array_r
+    w.x.scatter_forward()
+
+
+# %% [markdown]
+# ## Loading and unloading
+#
+# The crack length is measured by the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy
+# of
+# the upper half. The material ahead of the tip also yields, so that this length exceeds that of the damaged line by a
+# constant of about $H$.
+
+
+# %%
+def total(form):
+    """An integral over all ranks, for both halves."""
+    return 2 * comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
+
+
+energies = fem.form(elastic), fem.form(surface)
+d_old.interpolate(lambda x: np.where((x[0] <= a_0) & (x[1] < 1e-9), 1.0, 0.0))
+d.x.array[:] = d_old.x.array
+loads = [1, 1.5, 2, 2.25, 2.5, 2.75, 3, 3.25, 1.5, 0.5]
+lengths, surfaces = [], []
+for t in loads:
+    pulled.x.array[:] = t
+    change, steps = 1.0, 0
+    while change > 2e-3:
+        before = d.x.array.copy()
+        displace()
+        damage.solve(method="vi")
+        change = comm.allreduce(np.abs(d.x.array - before).max(initial=0.0), op=MPI.MAX)
+        steps += 1
+    assert comm.allreduce((d.x.array - d_old.x.array).min(initial=0.0), op=MPI.MIN) > -1e-12  # nowhere healed
+    d_old.x.array[:] = d.x.array
+    lengths.append(mu * H * t**2 / total(energies[0]))
+    surfaces.append(total(energies[1]))
+    if comm.rank == 0:
+        print(f"t = {t:4.2f}  {steps:3d} steps  crack length {lengths[-1]:.3f}  surface energy {surfaces[-1]:.3f}")
+
+# %% [markdown]
+# While the crack grows, from $t = 2.5$ on, its length follows $a = t\sqrt{\mu H/G_c}$ with the slope 1, and each unit
+# of length costs $G_c = 1$. When the load is removed, the length stays.
+
+# %%
+growing = slice(loads.index(2.5), loads.index(3.25) + 1)
+slope = np.polyfit(loads[growing], lengths[growing], 1)[0]
+cost = np.polyfit(lengths[growing], surfaces[growing], 1)[0]
+if comm.rank == 0:
+    print(
+        f"da/dt = {slope:.3f}, expected {np.sqrt(mu * H / G_c):.3f}; energy per length {cost:.3f}, expected {G_c:.3f}"
+    )
+assert np.isclose(slope, np.sqrt(mu * H / G_c), rtol=0.05)
+assert np.isclose(cost, G_c, rtol=0.05)
+assert np.allclose(lengths[-2:], max(lengths), rtol=1e-3)
+
+# %% [markdown]
+# ## Picture
+#
+# The damage at the end, with the lower half by symmetry, and the crack length over the load.
+
+# %%
+own = V.dofmap.index_map.size_local
+rows = np.column_stack([V.tabulate_dof_coordinates()[:own, :2], d.x.array[:own]])
+everywhere = comm.gather(rows)
+if comm.rank == 0:
+    x, y, values = np.concatenate(everywhere).T
+    page, (left, right) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained", width_ratios=(1.6, 1))
+    for sign in (1, -1):
+        image = left.tricontourf(x, sign * y, values, levels=np.linspace(0, 1.0001, 21), cmap="Greys")
+    left.set(title="damage d", xlabel="x", ylabel="y", aspect="equal")
+    page.colorbar(image, ax=left, ticks=[0, 0.5, 1], shrink=0.7)
+    up = len(loads) - 2
+    right.plot(loads[:up], lengths[:up], "o-", color="#0072B2", label="loading")
+    right.plot(loads[up - 1 :], lengths[up - 1 :], "s--", color="#D55E00", label="unloading")
+    t = np.array([2.25, 3.25])
+    right.plot(t, lengths[up - 1] + t - 3.25, "k:", linewidth=2, label="slope 1")
+    right.set(title="crack length a", xlabel="load t")
+    right.legend(frameon=False)
+    page.savefig("phase_field.png", dpi=120)
