@@ -17,7 +17,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
@@ -58,9 +58,9 @@ class Edges:
         return np.stack([self.start, self.end], axis=1)
 
 
-def edges_of(triangles: Triangles, cells: np.ndarray, opposite: np.ndarray) -> Edges:
+def edges_of(simplices: Simplices, cells: np.ndarray, opposite: np.ndarray) -> Edges:
     """The edges opposite to vertices of cells."""
-    start, end = (triangles.x[cells, (opposite + k) % 3] for k in (1, 2))
+    start, end = (simplices.x[cells, (opposite + k) % 3] for k in (1, 2))
     return Edges(start, end, cells)
 
 
@@ -242,7 +242,7 @@ def boundary_jump(data: Data) -> str | None:
     return jumps.in_words()
 
 
-def cut_parts(triangles: Triangles) -> list[str]:
+def cut_parts(simplices: Simplices) -> list[str]:
     """The parts with a value whose `where` ends inside an edge, or holds on other edges than those held (collective).
 
     On meshes that are not the domain itself an edge whose ends are both held is not looked at: the boundary lies beside
@@ -251,20 +251,20 @@ def cut_parts(triangles: Triangles) -> list[str]:
     Returns:
         One sentence for each.
     """
-    data, level, found = triangles.data, triangles.data.level, []
+    data, level, found = simplices.data, simplices.data.level, []
     extent = data.extent
-    outer = np.zeros(max(triangles.facets.max(initial=-1) + 1, 1), dtype=bool)
+    outer = np.zeros(max(simplices.facets.max(initial=-1) + 1, 1), dtype=bool)
     facets = level.boundary_facets
     outer[facets[facets < len(outer)]] = True
-    cells, opposite = np.nonzero(outer[triangles.facets])
-    edges = edges_of(triangles, cells, opposite)
+    cells, opposite = np.nonzero(outer[simplices.facets])
+    edges = edges_of(simplices, cells, opposite)
     every = np.arange(len(cells))
     short = SLIVER * extent / np.linalg.norm(edges.end - edges.start, axis=1)
     inside = edges.pieces(every, np.minimum(short, 0.25), np.maximum(1 - short, 0.75))
     for number, part in enumerate(data.model.boundary):
         if part.where is None or part.value is None:
             continue
-        held = np.isin(triangles.facets[cells, opposite], data.held[number])
+        held = np.isin(simplices.facets[cells, opposite], data.held[number])
         known = part.where.over(inside, {}, cells)
         if known is None:
             found.append(f"{part.name} where = {part.where.text} may end inside an edge: only its samples are known")

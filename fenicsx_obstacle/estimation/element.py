@@ -67,7 +67,7 @@ class Element(ABC):
     """One finite element on one mesh: what depends on mesh and data alone is made once.
 
     Attributes:
-        triangles: The owned cells.
+        simplices: The owned cells.
         equilibration: Makes flux and multipliers.
         tension: In the cells.
         dirichlet: Boundary values between the nodes.
@@ -87,19 +87,19 @@ class Element(ABC):
             equilibration: Of this element.
             middles: See `DirichletData`.
         """
-        self.equilibration, self.triangles = equilibration, equilibration.triangles
-        self.tension = Tension(self.triangles, equilibration.mu)
-        self.dirichlet = DirichletData(self.triangles, middles)
-        load, degree = load_of(self.triangles.data), 0 if middles is None else 1
-        self.oscillation = Oscillation(self.triangles, equilibration.load, load, degree)
-        self.held = held_boundary(self.triangles, equilibration.patches.held)
-        self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.triangles.data)}
+        self.equilibration, self.simplices = equilibration, equilibration.simplices
+        self.tension = Tension(self.simplices, equilibration.mu)
+        self.dirichlet = DirichletData(self.simplices, middles)
+        load, degree = load_of(self.simplices.data), 0 if middles is None else 1
+        self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
+        self.held = held_boundary(self.simplices, equilibration.patches.held)
+        self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.simplices.data)}
         self.reach = self._reach()
 
     def _range(self, obstacle: Field) -> Range:
         """Bounds of an obstacle in the cells."""
-        triangles = self.triangles
-        return range_of(triangles.data, obstacle, triangles.x, np.arange(len(triangles.area)))
+        simplices = self.simplices
+        return range_of(simplices.data, obstacle, simplices.x, np.arange(len(simplices.area)))
 
     def _reach(self) -> tuple[float, float]:
         """Bounds of the solution by comparison (collective).
@@ -110,7 +110,7 @@ class Element(ABC):
         a(z, z) = a(m - w - u, z) <= -(f^- + f, z) <= 0. Nor does it matter for u, if the lower obstacle is replaced by
         its maximum with such a bound: u satisfies that constraint too, and the inequality for fewer functions.
         """
-        data = self.triangles.data
+        data = self.simplices.data
         comm, pieces, load = data.level.comm, self.equilibration.load.pieces, load_of(data)
         limits = {1.0: -np.inf, -1.0: np.inf}
         if other_effects(data):
@@ -139,7 +139,7 @@ class Element(ABC):
     def given_obstacles(self) -> list[tuple[float, Field, Range]]:
         """The obstacles as `obstacles_of` has them, cut off beyond the reach of u, and their bounds in the cells."""
         found: list[tuple[float, Field, Range]] = []
-        for sign, obstacle in obstacles_of(self.triangles.data):
+        for sign, obstacle in obstacles_of(self.simplices.data):
             limit, known = self.reach[0] if sign > 0 else self.reach[1], self._ranges[sign]
             if np.isfinite(limit):
                 cut = Clipped(obstacle, sign, limit)

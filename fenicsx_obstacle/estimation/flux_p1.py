@@ -25,7 +25,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, other_effects, tension_of
-from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import total
 
@@ -58,32 +58,32 @@ class EquilibrationP1:
     """Everything about flux and multipliers that depends on mesh and data alone.
 
     Attributes:
-        triangles: The owned cells.
+        simplices: The owned cells.
         patches: Their corners around the vertices.
         mu: Tension of each cell, as the solver has it.
         load: Its moments are int_T f phi_l, shape (cells, 3), its oscillation ||f - f_0||_T.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
     """
 
-    def __init__(self, triangles: Triangles):
+    def __init__(self, simplices: Simplices):
         """Sample the load, sort the corners (collective)."""
-        self.triangles, data = triangles, triangles.data
+        self.simplices, data = simplices, simplices.data
         self.level = data.level
-        self.patches = VertexPatches(triangles)
-        self.mu = of_solver(triangles, data, tension_of(data), np.full((1, 3), 1 / 3), positive=True)[:, 0]
-        area = self.patches.gather(np.repeat((triangles.area / self.mu)[:, None] / 3, 3, axis=1))[0]
+        self.patches = VertexPatches(simplices)
+        self.mu = of_solver(simplices, data, tension_of(data), np.full((1, 3), 1 / 3), positive=True)[:, 0]
+        area = self.patches.gather(np.repeat((simplices.area / self.mu)[:, None] / 3, 3, axis=1))[0]
         self._softness = self.patches.at_vertices(area)  # int phi_i/mu
         self._prepare_others(other_effects(data))
-        self.load = Load(triangles, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
+        self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
         self.missing = self.patches.at_vertices(self.patches.gather(self.load.missing)[0])
-        x, y = triangles.x[..., 0], triangles.x[..., 1]
-        scale = 1 / (4 * triangles.area * self.mu)[:, None]
+        x, y = simplices.x[..., 0], simplices.x[..., 1]
+        scale = 1 / (4 * simplices.area * self.mu)[:, None]
         # the edge opposite to a vertex, and from each vertex to the middle of the cell
         to_x, to_y = x.mean(axis=1, keepdims=True) - x, y.mean(axis=1, keepdims=True) - y
-        edge_x, edge_y = triangles.normal[1] * scale, -triangles.normal[0] * scale
+        edge_x, edge_y = simplices.normal[1] * scale, -simplices.normal[0] * scale
         self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
         self._B = edge_x * previous(to_x) + edge_y * previous(to_y)
-        G = scale * (triangles.normal[0] ** 2 + triangles.normal[1] ** 2)
+        G = scale * (simplices.normal[0] ** 2 + simplices.normal[1] ** 2)
         self._fan_A, self._fan_B, fan_G = self.patches.gather(self._A, self._B, G)
         self._fan_G = self.patches.sums(fan_G)
 
@@ -94,7 +94,7 @@ class EquilibrationP1:
             return
         broken = releases.functionspace(self.level.mesh, "DG", 1)
         self._u, v = fem.Function(self.level.V), ufl.TestFunction(broken)
-        self._terms = releases.form(residual(effects, self._u, v, self.triangles.data))
+        self._terms = releases.form(residual(effects, self._u, v, self.simplices.data))
         self._moments_of_others = fem.Function(broken)
 
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
@@ -107,7 +107,7 @@ class EquilibrationP1:
             local.set(0.0)
         fem.petsc.assemble_vector(vector, self._terms)
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
-        return self.load.moments - self._moments_of_others.x.array[self.triangles.turned(dofs)]
+        return self.load.moments - self._moments_of_others.x.array[self.simplices.turned(dofs)]
 
     def flux(
         self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
@@ -121,8 +121,8 @@ class EquilibrationP1:
             touches_upper: Whether it is at the upper one or beyond it.
             gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
-        triangles, patches, V = self.triangles, self.patches, self.level.V
-        beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
+        simplices, patches, V = self.simplices, self.patches, self.level.V
+        beta = simplices.along_normals(simplices.gradient(u) * (-self.mu / 2))
         correction = next_(beta) * self._A + previous(beta) * self._B
         drops, correction = patches.gather(beta + self._all_moments(u), correction)
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
@@ -156,7 +156,7 @@ class EquilibrationP1:
 
     def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
         """Where u is given and touches, the mean of the neighbours: any value >= 0 will do, 0 is far off in contact."""
-        level, dofs, values = self.level, self.triangles.dofs, with_ghosts(self.level.V, values)
+        level, dofs, values = self.level, self.simplices.dofs, with_ghosts(self.level.V, values)
         wanted = touches & ~self.patches.free
         if total(level.comm, np.count_nonzero(wanted)) == 0:
             return values
@@ -177,8 +177,8 @@ class EquilibrationP1:
         """
         patches, own = self.patches, values[: self.level.owned]
         if total(self.level.comm, np.count_nonzero(own)) == 0:
-            return np.zeros(self.triangles.dofs.shape), np.zeros(len(patches.area))
-        along, corner = patches.along(own[patches.vertex]), values[self.triangles.dofs]
+            return np.zeros(self.simplices.dofs.shape), np.zeros(len(patches.area))
+        along, corner = patches.along(own[patches.vertex]), values[self.simplices.dofs]
         if gap is None:
             return corner, along
         gaps = patches.gather(np.repeat(gap[:, None], 3, axis=1))[0]

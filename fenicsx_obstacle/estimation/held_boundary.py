@@ -11,7 +11,7 @@ from math import pi
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 
@@ -61,26 +61,26 @@ class HeldBoundary:
         return load * self.area / (c * least_tension) if c > 0 else np.inf
 
 
-def held_boundary(triangles: Triangles, held_sides: np.ndarray) -> HeldBoundary:
+def held_boundary(simplices: Simplices, held_sides: np.ndarray) -> HeldBoundary:
     """Where u is given (collective).
 
     Args:
-        triangles: The owned cells.
+        simplices: The owned cells.
         held_sides: Whether u is given on the side opposite to each vertex, shape (cells, 3).
     """
-    level, x = triangles.data.level, triangles.x
+    level, x = simplices.data.level, simplices.x
     comm = level.comm
     lower = np.array([smallest(comm, x[..., axis]) for axis in range(2)])
     upper = np.array([largest(comm, x[..., axis]) for axis in range(2)])
     sides = upper - lower
-    outer = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
+    outer = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
     facets = level.boundary_facets
     outer[facets[facets < len(outer)]] = True
-    cells, opposite = np.nonzero(outer[triangles.facets])
+    cells, opposite = np.nonzero(outer[simplices.facets])
     held = held_sides[cells, opposite]
     ends = np.stack([x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]], axis=1)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    around, area = total(comm, length), total(comm, triangles.area)
+    around, area = total(comm, length), total(comm, simplices.area)
     everywhere = total(comm, length[held]) >= around * (1 - 1e-9)
     is_box = area >= np.prod(sides) * (1 - 1e-9)
     faces = np.zeros(2)

@@ -21,7 +21,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import Load
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1
@@ -64,17 +64,17 @@ class Oscillation:
         poincare: C.
     """
 
-    def __init__(self, triangles: Triangles, load: Load, value: Field | None, degree: int):
+    def __init__(self, simplices: Simplices, load: Load, value: Field | None, degree: int):
         """Bound it (collective).
 
         Args:
-            triangles: The cells.
+            simplices: The cells.
             load: What is known of the load.
             value: The load.
             degree: Of Pi f, 0 or 1.
         """
-        self._triangles, area = triangles, triangles.area
-        self.poincare = poincare(triangles.x, area)
+        self._simplices, area = simplices, simplices.area
+        self.poincare = poincare(simplices.x, area)
         count = len(area)
         self.norm, self.rest, self.second = (np.zeros(count) for _ in range(3))
         self.first = np.zeros((2, count))
@@ -92,12 +92,12 @@ class Oscillation:
         linear = (12 * moments - 3 * moments.sum(axis=1, keepdims=True)) / area[:, None] - mean[:, None]
         of_linear = area / 12 * ((linear**2).sum(axis=1) + linear.sum(axis=1) ** 2)
         if degree == 0:
-            middle = triangles.x.mean(axis=1, keepdims=True)
-            self.first = np.einsum("cl,clx->xc", moments, triangles.x - middle)
+            middle = simplices.x.mean(axis=1, keepdims=True)
+            self.first = np.einsum("cl,clx->xc", moments, simplices.x - middle)
             self._add_second(load.pieces.groups, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
         rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
-        comm = triangles.data.level.comm
+        comm = simplices.data.level.comm
         parts = total(comm, len(rough))
         if degree == 0:  # the error of P1 is of the size of the load times h
             of_load = total(comm, self.poincare**2 * (area * mean**2 + load.oscillation**2))
@@ -110,7 +110,7 @@ class Oscillation:
 
     def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""
-        x = self._triangles.x - self._triangles.x.mean(axis=1, keepdims=True)
+        x = self._simplices.x - self._simplices.x.mean(axis=1, keepdims=True)
         for whole in groups:
             points, weights = rule(2, whole.degree + 2)
             for block in blocks(len(whole.rows)):
@@ -118,7 +118,7 @@ class Oscillation:
                 there = np.matmul(part.points(points), x[part.rows])
                 distance = np.einsum("cpx,cpx->cp", there, there)
                 integrals = ((part.values(points) - mean[part.rows, None]) * distance) @ weights
-                size = part.share * self._triangles.area[part.rows]
+                size = part.share * self._simplices.area[part.rows]
                 self.second += np.bincount(part.rows, size * integrals, len(self.second))
 
     def _divided(self, cells: np.ndarray, value: Field, linear: np.ndarray, depth: int) -> np.ndarray:
@@ -130,11 +130,11 @@ class Oscillation:
             linear: Pi f at the vertices of these.
             depth: How often their edges are halved.
         """
-        triangles, area = self._triangles, self._triangles.area[cells]
+        simplices, area = self._simplices, self._simplices.area[cells]
         inside, count = _parts(depth), 4**depth
-        corners = (inside @ triangles.x[cells][:, None]).reshape(-1, 3, 2)
+        corners = (inside @ simplices.x[cells][:, None]).reshape(-1, 3, 2)
         size, nearest = np.repeat(area, count) / count, (inside @ linear[:, None, :, None]).reshape(-1, 3)
-        pieces = pieces_of(triangles.data, value, corners, np.repeat(cells, count), Division(1))
+        pieces = pieces_of(simplices.data, value, corners, np.repeat(cells, count), Division(1))
         means, squares, rests = (np.zeros(len(corners)) for _ in range(3))
         for group in pieces.groups:
             points, weights = rule(2, 2 * max(group.degree, 1))
@@ -149,7 +149,7 @@ class Oscillation:
         rest = self.poincare[cells] * np.sqrt((rests * size).reshape(-1, count).sum(axis=1))
         means = means.reshape(-1, count)
         means = (means - means.mean(axis=1, keepdims=True)) * (area / count)[:, None]
-        a, b = (triangles.x[cells, k] - triangles.x[cells, 0] for k in (1, 2))
+        a, b = (simplices.x[cells, k] - simplices.x[cells, 0] for k in (1, 2))
         metric = np.stack([np.einsum("cx,cx->c", p, q) for p, q in ((a, a), (a, b), (b, b))]) / (2 * area)
         between = np.einsum("kc,kij,ci,cj->c", metric, _energies(depth), means, means, optimize=True)
         return np.sqrt(np.maximum(between, 0.0)) + within + rest

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous
+from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous
 from fenicsx_obstacle.parallel import largest
 
 
@@ -36,14 +36,14 @@ class VertexPatches:
         exit_held: Whether u is given on the edge where a fan ends; open fans only.
     """
 
-    def __init__(self, triangles: Triangles):
+    def __init__(self, simplices: Simplices):
         """Sort the corners (collective)."""
-        data, dofs = triangles.data, triangles.dofs
+        data, dofs = simplices.data, simplices.dofs
         self.comm, self.owned = data.level.comm, data.level.owned
-        is_held = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
+        is_held = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
         for facets in data.held:
             is_held[facets[facets < len(is_held)]] = True
-        self.held = is_held[triangles.facets]
+        self.held = is_held[simplices.facets]
         self.free = np.ones(self.owned, dtype=bool)
         fixed = data.fixed[0]
         self.free[fixed[fixed < self.owned]] = False
@@ -62,7 +62,7 @@ class VertexPatches:
         a = a - starts[self.comm.rank]
         entry_held, exit_held = ends % 2 > 0, ends > 1
         self._sort(a, self._links(entry, exit_, entry_held, exit_held), entry_held, exit_held)
-        self.area = self.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0]
+        self.area = self.gather(np.repeat(simplices.area[:, None] / 3, 3, axis=1))[0]
         self.mass = self.at_vertices(self.area)
 
     def _links(self, entry: np.ndarray, exit_: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 
 
-class Triangles:
+class Simplices:
     """The owned cells of a level of P1 on triangles in the plane (nothing here is collective but `values`).
 
     Attributes:
