@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.edges import Jumps, edges_of
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import gauss
@@ -45,7 +46,7 @@ class _Difference:
     slope: np.ndarray = field(repr=False)
 
 
-class DirichletData:
+class DirichletData(BoundaryValues):
     """Boundary values along the edges where u is given (d = g - g_h, zero at the nodes).
 
     Attributes:

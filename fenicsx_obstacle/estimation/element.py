@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, obstacles_of, other_effects
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
@@ -17,7 +18,9 @@ from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.held_boundary import held_boundary
 from fenicsx_obstacle.estimation.oscillation import Oscillation
 from fenicsx_obstacle.estimation.pieces import Range, range_of
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.estimation.standing import Obstacle
+from fenicsx_obstacle.estimation.surface_data import SurfaceData
 from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the heights: obstacles are cut off so much farther away than u can be
@@ -89,7 +92,7 @@ class Element(ABC):
         """
         self.equilibration, self.simplices = equilibration, equilibration.simplices
         self.tension = Tension(self.simplices, equilibration.mu)
-        self.dirichlet = DirichletData(self.simplices, middles)
+        self.dirichlet = _boundary_values(self.simplices, middles)
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
         self.held = held_boundary(self.simplices, equilibration.patches.held)
@@ -157,3 +160,10 @@ class Element(ABC):
             touches_lower: Whether u is at the lower obstacle or beyond it, at owned dofs.
             touches_upper: Whether it is at the upper one or beyond it.
         """
+
+
+def _boundary_values(simplices: Simplices, middles: np.ndarray | None) -> BoundaryValues:
+    """Boundary values between the nodes (collective)."""
+    if simplices.dim == 2:
+        return DirichletData(simplices, middles)
+    return SurfaceData(simplices) if simplices.dim == 3 else BoundaryValues(simplices)

@@ -440,6 +440,7 @@ class ElementP2(Element):
     """P2 on one mesh: what depends on mesh and data alone is made once."""
 
     equilibration: EquilibrationP2
+    dirichlet: DirichletData
     obstacles: list[LatticeObstacle]
 
     def __init__(self, problem: Problem):

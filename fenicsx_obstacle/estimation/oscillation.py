@@ -1,13 +1,13 @@
 """What the load is beyond the polynomials that the equilibrated flux sigma is in balance with.
 
-In each triangle T let g = f - Pi f and tau the smallest field with div tau = -g and no normal part on the boundary of
+In each cell T let g = f - Pi f and tau the smallest field with div tau = -g and no normal part on the boundary of
 T: sigma + tau is in balance with the load itself. Up to the mean of g, which quadrature leaves and Friedrichs' constant
 bounds, tau = grad w with a w of mean zero, so that
 
     ||tau||_T <= C ||g||_T   by Poincare's inequality,   (grad Q, tau)_T = (g, Q)_T   for every Q.
 
-Where the mesh does not resolve the load the first is far off. There T is divided, and tau is the sum of a flux in RT0
-on the parts, which has the means of g on them, and of such fields in the parts.
+Where the mesh does not resolve the load the first is far off. There triangles are divided, and tau is the sum of a flux
+in RT0 on the parts, which has the means of g on them, and of such fields in the parts.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import Load
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.shapes import longest_edges
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
 
@@ -32,15 +33,18 @@ DEEPEST = 4
 
 
 def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """C with ||v|| <= C ||grad v|| for functions of mean zero in triangles.
+    """C with ||v|| <= C ||grad v|| for functions of mean zero in convex cells.
 
-    It is at most diameter/j_11 (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
+    It is at most diameter/pi (Payne and Weinberger 1960, Bebendorf 2003). In triangles it is at most diameter/j_11
+    (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
     the right isosceles one with legs of length 1; an affine map multiplies it by its norm at most.
 
     Args:
-        x: Corners, shape (cells, 3, 2).
-        area: Of the triangles.
+        x: Corners, shape (cells, d + 1, d).
+        area: |T|.
     """
+    if x.shape[2] != 2:
+        return longest_edges(x) / np.pi
     sides = np.stack([((x[:, (k + 2) % 3] - x[:, (k + 1) % 3]) ** 2).sum(axis=1) for k in range(3)], axis=1)
 
     def norm(squares: np.ndarray, determinant: np.ndarray) -> np.ndarray:
@@ -59,7 +63,7 @@ class Oscillation:
     Attributes:
         norm: Bound of ||tau||_T.
         rest: The part of it that is due to the load's distance to polynomials q on parts of the cells.
-        first: int g (x - middle) with q in place of f, shape (2, cells).
+        first: int g (x - middle) with q in place of f, shape (d, cells).
         second: int g |x - middle|^2 with q in place of f, shape (cells,).
         poincare: C.
     """
@@ -77,7 +81,8 @@ class Oscillation:
         self.poincare = poincare(simplices.x, area)
         count = len(area)
         self.norm, self.rest, self.second = (np.zeros(count) for _ in range(3))
-        self.first = np.zeros((2, count))
+        dim = simplices.dim
+        self.first = np.zeros((dim, count))
         if load.pieces is None or value is None:
             return
         squares = np.zeros(count)
@@ -88,9 +93,10 @@ class Oscillation:
         self.norm = self.poincare * load.oscillation
         moments = load.moments if degree == 0 else load.moments.sum(axis=2)  # int f psi_l
         mean = moments.sum(axis=1) / area
-        # Pi_1 f has the values 9 m_l - 3 (sum of the others) over the area at the vertices
-        linear = (12 * moments - 3 * moments.sum(axis=1, keepdims=True)) / area[:, None] - mean[:, None]
-        of_linear = area / 12 * ((linear**2).sum(axis=1) + linear.sum(axis=1) ** 2)
+        # the nodal values of Pi_1 f, by the inverse of the mass matrix
+        inverse = (dim + 2) * moments - moments.sum(axis=1, keepdims=True)
+        linear = (dim + 1) * inverse / area[:, None] - mean[:, None]
+        of_linear = area / ((dim + 1) * (dim + 2)) * ((linear**2).sum(axis=1) + linear.sum(axis=1) ** 2)
         if degree == 0:
             middle = simplices.x.mean(axis=1, keepdims=True)
             self.first = np.einsum("cl,clx->xc", moments, simplices.x - middle)
@@ -104,7 +110,7 @@ class Oscillation:
             if total(comm, self.norm[rough] ** 2) <= SMALL**2 * of_load:
                 return
         depth = next((d for d in range(DEEPEST, 0, -1) if parts * 4**d <= PARTS), 0)
-        if depth > 0 and len(rough) > 0 and value.parts is None:
+        if dim == 2 and depth > 0 and len(rough) > 0 and value.parts is None:
             values = mean[:, None] + (linear if degree > 0 else 0.0 * linear)
             self.norm[rough] = np.minimum(self.norm[rough], self._divided(rough, value, values[rough], depth))
 
@@ -112,7 +118,7 @@ class Oscillation:
         """Integrate (q - mean) |x - middle|^2."""
         x = self._simplices.x - self._simplices.x.mean(axis=1, keepdims=True)
         for whole in groups:
-            points, weights = rule(2, whole.degree + 2)
+            points, weights = rule(self._simplices.dim, whole.degree + 2)
             for block in blocks(len(whole.rows)):
                 part = whole[block]
                 there = np.matmul(part.points(points), x[part.rows])

@@ -7,16 +7,18 @@ may touch it; elsewhere its bounds are enough.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
-from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import largest, total
 
 # where u may touch; what counts is the distance to the nodal interpolant
@@ -44,8 +46,8 @@ class Peaks:
     def __init__(
         self,
         simplices: Simplices,
-        patches: VertexPatches,
-        dirichlet: DirichletData,
+        patches: Patches,
+        dirichlet: BoundaryValues,
         sign: float,
         field: Field,
         known: Range,
@@ -92,7 +94,9 @@ class Peaks:
         for group in pieces.groups:
             coefficient, room = self._above(group, nodal)
             known = np.isfinite(group.rest)
-            top = polynomials.largest(coefficient, 3, max(group.degree, 1)) + np.where(known, group.rest, 0.0)
+            top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + np.where(
+                known, group.rest, 0.0
+            )
             side = group.upper if self.sign > 0 else -group.lower
             top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
             group.raise_to(highest, np.where(top <= room, 0.0, top + room))
@@ -105,7 +109,9 @@ class Peaks:
         """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
         degree, coefficient = group.above(linear, self.sign)
         size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(linear[group.rows]))
-        return coefficient, polynomials.round_off(size[:, None], 3, degree) + ROUND_OFF * self._heights
+        return coefficient, polynomials.round_off(
+            size[:, None], self.simplices.dim + 1, degree
+        ) + ROUND_OFF * self._heights
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """Nodal heights of an obstacle that is nowhere below this one where u may touch it (collective).
@@ -160,7 +166,8 @@ class Peaks:
         simplices, comm = self.simplices, self.simplices.data.level.comm
         self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
         owner = np.flatnonzero(beside)
-        corners, inside = simplices.x[owner], np.broadcast_to(np.eye(3), (len(owner), 3, 3))
+        count, times = simplices.dim + 1, 2**simplices.dim
+        corners, inside = simplices.x[owner], np.broadcast_to(np.eye(count), (len(owner), count, count))
         for split in range(BESIDE + 1):
             pieces = pieces_of(simplices.data, self._field, corners, owner, Division(0))
             linear = (inside @ state[simplices.dofs[owner]][..., None])[..., 0]
@@ -169,11 +176,11 @@ class Peaks:
             for group in pieces.groups:
                 coefficient, room = self._above(group, linear)
                 beyond = group.rest - cones[group.rows]
-                open_ = np.flatnonzero(polynomials.largest(coefficient, 3, max(group.degree, 1)) + beyond > room)
+                open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > room)
                 rows = group.rows[open_]
                 above[rows] = True
                 if last:
-                    measure = simplices.area[owner[rows]] * group.share[open_] / 4**split
+                    measure = simplices.area[owner[rows]] * group.share[open_] / times**split
                     height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
                     steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
                     np.add.at(self.cover_volume, owner[rows], measure * height)
@@ -181,7 +188,7 @@ class Peaks:
             uncovered = np.count_nonzero(above)
             if last:
                 break
-            owner = np.repeat(owner[above], 4)
+            owner = np.repeat(owner[above], times)
             corners, inside = polynomials.halved(corners[above]), polynomials.halved(inside[above])
         jumps = total(comm, uncovered) > 0 and not self._field.continuous
         self.sampled = self._of_samples or jumps
@@ -196,5 +203,4 @@ class Peaks:
 
 def _least(nodal: np.ndarray, dofs: np.ndarray) -> np.ndarray:
     """The least value at the vertices of each cell."""
-    a, b, c = (nodal[dofs[:, k]] for k in range(3))
-    return np.minimum(np.minimum(a, b), c)
+    return reduce(np.minimum, (nodal[column] for column in dofs.T))

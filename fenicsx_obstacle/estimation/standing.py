@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -54,7 +54,7 @@ class Standing:
 class Hypotheses:
     """What is known of the data on one mesh, without sampling."""
 
-    def __init__(self, simplices: Simplices, tension: Pieces | None, load: Pieces | None, dirichlet: DirichletData):
+    def __init__(self, simplices: Simplices, tension: Pieces | None, load: Pieces | None, dirichlet: BoundaryValues):
         """Look at the parts of the boundary (collective).
 
         Args:
@@ -67,7 +67,7 @@ class Hypotheses:
         comm = simplices.data.level.comm
         self._reasons = cut_parts(simplices)
         self._middles = np.zeros((len(simplices.area), 3))
-        self._middles[:, :2] = simplices.x.mean(axis=1)
+        self._middles[:, : simplices.dim] = simplices.x.mean(axis=1)
         self._sampled = []
         for name, pieces, wrong in (
             ("tension", tension, "tension may be 0, negative, infinite or undefined"),
