@@ -129,12 +129,12 @@ class TreeEquilibration(EquilibrationP1):
             part = np.empty((len(self.mu), 4))
             for a, others in enumerate(OTHERS[3]):
                 one, other, third = (y[others[n]] for n in (j, k, m))
-                part[:, a] = np.sum([(one[n] - third[n]) * (other[n] - one[n]) for n in range(3)], axis=0)
+                part[:, a] = np.sum([(p - r) * (q - p) for p, q, r in zip(one, other, third, strict=True)], axis=0)
             products.append(part * self._scale[:, None])
         values = np.zeros(blocks[-1])
-        for j, found in enumerate(patches.gather(*products)):
-            k, m = numbers[:, (j + 1) % 3], numbers[:, (j + 2) % 3]
-            values += np.bincount(row[k] + column[m], found, len(values))
+        for j, gathered in enumerate(patches.gather(*products)):
+            one_edge, other_edge = numbers[:, (j + 1) % 3], numbers[:, (j + 2) % 3]
+            values += np.bincount(row[one_edge] + column[other_edge], gathered, len(values))
         zero = np.zeros(count, dtype=bool)
         for j in range(3):
             chosen = patches.free_boundary[:, j]

@@ -47,8 +47,8 @@ class HeldBoundary:
 
         In the plane V(t) is the area of {w > t} and P(t) the length of its boundary in the domain and where w = 0 is
         given. With the coarea formula and Cauchy's inequality P^2 <= -V' int_{w = t} |grad w| <= -V' load V/mu. So
-        P^2 >= c V gives -V' >= c mu/load, and max w <= load area/(c mu). Held all around, c = 4 pi is the isoperimetric inequality
-        (Talenti 1976). In a box L x H with w = 0 on a face of length H, c = min(1, H/L): each line across this face
+        P^2 >= c V gives -V' >= c mu/load, and max w <= load area/(c mu). Held all around, c = 4 pi is the isoperimetric
+        inequality (Talenti 1976). In a box L x H with w = 0 on a face of length H, c = min(1, H/L): each line across it
         that meets {w > t} has an end of it, so that P >= H if all of them do; otherwise no line along the face lies in
         the set, P is at least the length of both its shadows, and V at most their product. On intervals P is at least
         the number of ends where w = 0 is given, V' V <= -P^2 mu/load, and max w <= load length^2/(2 P^2 mu). In solids,
