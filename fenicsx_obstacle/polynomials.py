@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from functools import cache, reduce
 from itertools import product
-from math import factorial, prod
+from math import comb, factorial, prod
 
 import numpy as np
 
@@ -17,10 +17,10 @@ MAX_DEGREE = 8
 SPLITS = 2
 INSET = 0.1  # of the way from the points of the lattice to the middle
 # |f - I f| <= REMAINDER h^n max|D^n f|/n!, n = degree + 1, for the interpolant at `inner_points`, h the longest edge,
-# since f - I f = -sum_i L_i(x) D^n f(..)(a_i - x)^n/n! (Ciarlet and Raviart 1972); of segments and triangles, by degree
-REMAINDER = {2: {1: 0.203, 2: 0.0825, 4: 0.179}, 3: {1: 0.361, 2: 0.149, 4: 0.298}}
+# since f - I f = -sum_i L_i(x) D^n f(..)(a_i - x)^n/n! (Ciarlet and Raviart 1972); by corners of the simplex and degree
+REMAINDER = {2: {1: 0.203, 2: 0.0825, 4: 0.179}, 3: {1: 0.361, 2: 0.149, 4: 0.298}, 4: {1: 0.456, 2: 0.291, 4: 0.374}}
 # likewise |grad(f - I f)| <= STEEPNESS h^n max|D^n f|/n!/H, H the least height
-STEEPNESS = {2: {2: 1.79, 4: 4.77}, 3: {2: 3.82, 4: 10.9}}
+STEEPNESS = {2: {2: 1.79, 4: 4.77}, 3: {2: 3.82, 4: 10.9}, 4: {2: 6.27, 4: 21.0}}
 _EPSILON = float(np.finfo(float).eps)
 
 
@@ -97,7 +97,7 @@ def to_parts(parts: np.ndarray, degree: int) -> np.ndarray:
 
 
 def halved(corners: np.ndarray) -> np.ndarray:
-    """Segments in two, triangles in four: the parts of one follow each other.
+    """Segments in two, triangles in four, tetrahedra in eight: the parts of one follow each other.
 
     Args:
         corners: Shape (simplices, corners, ...).
@@ -107,10 +107,16 @@ def halved(corners: np.ndarray) -> np.ndarray:
     if corners.shape[1] == 2:
         m = (a + b) / 2
         parts = [(a, m), (m, b)]
-    else:
+    elif corners.shape[1] == 3:
         c = corners[:, 2]
         d, e, f = (b + c) / 2, (c + a) / 2, (a + b) / 2
         parts = [(a, f, e), (f, b, d), (e, d, c), (d, e, f)]
+    else:
+        c, d = corners[:, 2], corners[:, 3]
+        ab, ac, ad, bc, bd, cd = (a + b) / 2, (a + c) / 2, (a + d) / 2, (b + c) / 2, (b + d) / 2, (c + d) / 2
+        parts = [(a, ab, ac, ad), (ab, b, bc, bd), (ac, bc, c, cd), (ad, bd, cd, d)]
+        # the octahedron inside around its diagonal from ac to bd
+        parts += [(ac, bd, p, q) for p, q in ((ab, bc), (bc, cd), (cd, ad), (ad, ab))]
     stacked = np.stack([np.stack(part, axis=1) for part in parts], axis=1)
     return stacked.reshape(-1, *corners.shape[1:])
 
@@ -121,9 +127,9 @@ def round_off(values: np.ndarray, corners: int, degree: int) -> np.ndarray:
     return 8 * _EPSILON * amplified * row_size(values)
 
 
-def degree_of(count: int) -> int:
-    """Of polynomials on triangles with so many coefficients."""
-    return next(degree for degree in range(count) if (degree + 1) * (degree + 2) == 2 * count)
+def degree_of(count: int, corners: int) -> int:
+    """Of polynomials on simplices with so many coefficients."""
+    return next(degree for degree in range(count) if comb(degree + corners - 1, degree) == count)
 
 
 def evaluate(coefficients: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:

@@ -21,7 +21,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.bound import Bound
-from fenicsx_obstacle.estimation.triangles import halved_rule
+from fenicsx_obstacle.estimation.simplices import halved_rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
 from fenicsx_obstacle.scenes import catalogue
@@ -93,16 +93,16 @@ def test_the_flux_is_in_balance():
         context = SolverContext(scene)
         context.answer()
         problem, element = context.problem, context.estimator.element
-        triangles, equilibration = element.triangles, element.equilibration
+        simplices, equilibration = element.simplices, element.equilibration
         lower, upper = problem.gaps()
         flux = equilibration.flux(problem.solution().x.array, lower <= 0, upper <= 0)
-        pressure = (flux.lower - flux.upper + flux.rest[triangles.dofs]).mean(axis=1)
-        load = equilibration.load.moments.sum(axis=1) / triangles.area  # f_0
+        pressure = (flux.lower - flux.upper + flux.rest[simplices.dofs]).mean(axis=1)
+        load = equilibration.load.moments.sum(axis=1) / simplices.area  # f_0
         scale = largest(COMM, np.abs(load)) + largest(COMM, np.abs(pressure))
-        balance = flux.normal.sum(axis=1) / triangles.area + load + pressure
+        balance = flux.normal.sum(axis=1) / simplices.area + load + pressure
         assert largest(COMM, np.abs(balance)) < 1e-13 * max(scale, 1.0) * 10
-        both = np.bincount(triangles.facets.ravel(), weights=flux.normal.ravel())
-        inside = np.bincount(triangles.facets.ravel()) == 2
+        both = np.bincount(simplices.facets.ravel(), weights=flux.normal.ravel())
+        inside = np.bincount(simplices.facets.ravel()) == 2
         assert largest(COMM, np.abs(both[inside])) <= 2e-15 * largest(COMM, np.abs(flux.normal))
         assert flux.incompatible <= 1e-14 * largest(COMM, np.abs(flux.normal))
         assert largest(COMM, np.abs(flux.rest)) < (1e-6 if name == "ball" else np.inf)  # its load is constant
@@ -152,12 +152,12 @@ def test_admissible_state_is_admissible():
         scene = scenes()[name]
         context = SolverContext(scene)
         v = context.answer(bound=True).bound.admissible.x.array
-        triangles, (points, _) = context.estimator.element.triangles, halved_rule(2)
+        simplices, (points, _) = context.estimator.element.simplices, halved_rule(2)
         for side, sign in (("lower", 1), ("upper", -1)):
             text = getattr(scene.tables.obstacle, side)
             if text is not None:
-                obstacle = triangles.values(scene.field(text, side), points)
-                gap = sign * (v[triangles.dofs] @ points.T - obstacle)
+                obstacle = simplices.values(scene.field(text, side), points)
+                gap = sign * (v[simplices.dofs] @ points.T - obstacle)
                 assert smallest(COMM, gap) > -ROUND_OFF
         dofs, values = context.problem.data.fixed
         assert largest(COMM, np.abs((v - values.x.array)[dofs])) < ROUND_OFF
@@ -241,9 +241,8 @@ def test_what_it_does_not_know_is_said():
     torn = membrane(load=1, boundary=[{"value": 0}, {"on": "top", "value": 1}])
     with pytest.raises(InputError, match=r"boundary values jump at \(., 1\), from 0 to 1"):
         solve(torn, bound=True)
-    for mesh in ({"shape": "interval"}, {"shape": "box", "cells": 4}, {"shape": "rectangle", "cell": "quadrilateral"}):
-        with pytest.raises(InputError, match="P1 on triangles"):
-            solve(Scene(mesh=mesh, tension=1, load=1), bound=True)
+    with pytest.raises(InputError, match="P1 on intervals"):
+        solve(Scene(mesh={"shape": "rectangle", "cell": "quadrilateral"}, tension=1, load=1), bound=True)
 
 
 def test_held_curves_inside():
@@ -315,14 +314,14 @@ def random_case(**given) -> tuple[Bound, float, float]:
         u.x.array[~fixed(problem)] += (given["noise"] * np.sin(37 * x + 11 * y) * np.cos(91 * y))[~fixed(problem)]
         problem.set_reference(u.x.array)
     bound = context.estimator.bound()
-    triangles, (points, weights) = context.estimator.element.triangles, halved_rule(1)
-    x, y = np.moveaxis(points @ triangles.x, 2, 0)
+    simplices, (points, weights) = context.estimator.element.simplices, halved_rule(1)
+    x, y = np.moveaxis(points @ simplices.x, 2, 0)
     slope = d * np.cos(k * x + m * y + phase)
     exact = np.stack([b + k * slope, c + m * slope])
 
     def error(state: fem.Function) -> float:
-        e = exact - triangles.gradient(state.x.array)[:, :, None]
-        return np.sqrt(mu * total(COMM, triangles.area * ((e**2).sum(axis=0) @ weights)))
+        e = exact - simplices.gradient(state.x.array)[:, :, None]
+        return np.sqrt(mu * total(COMM, simplices.area * ((e**2).sum(axis=0) @ weights)))
 
     return bound, error(u), error(bound.admissible)
 

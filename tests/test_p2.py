@@ -12,7 +12,7 @@ from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation import rt1
 from fenicsx_obstacle.estimation.contact import touching
-from fenicsx_obstacle.estimation.triangles import lattice
+from fenicsx_obstacle.estimation.simplices import lattice
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes import catalogue
 
@@ -63,12 +63,12 @@ def test_the_flux_is_in_balance(perturb):
             context.answer(bound=True)
             element, problem = context.estimator.element, context.problem
             flux = element.equilibration.flux(problem.solution().x.array, *touching(problem))
-            triangles = element.triangles
+            simplices = element.simplices
             load = element.equilibration.load.moments.sum(axis=(1, 2))
-            others = (flux.lower - flux.upper + flux.rest).mean(axis=1) * triangles.area
+            others = (flux.lower - flux.upper + flux.rest).mean(axis=1) * simplices.area
             scale = largest(COMM, np.abs(flux.normal))
             assert largest(COMM, np.abs(flux.normal.sum(axis=1) + load + others)) < 1e-14 * max(scale, 1)
-            facets, count = triangles.facets.ravel(), np.bincount(triangles.facets.ravel())
+            facets, count = simplices.facets.ravel(), np.bincount(simplices.facets.ravel())
             inside = count == 2
             both = np.bincount(facets, weights=flux.normal.ravel())[inside]
             # out of the other cell, along the other direction: the moment is the same number

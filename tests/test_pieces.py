@@ -29,7 +29,7 @@ def pieces(data, text, x, division=DIVISION):
     return pieces_of(data, field, np.asarray(x, dtype=float), np.zeros(len(x), dtype=int), division)
 
 
-@pytest.mark.parametrize("corners", [2, 3])
+@pytest.mark.parametrize("corners", [2, 3, 4])
 @pytest.mark.parametrize("degree", [1, 2, 4])
 def test_constants_of_the_remainder(corners, degree):
     """They are the largest values of sum |L_i| |a_i - x|^n, lengths being at most half the sum of the differences of

@@ -89,18 +89,18 @@ def test_forces_keep_their_sum(element):
     )
     context.answer()
     problem, found = context.problem, context.estimator.element
-    triangles = found.triangles
+    simplices = found.simplices
     state = problem.solution().x.array, *touching(problem)
     nodal = found.equilibration.flux(*state).lower
-    far = np.linspace(0, 1, len(triangles.area))  # of each cell, in no order
+    far = np.linspace(0, 1, len(simplices.area))  # of each cell, in no order
     moved = found.equilibration.flux(*state, (far, None)).lower
     assert moved.min(initial=0.0) >= 0 and np.any(moved != nodal)
-    dofs = triangles.dofs if element == "P1" else found.equilibration.nodes[:, 3:]
+    dofs = simplices.dofs if element == "P1" else found.equilibration.nodes[:, 3:]
     force = fem.Function(problem.level.V)
     for values, sign in ((nodal, 1), (moved, -1)):
-        np.add.at(force.x.array, dofs, sign * triangles.area[:, None] * values)
+        np.add.at(force.x.array, dofs, sign * simplices.area[:, None] * values)
     add_ghosts(force)
-    scale = largest(COMM, nodal) * largest(COMM, triangles.area)
+    scale = largest(COMM, nodal) * largest(COMM, simplices.area)
     free = np.setdiff1d(np.arange(problem.level.owned), problem.data.fixed[0])
     assert scale > 0 and largest(COMM, np.abs(force.x.array[free])) <= 1e-12 * scale
 

@@ -177,8 +177,8 @@ class _Piecewise:
 
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         points = polynomials.inner_points(self.corners.shape[1], degree)
-        x = np.zeros((len(cells) * len(points), 3))
-        x[:, :2] = (points @ self.corners[cells]).reshape(-1, 2)
+        x, dim = np.zeros((len(cells) * len(points), 3)), self.corners.shape[2]
+        x[:, :dim] = (points @ self.corners[cells]).reshape(-1, dim)
         if not len(cells):
             return np.empty((0, len(points)))
         return self.function.eval(x, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)

@@ -144,10 +144,10 @@ class Field:
         return []
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
-        """Bounds over simplices in the plane; None where none are known.
+        """Bounds over simplices; None where none are known.
 
         Args:
-            corners: Shape (simplices, corners, 2).
+            corners: Shape (simplices, corners, coordinates).
             names: As for `at`.
             cells: The local cell that each lies in.
         """

@@ -92,15 +92,15 @@ class Estimator:
         refuse_no_bound(problem)
         self.problem, comm = problem, problem.level.comm
         self.element: Element = (ElementP2 if problem.level.pair.has_p1_coarse_space else ElementP1)(problem)
-        triangles, tension, load = self.element.triangles, self.element.tension, self.element.equilibration.load
+        simplices, tension, load = self.element.simplices, self.element.tension, self.element.equilibration.load
         held = self.element.equilibration.patches.held
         self._held_somewhere = total(comm, np.count_nonzero(held)) > 0
         constant, self._exact_constant = self.element.held.friedrichs()
         self._friedrichs = constant / sqrt(smallest(comm, tension.least))
         self._rim_energy = self.element.dirichlet.energy(tension.most)
         # the mean of what the load is beyond its polynomials is in no balance
-        self._load_rest = self._friedrichs * sqrt(total(comm, triangles.area * load.rest**2))
-        self._hypotheses = Hypotheses(triangles, tension.pieces, load.pieces, self.element.dirichlet)
+        self._load_rest = self._friedrichs * sqrt(total(comm, simplices.area * load.rest**2))
+        self._hypotheses = Hypotheses(simplices, tension.pieces, load.pieces, self.element.dirichlet)
 
     def use_estimator_load(self) -> None:
         """Let the problem have the load by the quadrature used here, which sees where data jump (collective)."""

@@ -1,4 +1,4 @@
-"""Tension, load and obstacles in the cells of a plane mesh: as the solver has them, and as they are."""
+"""Tension, load and obstacles in the cells: as the solver has them, and as they are."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 TENSION = Division(4, share=1 / 256)  # a fourth of the parts of Division(6), for .3 % more on bounds with jumps
@@ -54,44 +54,44 @@ def obstacles_of(data: Data) -> list[tuple[float, Field]]:
 
 
 def of_solver(
-    triangles: Triangles, data: Data, value: Field, points: np.ndarray, *, positive: bool = False
+    simplices: Simplices, data: Data, value: Field, points: np.ndarray, *, positive: bool = False
 ) -> np.ndarray:
     """What the solver has of a datum at barycentric points of the cells, shape (cells, points) (collective on first
     use).
 
     Args:
-        triangles: The cells.
+        simplices: The cells.
         data: Of the solver's elements on the same mesh.
         value: Of the datum.
-        points: Barycentric coordinates, shape (points, 3).
+        points: Barycentric coordinates, shape (points, vertices).
         positive: Whether values that are not positive are an error.
     """
-    made, count = data.cellwise(value, positive=positive), len(triangles.area)
+    made, count = data.cellwise(value, positive=positive), len(simplices.area)
     if isinstance(made, fem.Constant):
         return np.full((count, len(points)), array_of(made)[0])
     dofs = releases.cell_dofs(data.level.W)[:count]
     if dofs.shape[1] == 1:
         return np.repeat(made.x.array[dofs], len(points), axis=1)
-    return made.x.array[triangles.turned_nodes(dofs)] @ quadratics(points)
+    return made.x.array[simplices.turned_nodes(dofs)] @ quadratics(points)
 
 
-def in_cells(triangles: Triangles, value: Field, division: Division, cells: np.ndarray | None = None) -> Pieces:
+def in_cells(simplices: Simplices, value: Field, division: Division, cells: np.ndarray | None = None) -> Pieces:
     """A datum in owned cells, by default in all (collective where it is the first to need the distance).
 
     Args:
-        triangles: The cells.
+        simplices: The cells.
         value: The datum.
         division: When cells are divided.
         cells: Which; rows of the pieces are places in this array.
     """
-    cells = np.arange(len(triangles.area)) if cells is None else cells
-    data = triangles.data
+    cells = np.arange(len(simplices.area)) if cells is None else cells
+    data = simplices.data
     if value.parts is None:
-        return pieces_of(data, value, triangles.x[cells], cells, division)
+        return pieces_of(data, value, simplices.x[cells], cells, division)
     found = []
     for name, field in value.parts.items():
         rows = np.flatnonzero(np.isin(cells, data.level.groups[name]))
-        found.append((rows, pieces_of(data, field, triangles.x[cells[rows]], cells[rows], division)))
+        found.append((rows, pieces_of(data, field, simplices.x[cells[rows]], cells[rows], division)))
     return joined(found, len(cells))
 
 
@@ -111,7 +111,7 @@ class Load:
 
     def __init__(
         self,
-        triangles: Triangles,
+        simplices: Simplices,
         data: Data,
         tests: Callable[[np.ndarray], np.ndarray],
         basis: Callable[[np.ndarray], np.ndarray],
@@ -119,14 +119,14 @@ class Load:
         """Enclose it (collective).
 
         Args:
-            triangles: The cells.
+            simplices: The cells.
             data: Of the solver's elements on the same mesh.
             tests: Test functions at barycentric points, shape (points, ...); their sum over the last axis is `basis`.
             basis: Of the polynomials that Pi projects onto, shape (points, n).
         """
-        self._area, self._tests, self._basis = triangles.area, tests, basis
-        count = len(triangles.area)
-        points, weights = rule(2, 4)  # exact for what the solver has, times a test function
+        self._area, self._tests, self._basis, self._dim = simplices.area, tests, basis, simplices.dim
+        count = len(simplices.area)
+        points, weights = rule(self._dim, 4)  # exact for what the solver has, times a test function
         self.oscillation, self.rest = np.zeros(count), np.zeros(count)
         self.moments = np.zeros((count, *tests(points).shape[1:]))
         self.missing = np.zeros_like(self.moments)
@@ -135,7 +135,7 @@ class Load:
         if value is None:
             return
         weighted = weights[:, None] * tests(points).reshape(len(points), -1)
-        solver = triangles.area[:, None] * (of_solver(triangles, data, value, points) @ weighted)
+        solver = simplices.area[:, None] * (of_solver(simplices, data, value, points) @ weighted)
         solver = solver.reshape(self.moments.shape)
         if value.uniform:
             self.moments = solver
@@ -143,12 +143,12 @@ class Load:
         comm, degree = data.level.comm, data.level.pair.degree
         division = LOAD[degree]
         if degree == 1:
-            sides = [largest(comm, triangles.x[..., k]) - smallest(comm, triangles.x[..., k]) for k in range(2)]
+            sides = [largest(comm, simplices.x[..., k]) - smallest(comm, simplices.x[..., k]) for k in range(self._dim)]
             division = replace(division, length=min(sides) / np.pi)  # about Friedrichs' constant
-        self.pieces = in_cells(triangles, value, division)
+        self.pieces = in_cells(simplices, value, division)
         uncertain = sum(np.count_nonzero(group.rest) for group in self.pieces.groups if group.degree == 0)
         if total(comm, uncertain) > 0:
-            seen = triangles.values(value, points)
+            seen = simplices.values(value, points)
             limit = SEEN * largest(comm, np.abs(seen))
             self.pieces = replace(self.pieces, groups=[_near_seen(one, seen, limit) for one in self.pieces.groups])
         self._integrate(self.pieces)
@@ -159,18 +159,18 @@ class Load:
         count, flat = len(self._area), _rows(self.moments)  # a view
         parts = [group[block] for group in pieces.groups for block in _blocks(group)]
         for part in parts:
-            points, weights = rule(2, part.degree + 2)
+            points, weights = rule(self._dim, part.degree + 2)
             tests = _at(self._tests, part.points(points))
             tests = _rows(tests, 2)
             found = np.matmul((part.values(points) * weights)[:, None], tests)[:, 0]
             _add(flat, part.rows, (part.share * self._area[part.rows])[:, None] * found)
-        points, weights = rule(2, 2)
+        points, weights = rule(self._dim, 2)
         basis = self._basis(points)
         of_basis = _rows(self.moments.sum(axis=-1))
         nearest = of_basis @ np.linalg.inv(basis.T @ (weights[:, None] * basis)) / self._area[:, None]
         squares, rests = np.zeros(count), np.zeros(count)
         for part in parts:
-            points, weights = rule(2, 2 * max(part.degree, 1))
+            points, weights = rule(self._dim, 2 * max(part.degree, 1))
             there = np.matmul(_at(self._basis, part.points(points)), nearest[part.rows][..., None])[..., 0]
             _add(squares, part.rows, part.share * ((part.values(points) - there) ** 2 @ weights))
             rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
@@ -210,28 +210,28 @@ class Tension:
         pieces: What is known of it; None of a number, or of a number for each material.
     """
 
-    def __init__(self, triangles: Triangles, mu: np.ndarray):
+    def __init__(self, simplices: Simplices, mu: np.ndarray):
         """Enclose it (collective).
 
         Args:
-            triangles: The cells.
+            simplices: The cells.
             mu: Its mean in each cell, as the solver has it.
 
         Raises:
             InputError: If it is not positive somewhere.
         """
-        self._area = triangles.area
+        self._area, self._dim = simplices.area, simplices.dim
         self.least = self.most = self.least_mean = self.most_mean = mu
         self.varies = np.zeros(len(mu), dtype=bool)
         self._parts: list[Group] = []
         self.pieces: Pieces | None = None
-        value = tension_of(triangles.data)
+        value = tension_of(simplices.data)
         parts = [value] if value.parts is None else list(value.parts.values())
         if all(part.uniform for part in parts):
             return
-        self.pieces = in_cells(triangles, value, TENSION)
+        self.pieces = in_cells(simplices, value, TENSION)
         self._take(self.pieces.groups)
-        if smallest(triangles.data.level.comm, self.least) <= 0:
+        if smallest(simplices.data.level.comm, self.least) <= 0:
             raise InputError(f"{value}: must be positive everywhere, not at midpoints of cells only")
 
     def _take(self, groups: list[Group]) -> None:
@@ -240,7 +240,7 @@ class Tension:
         self.least, self.most, mean, spread = (np.zeros(count) for _ in range(4))
         self.least[:], self.most[:] = np.inf, -np.inf
         for group in groups:
-            middle = group.values(np.full((1, 3), 1 / 3))[:, 0]
+            middle = group.values(np.full((1, self._dim + 1), 1 / (self._dim + 1)))[:, 0]
             useless = ~((group.lower > 0) & np.isfinite(group.upper))
             lower, upper = (np.where(useless, middle, bound) for bound in (group.lower, group.upper))
             rest = np.where(useless, 0.0, group.rest)
@@ -267,15 +267,15 @@ class Tension:
 
         Args:
             squares: One for each cell.
-            fields: Gives g and s at barycentric points of some cells, shape (cells or 1, points, 3), each of shape
-                (cells, points, 2).
+            fields: Gives g and s at barycentric points of some cells, shape (cells or 1, points, d + 1), each of shape
+                (cells, points, d).
             degree: Of s; g has one less.
         """
         squares[self.varies] = 0.0
         for part in self._parts:
             measure = part.share * self._area[part.rows]
             least, most = part.lower[:, None], part.upper[:, None]
-            points, weights = rule(2, 2 * max(part.degree + degree - 1, degree) if part.smooth else 4 * degree)
+            points, weights = rule(self._dim, 2 * max(part.degree + degree - 1, degree) if part.smooth else 4 * degree)
             g, s = fields(part.rows, part.points(points))
             gg, gs, ss = (np.einsum("cpx,cpx->cp", *pair) for pair in ((g, g), (g, s), (s, s)))
             if part.smooth:
@@ -296,7 +296,7 @@ class Tension:
         """
         squares[self.varies] = 0.0
         for part in self._parts:
-            points, weights = rule(2, part.degree + 2)
+            points, weights = rule(self._dim, part.degree + 2)
             g = fields(part.rows, part.points(points))
             gg = np.einsum("cpx,cpx->cp", g, g)
             found = np.maximum((part.values(points) * gg) @ weights - part.rest * (gg @ weights),
@@ -310,8 +310,8 @@ def _blocks(group: Group, count: int | None = None) -> Iterator[slice]:
 
 
 def _at(functions: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
-    """Functions of barycentric points at points of shape (parts or 1, points, 3)."""
-    found = functions(points.reshape(-1, 3))
+    """Functions of barycentric points at points of shape (parts or 1, points, d + 1)."""
+    found = functions(points.reshape(-1, points.shape[2]))
     return found.reshape(*points.shape[:2], *found.shape[1:])
 
 

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.edges import Jumps, edges_of
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import gauss
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EDGES = Division(24, 1e-4, 1e-8)  # what counts is the distance of a boundary value and of its slope to the interpolant
@@ -45,7 +46,7 @@ class _Difference:
     slope: np.ndarray = field(repr=False)
 
 
-class DirichletData:
+class DirichletData(BoundaryValues):
     """Boundary values along the edges where u is given (d = g - g_h, zero at the nodes).
 
     Attributes:
@@ -61,16 +62,16 @@ class DirichletData:
         volume_rest: and how far it may be from that.
     """
 
-    def __init__(self, triangles: Triangles, middles: np.ndarray | None = None):
+    def __init__(self, simplices: Simplices, middles: np.ndarray | None = None):
         """Enclose the boundary values (collective).
 
         Args:
-            triangles: The cells.
+            simplices: The cells.
             middles: Of P2 the nodal values at the middle of the edge opposite to each vertex, shape (cells, 3).
         """
-        self.triangles, data, self._middles = triangles, triangles.data, middles
-        cells, values = len(triangles.area), data.fixed[1].x.array
-        part = np.full(max(triangles.facets.max(initial=-1) + 1, 1), -1)
+        self.simplices, data, self._middles = simplices, simplices.data, middles
+        cells, values = len(simplices.area), data.fixed[1].x.array
+        part = np.full(max(simplices.facets.max(initial=-1) + 1, 1), -1)
         for number, facets in enumerate(data.held):
             part[facets[facets < len(part)]] = number  # of two parts the later one counts
         self._given = [(number, one.value) for number, one in enumerate(data.model.boundary) if one.value is not None]
@@ -82,9 +83,9 @@ class DirichletData:
         self.cells, self.opposite, self._number = (np.empty(0, dtype=int) for _ in range(3))
         self._differences: list[_Difference] = []
         for number, value in self._given:
-            beside, opposite = np.nonzero(part[triangles.facets] == number)
-            ends = values[triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
-            edges = edges_of(triangles, beside, opposite)
+            beside, opposite = np.nonzero(part[simplices.facets] == number)
+            ends = values[simplices.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
+            edges = edges_of(simplices, beside, opposite)
             jumps.look(value, edges, ends)
             if value.uniform:
                 continue
@@ -109,7 +110,7 @@ class DirichletData:
             cell = self.cells[d.edges]
             np.maximum.at(self.deviation, cell, np.abs(d.coefficients).max(axis=1) + d.rest)
             # (H/3) int d: the cone is (1 - t/H) d
-            measure = 2 / 3 * triangles.area[cell] * d.share
+            measure = 2 / 3 * simplices.area[cell] * d.share
             np.add.at(self.volume, cell, measure * d.coefficients.mean(axis=1))
             np.add.at(self.volume_rest, cell, measure * d.rest)
 
@@ -148,7 +149,7 @@ class DirichletData:
 
     def _ends(self, cells: np.ndarray, opposite: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of edges, coordinates."""
-        x = self.triangles.x
+        x = self.simplices.x
         return x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]
 
     @property
@@ -187,10 +188,10 @@ class DirichletData:
 
     def _shapes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of each cone the length of its edge, the height of its cell, and its foot along the edge."""
-        a = self.triangles.x[self.cells, self.opposite]
+        a = self.simplices.x[self.cells, self.opposite]
         b, c = self._ends(self.cells, self.opposite)
         length = np.linalg.norm(c - b, axis=1)
-        return length, 2 * self.triangles.area[self.cells] / length, np.einsum("ix,ix->i", a - b, c - b) / length
+        return length, 2 * self.simplices.area[self.cells] / length, np.einsum("ix,ix->i", a - b, c - b) / length
 
     def on_parts(self, owner: np.ndarray, inside: np.ndarray, sign: float) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the cones on parts of cells.
@@ -240,17 +241,17 @@ class DirichletData:
     def cones(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Their sum in given cells at barycentric coordinates, shape (points, 3) (collective)."""
         found = np.zeros((len(cells), len(where)))
-        row = np.full(len(self.triangles.area), -1)
+        row = np.full(len(self.simplices.area), -1)
         row[cells] = np.arange(len(cells))
-        values = self.triangles.data.fixed[1].x.array
+        values = self.simplices.data.fixed[1].x.array
         for number, value in self._given:
             chosen = np.flatnonzero((self._number == number) & (row[self.cells] >= 0))
             beside, opposite = self.cells[chosen], self.opposite[chosen]
             share = where[:, (opposite[:, None] + [1, 2]) % 3].transpose(1, 0, 2)
             width = share.sum(axis=2)
             step = np.divide(share[..., 1], width, out=np.zeros_like(width), where=width > 0)
-            ends = values[self.triangles.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
-            g = self.triangles.values(value, _on_edge(opposite, step), beside)
+            ends = values[self.simplices.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
+            g = self.simplices.values(value, _on_edge(opposite, step), beside)
             np.add.at(found, row[beside], width * (g - self._interpolated(beside, opposite, ends, step)))
         return found
 

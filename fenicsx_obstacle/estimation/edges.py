@@ -17,7 +17,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
@@ -35,8 +35,8 @@ class Edges:
     """Edges of owned cells from one vertex to another.
 
     Attributes:
-        start: First end point of each edge, shape (edges, 2).
-        end: Second end point of each edge, shape (edges, 2).
+        start: First end point of each edge, shape (edges, d).
+        end: Second end point of each edge, shape (edges, d).
         cells: The local cell beside each.
     """
 
@@ -45,12 +45,12 @@ class Edges:
     cells: np.ndarray
 
     def at(self, edges: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Points, shape (n, 2): t = 0 at the start, 1 at the end."""
+        """Points, shape (n, d): t = 0 at the start, 1 at the end."""
         t = np.clip(t, 0.0, 1.0)[:, None]
         return (1 - t) * self.start[edges] + t * self.end[edges]
 
     def pieces(self, edges: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Corners of parts of edges, shape (n, 2, 2)."""
+        """Corners of parts of edges, shape (n, 2, d)."""
         return np.stack([self.at(edges, low), self.at(edges, high)], axis=1)
 
     @property
@@ -58,9 +58,9 @@ class Edges:
         return np.stack([self.start, self.end], axis=1)
 
 
-def edges_of(triangles: Triangles, cells: np.ndarray, opposite: np.ndarray) -> Edges:
+def edges_of(simplices: Simplices, cells: np.ndarray, opposite: np.ndarray) -> Edges:
     """The edges opposite to vertices of cells."""
-    start, end = (triangles.x[cells, (opposite + k) % 3] for k in (1, 2))
+    start, end = (simplices.x[cells, (opposite + k) % 3] for k in (1, 2))
     return Edges(start, end, cells)
 
 
@@ -128,6 +128,18 @@ class Jumps:
         middle[short, 0] = (lower + upper)[short] / 2
         return replace(group, coefficients=middle, rest=rest, lower=lower, upper=upper)
 
+    def compare(self, field: Field, values: np.ndarray, others: np.ndarray, places: np.ndarray) -> None:
+        """Keep the largest difference of values that are to be the same.
+
+        Args:
+            field: That gives the first ones.
+            values: Of any shape.
+            others: Of the same shape.
+            places: Their points, shape (..., 3).
+        """
+        one, other = values.ravel(), others.ravel()
+        self._judge(field, (one, other), (one, other), places.reshape(len(one), places.shape[-1]))
+
     def in_words(self) -> str | None:
         """Place and size of the largest jump on all ranks; None where there is none (collective)."""
         found = [one for one in self.data.level.comm.allgather(self.worst) if one is not None]
@@ -192,8 +204,8 @@ class Jumps:
         return np.clip(FINEST * size / np.linalg.norm(edges.end - edges.start, axis=1), FINEST, 1e-3)
 
     def _values(self, field: Field, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
-        x = np.zeros((3, len(which)))
-        x[:2] = edges.at(which, t).T
+        x, points = np.zeros((3, len(which))), edges.at(which, t)
+        x[: points.shape[1]] = points.T
         return self.data.at(field, x, edges.cells[which])
 
     def _judge(
@@ -213,7 +225,9 @@ class Jumps:
         first = int(np.argmax(np.where(jumps, np.where(np.isfinite(small), small, np.inf), -1.0)))
         if self.worst is None or small[first] > self.worst[0]:
             pair = float(close[0][first]), float(close[1][first])
-            self.worst = (float(small[first]), pair, np.append(places[first], 0.0), str(field))
+            place = np.zeros(3)
+            place[: places.shape[1]] = places[first]
+            self.worst = (float(small[first]), pair, place, str(field))
 
 
 def boundary_jump(data: Data) -> str | None:
@@ -242,43 +256,49 @@ def boundary_jump(data: Data) -> str | None:
     return jumps.in_words()
 
 
-def cut_parts(triangles: Triangles) -> list[str]:
-    """The parts with a value whose `where` ends inside an edge, or holds on other edges than those held (collective).
+def cut_parts(simplices: Simplices) -> list[str]:
+    """The parts with a value whose `where` ends inside a facet, or holds on other facets than those held (collective).
 
-    On meshes that are not the domain itself an edge whose ends are both held is not looked at: the boundary lies beside
-    it.
+    On meshes that are not the domain itself a facet whose vertices are all held is not looked at: the boundary lies
+    beside it.
 
     Returns:
         One sentence for each.
     """
-    data, level, found = triangles.data, triangles.data.level, []
+    data, level, dim, found = simplices.data, simplices.data.level, simplices.dim, list[str]()
+    if dim == 1:  # its parts are points
+        return found
     extent = data.extent
-    outer = np.zeros(max(triangles.facets.max(initial=-1) + 1, 1), dtype=bool)
+    sides = "edges" if dim == 2 else "facets"
+    outer = np.zeros(max(simplices.facets.max(initial=-1) + 1, 1), dtype=bool)
     facets = level.boundary_facets
     outer[facets[facets < len(outer)]] = True
-    cells, opposite = np.nonzero(outer[triangles.facets])
-    edges = edges_of(triangles, cells, opposite)
-    every = np.arange(len(cells))
-    short = SLIVER * extent / np.linalg.norm(edges.end - edges.start, axis=1)
-    inside = edges.pieces(every, np.minimum(short, 0.25), np.maximum(1 - short, 0.75))
+    cells, opposite = np.nonzero(outer[simplices.facets])
+    members = np.array([[k for k in range(dim + 1) if k != a] for a in range(dim + 1)])[opposite]
+    x = simplices.x[cells[:, None], members]
+    middle = x.mean(axis=1, keepdims=True)
+    short = np.minimum(SLIVER * extent / np.linalg.norm(x - middle, axis=2).max(axis=1, initial=0.0), 0.5)
+    inside = x + short[:, None, None] * (middle - x)
     for number, part in enumerate(data.model.boundary):
         if part.where is None or part.value is None:
             continue
-        held = np.isin(triangles.facets[cells, opposite], data.held[number])
+        held = np.isin(simplices.facets[cells, opposite], data.held[number])
         known = part.where.over(inside, {}, cells)
         if known is None:
-            found.append(f"{part.name} where = {part.where.text} may end inside an edge: only its samples are known")
+            found.append(
+                f"{part.name} where = {part.where.text} may end inside one of the {sides}: only its samples are known"
+            )
             continue
         truth = known.truth()
         holds, fails = (np.broadcast_to(may, len(cells)) for may in (truth.may_hold, truth.may_fail))
         wrong = np.where(held, fails, holds)
         if level.polygonal is not True:
             wrong &= ~held
-        mine = np.append(edges.at(every[wrong][:1], np.full(1, 0.5))[0], 0.0) if wrong.any() else None
+        mine = np.append(middle[np.argmax(wrong), 0], np.zeros(3 - dim)) if wrong.any() else None
         at = next((one for one in level.comm.allgather(mine) if one is not None), None)
         if at is not None:
             found.append(
-                f"{part.name} where = {part.where.text} is not made of whole edges of the mesh, near "
+                f"{part.name} where = {part.where.text} is not made of whole {sides} of the mesh, near "
                 f"{data.place(at)}, so that other meshes hold u on another part"
             )
     return found

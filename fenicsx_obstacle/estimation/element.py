@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, obstacles_of, other_effects
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
@@ -17,7 +18,9 @@ from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.held_boundary import held_boundary
 from fenicsx_obstacle.estimation.oscillation import Oscillation
 from fenicsx_obstacle.estimation.pieces import Range, range_of
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.estimation.standing import Obstacle
+from fenicsx_obstacle.estimation.surface_data import SurfaceData
 from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the heights: obstacles are cut off so much farther away than u can be
@@ -67,7 +70,7 @@ class Element(ABC):
     """One finite element on one mesh: what depends on mesh and data alone is made once.
 
     Attributes:
-        triangles: The owned cells.
+        simplices: The owned cells.
         equilibration: Makes flux and multipliers.
         tension: In the cells.
         dirichlet: Boundary values between the nodes.
@@ -87,19 +90,19 @@ class Element(ABC):
             equilibration: Of this element.
             middles: See `DirichletData`.
         """
-        self.equilibration, self.triangles = equilibration, equilibration.triangles
-        self.tension = Tension(self.triangles, equilibration.mu)
-        self.dirichlet = DirichletData(self.triangles, middles)
-        load, degree = load_of(self.triangles.data), 0 if middles is None else 1
-        self.oscillation = Oscillation(self.triangles, equilibration.load, load, degree)
-        self.held = held_boundary(self.triangles, equilibration.patches.held)
-        self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.triangles.data)}
+        self.equilibration, self.simplices = equilibration, equilibration.simplices
+        self.tension = Tension(self.simplices, equilibration.mu)
+        self.dirichlet = _boundary_values(self.simplices, middles)
+        load, degree = load_of(self.simplices.data), 0 if middles is None else 1
+        self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
+        self.held = held_boundary(self.simplices, equilibration.patches.held)
+        self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.simplices.data)}
         self.reach = self._reach()
 
     def _range(self, obstacle: Field) -> Range:
         """Bounds of an obstacle in the cells."""
-        triangles = self.triangles
-        return range_of(triangles.data, obstacle, triangles.x, np.arange(len(triangles.area)))
+        simplices = self.simplices
+        return range_of(simplices.data, obstacle, simplices.x, np.arange(len(simplices.area)))
 
     def _reach(self) -> tuple[float, float]:
         """Bounds of the solution by comparison (collective).
@@ -110,7 +113,7 @@ class Element(ABC):
         a(z, z) = a(m - w - u, z) <= -(f^- + f, z) <= 0. Nor does it matter for u, if the lower obstacle is replaced by
         its maximum with such a bound: u satisfies that constraint too, and the inequality for fewer functions.
         """
-        data = self.triangles.data
+        data = self.simplices.data
         comm, pieces, load = data.level.comm, self.equilibration.load.pieces, load_of(data)
         limits = {1.0: -np.inf, -1.0: np.inf}
         if other_effects(data):
@@ -139,7 +142,7 @@ class Element(ABC):
     def given_obstacles(self) -> list[tuple[float, Field, Range]]:
         """The obstacles as `obstacles_of` has them, cut off beyond the reach of u, and their bounds in the cells."""
         found: list[tuple[float, Field, Range]] = []
-        for sign, obstacle in obstacles_of(self.triangles.data):
+        for sign, obstacle in obstacles_of(self.simplices.data):
             limit, known = self.reach[0] if sign > 0 else self.reach[1], self._ranges[sign]
             if np.isfinite(limit):
                 cut = Clipped(obstacle, sign, limit)
@@ -157,3 +160,10 @@ class Element(ABC):
             touches_lower: Whether u is at the lower obstacle or beyond it, at owned dofs.
             touches_upper: Whether it is at the upper one or beyond it.
         """
+
+
+def _boundary_values(simplices: Simplices, middles: np.ndarray | None) -> BoundaryValues:
+    """Boundary values between the nodes (collective)."""
+    if simplices.dim == 2:
+        return DirichletData(simplices, middles)
+    return SurfaceData(simplices) if simplices.dim == 3 else BoundaryValues(simplices)

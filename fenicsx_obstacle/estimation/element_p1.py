@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.element import Element, Terms
+from fenicsx_obstacle.estimation.flux_fans import FanEquilibration
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
+from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
 from fenicsx_obstacle.estimation.peaks import Peaks
-from fenicsx_obstacle.estimation.triangles import Triangles, sums
+from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest
 
 ROUND_OFF = 1e-9  # of the heights
@@ -22,23 +26,24 @@ class ElementP1(Element):
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
-        super().__init__(EquilibrationP1(Triangles(problem.data)))
-        patches, triangles = self.equilibration.patches, self.triangles
-        self.obstacles = [Peaks(triangles, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
-        x = triangles.x
+        simplices = Simplices(problem.data)
+        super().__init__(FanEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
+        patches, dim = self.equilibration.patches, simplices.dim
+        self.obstacles = [Peaks(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
+        x = simplices.x
         self._from_middle = np.ascontiguousarray(np.moveaxis(x - x.mean(axis=1, keepdims=True), 2, 0))
-        self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / 12
+        self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / ((dim + 1) * (dim + 2))
 
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
         nodal, v, crossing = self._admissible(u)
         gaps = {peaks.sign: self._gap(v, peaks) for peaks in self.obstacles}
-        mean = {sign: gap / self.triangles.area for sign, gap in gaps.items()}
+        mean = {sign: gap / self.simplices.area for sign, gap in gaps.items()}
         flux = self.equilibration.flux(u, touches_lower, touches_upper, (mean.get(1.0), mean.get(-1.0)))
-        contact = np.zeros(len(self.triangles.area))
+        contact = np.zeros(len(self.simplices.area))
         for sign, gap in gaps.items():
-            contact += sums(flux.lower if sign > 0 else flux.upper) / 3 * gap
-        cover = sum((peaks.cover_energy for peaks in self.obstacles), np.zeros(len(self.triangles.area)))
+            contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
+        cover = sum((peaks.cover_energy for peaks in self.obstacles), np.zeros(len(self.simplices.area)))
         distance, balanced = self._distance(u, flux)
         return Terms(
             flux=flux, distance=distance, balanced=balanced, admissible_balanced=self._distance(v, flux)[1],
@@ -52,7 +57,7 @@ class ElementP1(Element):
     def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much these then cross
         each other or what is given (collective)."""
-        data, nodal, v = self.triangles.data, u.copy(), u.copy()
+        data, nodal, v = self.simplices.data, u.copy(), u.copy()
         given = data.fixed[0]
         lifted = []
         for peaks in self.obstacles:
@@ -70,9 +75,10 @@ class ElementP1(Element):
 
     def _gap(self, v: np.ndarray, peaks: Peaks) -> np.ndarray:
         """The integral of the distance of v to an obstacle over each cell."""
-        gap = sums((peaks.sign * v - peaks.nodal)[self.triangles.dofs]) / 3 - peaks.mean
+        corners = self.simplices.dim + 1
+        gap = sums((peaks.sign * v - peaks.nodal)[self.simplices.dofs]) / corners - peaks.mean
         gap = (
-            gap * self.triangles.area
+            gap * self.simplices.area
             + peaks.sign * self.dirichlet.volume
             + self.dirichlet.volume_rest
             + peaks.cover_volume
@@ -85,39 +91,38 @@ class ElementP1(Element):
         mu grad v is in RT0 too, of normal fluxes -mu grad v . normal: with a constant tension mu grad v - sigma is the
         gradient of Q = a . y + b |y|^2/2, y = x - middle, and its product with tau (see `oscillation`) is (f - f_0, Q).
         """
-        triangles, mu = self.triangles, self.equilibration.mu
-        gradient = triangles.gradient(v)
-        outward = flux.normal + triangles.along_normals(gradient * mu)
+        simplices, mu, dim = self.simplices, self.equilibration.mu, self.simplices.dim
+        gradient = simplices.gradient(v)
+        outward = flux.normal + simplices.along_normals(gradient * mu)
         across = np.einsum("ci,xci->xc", outward, self._from_middle)
         gathered = sums(outward)
-        squares = gathered**2 * self._spread + across[0] ** 2 + across[1] ** 2
-        squares /= 4 * triangles.area * mu
+        squares = gathered**2 * self._spread + np.einsum("xc,xc->c", across, across)
+        squares /= dim**2 * simplices.area * mu
 
         def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            x, normal = triangles.x[cells], flux.normal[cells]
+            x, normal = simplices.x[cells], flux.normal[cells]
             sigma = np.einsum("ci,cpx->cpx", normal, points @ x) - np.einsum("ci,cix->cx", normal, x)[:, None]
-            sigma /= (2 * triangles.area[cells])[:, None, None]
+            sigma /= (dim * simplices.area[cells])[:, None, None]
             return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape), sigma
 
         self.tension.integrate_distances(squares, fields, degree=1)
         if self.equilibration.load.pieces is None:
             return squares, squares
         load = self.oscillation
-        product = across[0] * load.first[0] + across[1] * load.first[1] - gathered * load.second / 2
+        product = np.einsum("xc,xc->c", across, load.first) - gathered * load.second / 2
         near, far = np.sqrt(squares), load.norm / np.sqrt(self.tension.least)
-        balanced = squares - product / (triangles.area * mu) + 2 * near * load.rest / np.sqrt(mu) + far**2
+        balanced = squares - 2 * product / (dim * simplices.area * mu) + 2 * near * load.rest / np.sqrt(mu) + far**2
         return squares, np.where(self.tension.varies, (near + far) ** 2, np.maximum(balanced, 0.0))
 
     def _energy(self, e: np.ndarray, mu: np.ndarray | None = None) -> np.ndarray:
         """||mu^(1/2) grad e||_T^2, by an upper bound of the mean tension if no other is given."""
-        triangles, squares = self.triangles, np.zeros(len(self.triangles.area))
+        simplices, squares = self.simplices, np.zeros(len(self.simplices.area))
         mu = self.tension.most_mean if mu is None else mu
-        moves = (e != 0)[triangles.dofs]
-        cells = np.flatnonzero(moves[:, 0] | moves[:, 1] | moves[:, 2])
-        gradient = triangles.gradient(e, cells)
-        squares[cells] = (mu * triangles.area)[cells] * (gradient[0] ** 2 + gradient[1] ** 2)
+        cells = np.flatnonzero(reduce(np.logical_or, (e != 0)[simplices.dofs].T))
+        gradient = simplices.gradient(e, cells)
+        squares[cells] = (mu * simplices.area)[cells] * np.einsum("xc,xc->c", gradient, gradient)
         return squares
 
     def _means_squared(self, rest: np.ndarray) -> np.ndarray:
         """||.||_T^2 of the means in cells of nodal values."""
-        return self.triangles.area / 9 * sums(rest[self.triangles.dofs]) ** 2
+        return self.simplices.area * (sums(rest[self.simplices.dofs]) / (self.simplices.dim + 1)) ** 2

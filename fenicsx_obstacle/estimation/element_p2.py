@@ -25,7 +25,7 @@ from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
-from fenicsx_obstacle.estimation.triangles import Triangles, lattice, lattice_cells, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices, lattice, lattice_cells, with_ghosts
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
@@ -180,23 +180,23 @@ class LatticeObstacle:
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, triangles: Triangles, patches: VertexPatches, sign: float, field: Field, known: Range):
+    def __init__(self, simplices: Simplices, patches: VertexPatches, sign: float, field: Field, known: Range):
         """Keep what is known of it (collective).
 
         Args:
-            triangles: The cells.
+            simplices: The cells.
             patches: The cells around the vertices.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
-        self.triangles, self._patches, self.sign, self._field = triangles, patches, sign, field
+        self.simplices, self._patches, self.sign, self._field = simplices, patches, sign, field
         self._top = known.upper if sign > 0 else -known.lower
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # in the cells where u came near
         self._enclosed = np.zeros(len(self._top), dtype=bool)
         self.cover_energy, self.cover_volume = np.zeros(len(self._top)), np.zeros(len(self._top))
         self.unbounded = ~np.isfinite(self._top)
-        self._of_samples = total(triangles.data.level.comm, int(known.sampled)) > 0
+        self._of_samples = total(simplices.data.level.comm, int(known.sampled)) > 0
         self.sampled = self._of_samples
 
     def nodal(self, data: Data) -> np.ndarray:
@@ -219,7 +219,7 @@ class LatticeObstacle:
             Cells; there u minus obstacle on the lattice; by what it is raised; and u minus obstacle between the points
             of the lattice.
         """
-        triangles, level = self.triangles, self.triangles.data.level
+        simplices, level = self.simplices, self.simplices.data.level
         touches = self._may_touch(u, dirichlet)
         near = np.flatnonzero(touches | pressing)
         needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
@@ -230,10 +230,10 @@ class LatticeObstacle:
         M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
         # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
-        others = np.flatnonzero((M + N + around)[triangles.dofs].any(axis=1) & ~(touches | pressing))
+        others = np.flatnonzero((M + N + around)[simplices.dofs].any(axis=1) & ~(touches | pressing))
         between = between.with_nothing(len(others))
         cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet)])
-        of_M, of_N = (values[triangles.dofs[cells]] @ POINTS.T for values in (M, N))
+        of_M, of_N = (values[simplices.dofs[cells]] @ POINTS.T for values in (M, N))
         raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
         place, small = np.nonzero(beside)  # near comes first
         above = self._cover(u, near[place], small, raised[place], dirichlet)
@@ -261,12 +261,12 @@ class LatticeObstacle:
         self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
         inside, lift = POINTS[SMALL[small]], np.take_along_axis(raised, SMALL[small], axis=1)
         for split in range(BESIDE + 1):
-            corners = inside @ self.triangles.x[cells]
+            corners = inside @ self.simplices.x[cells]
             at_nodes = quadratics((_nodes_of(np.eye(3)) @ inside).reshape(-1, 3)).T.reshape(-1, 6, 6)
             nodes = np.matmul(at_nodes, u[cells, :, None])[..., 0]
             cones, steep = dirichlet.on_parts(cells, inside, self.sign)
             above, last = np.zeros(len(cells), dtype=bool), split == BESIDE
-            for group in pieces_of(self.triangles.data, self._field, corners, cells, AS_THEY_ARE).groups:
+            for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
                 rows, reference = group.rows, inner_points(3, max(group.degree, 2))
                 degree, coefficient, margin = self._difference(group, nodes[rows])
                 coefficient = coefficient - coefficients(_combined(group.points(reference), lift[rows]), 3, degree)
@@ -276,7 +276,7 @@ class LatticeObstacle:
                 above[rows] = True
                 if last:
                     share = group.share[open_] / len(SMALL) / 4**split
-                    measure = self.triangles.area[cells[rows]] * share
+                    measure = self.simplices.area[cells[rows]] * share
                     height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
                     steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
                     self.cover_volume += np.bincount(cells[rows], measure * height, len(self.cover_volume))
@@ -288,11 +288,11 @@ class LatticeObstacle:
     def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Where u is given on the lattice of some cells, from where it is at the vertices."""
         on_side = self._patches.held[cells] @ (POINTS.T == 0)
-        return on_side | (given[self.triangles.dofs[cells]] @ (POINTS.T == 1))
+        return on_side | (given[self.simplices.dofs[cells]] @ (POINTS.T == 1))
 
     def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
         """The largest height in the cells around each owned vertex (collective)."""
-        if total(self.triangles.data.level.comm, np.count_nonzero(heights)) == 0:
+        if total(self.simplices.data.level.comm, np.count_nonzero(heights)) == 0:
             return np.zeros(self._patches.owned)
         return self._patches.largest(self._patches.gather(np.repeat(heights[:, None], 3, axis=1))[0])
 
@@ -311,7 +311,7 @@ class LatticeObstacle:
         """What is near the obstacle in some cells at least, and the cells of its parts (collective where the obstacle
         needs the distance)."""
         new = cells[~self._enclosed[cells]]
-        self._pieces.append((new, in_cells(self.triangles, self._field, AS_THEY_ARE, new)))
+        self._pieces.append((new, in_cells(self.simplices, self._field, AS_THEY_ARE, new)))
         self._enclosed[new] = True
         for owner, pieces in self._pieces:
             for group in pieces.groups:
@@ -354,7 +354,7 @@ class LatticeObstacle:
         for times, half in enumerate(HALVES):
             rough = np.ones(len(at), dtype=bool)
             nodes = np.matmul(half.to_nodes[part], u[cells[at], :, None])[..., 0]
-            corners = half.corners[part] @ self.triangles.x[cells[at]]
+            corners = half.corners[part] @ self.simplices.x[cells[at]]
             groups = self._whole(cells[at]) if times == 0 else self._on_parts(corners, cells[at])
             for rows, group in groups:
                 degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
@@ -394,11 +394,11 @@ class LatticeObstacle:
             How far obstacle - u is above its chord at most; a bound of the mean of the chord above it; and of the
             absolute value of that.
         """
-        corners = POINTS[SMALL[small]] @ self.triangles.x[cells]
+        corners = POINTS[SMALL[small]] @ self.simplices.x[cells]
         nodes = np.einsum("jsi,sj->si", OF_SMALL[:, small], u[cells])
         linear = -np.take_along_axis(gap, SMALL[small], axis=1)
         bend, mean, size = np.full(len(cells), -np.inf), np.zeros(len(cells)), np.zeros(len(cells))
-        for group in pieces_of(self.triangles.data, self._field, corners, cells, SMALL_ONES).groups:
+        for group in pieces_of(self.simplices.data, self._field, corners, cells, SMALL_ONES).groups:
             degree, coefficient, margin = self._difference(group, nodes[group.rows])
             chord = _combined(group.points(inner_points(3, degree)), linear[group.rows])
             above = coefficient - coefficients(chord, 3, degree)
@@ -424,7 +424,7 @@ class LatticeObstacle:
     def _on_parts(self, corners: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
         """Polynomials near the obstacle on triangles in cells, and the places of these (collective where the obstacle
         needs the distance)."""
-        for group in pieces_of(self.triangles.data, self._field, corners, cells, AS_THEY_ARE).groups:
+        for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
             if group.corners is None:
                 chosen = np.flatnonzero(np.isfinite(group.rest))
                 for block in blocks(len(chosen), FEW):
@@ -432,7 +432,7 @@ class LatticeObstacle:
 
     def _gap(self, u: np.ndarray, cells: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
         """How far u with the boundary values is from the obstacle on the lattice."""
-        inside = u[cells] @ quadratics(POINTS) - self.triangles.values(self._field, POINTS, cells)
+        inside = u[cells] @ quadratics(POINTS) - self.simplices.values(self._field, POINTS, cells)
         return self.sign * (inside + dirichlet.cones(cells, POINTS))
 
 
@@ -440,24 +440,25 @@ class ElementP2(Element):
     """P2 on one mesh: what depends on mesh and data alone is made once."""
 
     equilibration: EquilibrationP2
+    dirichlet: DirichletData
     obstacles: list[LatticeObstacle]
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         assert problem.level.coarse is not None
-        triangles = Triangles(problem.data.on(problem.level.coarse))
-        equilibration = EquilibrationP2(triangles, problem.data)
+        simplices = Simplices(problem.data.on(problem.level.coarse))
+        equilibration = EquilibrationP2(simplices, problem.data)
         super().__init__(equilibration, problem.data.fixed[1].x.array[equilibration.nodes[:, 3:]])
         self.problem = problem
         self.obstacles = [
-            LatticeObstacle(triangles, equilibration.patches, *obstacle) for obstacle in self.given_obstacles
+            LatticeObstacle(simplices, equilibration.patches, *obstacle) for obstacle in self.given_obstacles
         ]
-        self._metric = metric(triangles.x[:, 1] - triangles.x[:, 0], triangles.x[:, 2] - triangles.x[:, 0],
-                              triangles.area, np.ones(len(triangles.area)))  # fmt: skip
+        self._metric = metric(simplices.x[:, 1] - simplices.x[:, 0], simplices.x[:, 2] - simplices.x[:, 0],
+                              simplices.area, np.ones(len(simplices.area)))  # fmt: skip
 
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
-        equilibration, area = self.equilibration, self.triangles.area
+        equilibration, area = self.equilibration, self.simplices.area
         gaps = {side.sign: self._gap(u, side) for side in self.obstacles}
         flux = equilibration.flux(u, touches_lower, touches_upper, (gaps.get(1.0), gaps.get(-1.0)))
         added, contact, reduced = self._lifted(u[equilibration.nodes], flux)
@@ -498,7 +499,7 @@ class ElementP2(Element):
         Returns:
             It; int lambda_+ (v - obstacle); and ||lambda - lambda_+||_T.
         """
-        area, count = self.triangles.area, len(self.triangles.area)
+        area, count = self.simplices.area, len(self.simplices.area)
         added, contact, reduced = np.zeros((count, len(POINTS))), np.zeros(count), np.zeros(count)
         for side in self.obstacles:
             pressure = flux.lower if side.sign > 0 else flux.upper
@@ -522,7 +523,7 @@ class ElementP2(Element):
 
     def _energy_on_lattice(self, slopes: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad||_T^2, mu being the largest tension, from derivatives along the reference axes."""
-        area = self.triangles.area[cells]
+        area = self.simplices.area[cells]
         g = self._metric[:, cells] * 2 * area  # J^T J / det J, times det J
         squares = (g[2] * (slopes[..., 0] ** 2).sum(1) - 2 * g[1] * (slopes[..., 0] * slopes[..., 1]).sum(1)
                    + g[0] * (slopes[..., 1] ** 2).sum(1)) / (2 * area) ** 2  # fmt: skip
@@ -530,17 +531,17 @@ class ElementP2(Element):
 
     def _distance(self, u: np.ndarray, flux: FluxP2, difference: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad u_h - mu^(-1/2) sigma||_T^2, from the moments of the difference with the mean tension."""
-        triangles, mu = self.triangles, self.equilibration.mu
+        simplices, mu = self.simplices, self.equilibration.mu
         slopes_at = self._slopes_of(u)
         squares = np.einsum("kc,kij,ci,cj->c", self._metric / mu, GRAMS, difference, difference, optimize=True)
 
         def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            x = triangles.x[cells]
+            x = simplices.x[cells]
             J = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=2)
             basis = reference_fields(points.reshape(-1, 3)).reshape(8, *points.shape[:2], 2)
             reference = np.einsum("icpx,ci->cpx", np.broadcast_to(basis, (8, len(cells), *basis.shape[2:])),
                                   flux.moments[cells])  # fmt: skip
-            sigma = np.einsum("cyx,cpx->cpy", J, reference) / (2 * triangles.area[cells])[:, None, None]
+            sigma = np.einsum("cyx,cpx->cpy", J, reference) / (2 * simplices.area[cells])[:, None, None]
             return slopes_at(cells, points), sigma
 
         self.tension.integrate_distances(squares, fields, degree=2)
@@ -555,7 +556,7 @@ class ElementP2(Element):
         """||mu^(1/2) grad e||_T^2 with the mean tension."""
         gradient = self.equilibration.gradients(e)
         products = np.einsum("xcj,jk,xck->c", gradient, MASS, gradient, optimize=True)
-        return self.equilibration.mu * self.triangles.area * products
+        return self.equilibration.mu * self.simplices.area * products
 
     def _least_energy(self, u: np.ndarray) -> np.ndarray:
         """A lower bound of ||mu^(1/2) grad u||_T^2."""

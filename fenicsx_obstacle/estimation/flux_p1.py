@@ -7,7 +7,8 @@ rho come from its residual alone, eps-free, and a flux sigma in RT0 with continu
 
 is found vertex by vertex as a sum of fluxes on the patches, each the nearest (in the norm of mu^(-1/2)) to the broken
 RT0 interpolant of phi_i mu grad u_h. (Braess and Schoeberl 2008 for equations; the interpolant in place of phi_i mu
-grad u_h itself keeps the flux near on irregular meshes.)
+grad u_h itself keeps the flux near on irregular meshes.) How a patch is solved depends on the dimension: `flux_fans` is
+for triangles, `flux_trees` for intervals and tetrahedra.
 
 Of the contact force at a vertex only its sum over the patch is needed. Where the obstacle falls off steeply the force
 is put into those cells of the patch in which u is near it: the error bound has force times distance.
@@ -15,6 +16,7 @@ is put into those cells of the patch in which u is near it: the error bound has 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,8 +27,8 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, other_effects, tension_of
-from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
-from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
+from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.parallel import total
 
 NEAR = 0.5  # of force/tension: a larger distance costs more than what moving the force to other cells does to the flux
@@ -38,12 +40,12 @@ class FluxP1:
     """Multipliers and flux; arrays of owned cells, or of local dofs, ghosts included.
 
     Attributes:
-        lower: lambda >= 0 at the vertices of each cell, in the unit of the load, shape (cells, 3).
+        lower: lambda >= 0 at the vertices of each cell, in the unit of the load, shape (cells, d + 1).
         upper: nu >= 0.
         rest: rho, what no obstacle carries, at local dofs.
         solver_rest: The same of the solver's own load, one value per cell: 0 where it has converged.
-        normal: s: sigma = sum of s_j (x - x_j)/(2 |T|) in a cell; s_j is the flux out of it opposite to vertex j.
-        incompatible: Largest flux that a fan of a free vertex leaves over, 0 up to round-off.
+        normal: s: sigma = sum of s_j (x - x_j)/(d |T|) in a cell; s_j is the flux out of it opposite to vertex j.
+        incompatible: Largest flux that a patch of a free vertex leaves over, 0 up to round-off.
     """
 
     lower: np.ndarray
@@ -54,38 +56,34 @@ class FluxP1:
     incompatible: float
 
 
-class EquilibrationP1:
+class EquilibrationP1(ABC):
     """Everything about flux and multipliers that depends on mesh and data alone.
 
     Attributes:
-        triangles: The owned cells.
+        simplices: The owned cells.
         patches: Their corners around the vertices.
         mu: Tension of each cell, as the solver has it.
-        load: Its moments are int_T f phi_l, shape (cells, 3), its oscillation ||f - f_0||_T.
+        load: Its moments are int_T f phi_l, shape (cells, d + 1), its oscillation ||f - f_0||_T.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
     """
 
-    def __init__(self, triangles: Triangles):
-        """Sample the load, sort the corners (collective)."""
-        self.triangles, data = triangles, triangles.data
-        self.level = data.level
-        self.patches = VertexPatches(triangles)
-        self.mu = of_solver(triangles, data, tension_of(data), np.full((1, 3), 1 / 3), positive=True)[:, 0]
-        area = self.patches.gather(np.repeat((triangles.area / self.mu)[:, None] / 3, 3, axis=1))[0]
+    def __init__(self, simplices: Simplices, patches: Patches):
+        """Sample the load (collective).
+
+        Args:
+            simplices: The owned cells.
+            patches: Their corners around the vertices.
+        """
+        self.simplices, self.patches, data = simplices, patches, simplices.data
+        self.level, corners = data.level, simplices.dim + 1
+        middle = np.full((1, corners), 1 / corners)
+        self.mu = of_solver(simplices, data, tension_of(data), middle, positive=True)[:, 0]
+        share = simplices.area / (corners * self.mu)
+        area = self.patches.gather(np.repeat(share[:, None], corners, axis=1))[0]
         self._softness = self.patches.at_vertices(area)  # int phi_i/mu
         self._prepare_others(other_effects(data))
-        self.load = Load(triangles, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
+        self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
         self.missing = self.patches.at_vertices(self.patches.gather(self.load.missing)[0])
-        x, y = triangles.x[..., 0], triangles.x[..., 1]
-        scale = 1 / (4 * triangles.area * self.mu)[:, None]
-        # the edge opposite to a vertex, and from each vertex to the middle of the cell
-        to_x, to_y = x.mean(axis=1, keepdims=True) - x, y.mean(axis=1, keepdims=True) - y
-        edge_x, edge_y = triangles.normal[1] * scale, -triangles.normal[0] * scale
-        self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
-        self._B = edge_x * previous(to_x) + edge_y * previous(to_y)
-        G = scale * (triangles.normal[0] ** 2 + triangles.normal[1] ** 2)
-        self._fan_A, self._fan_B, fan_G = self.patches.gather(self._A, self._B, G)
-        self._fan_G = self.patches.sums(fan_G)
 
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
@@ -94,7 +92,7 @@ class EquilibrationP1:
             return
         broken = releases.functionspace(self.level.mesh, "DG", 1)
         self._u, v = fem.Function(self.level.V), ufl.TestFunction(broken)
-        self._terms = releases.form(residual(effects, self._u, v, self.triangles.data))
+        self._terms = releases.form(residual(effects, self._u, v, self.simplices.data))
         self._moments_of_others = fem.Function(broken)
 
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
@@ -107,7 +105,7 @@ class EquilibrationP1:
             local.set(0.0)
         fem.petsc.assemble_vector(vector, self._terms)
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
-        return self.load.moments - self._moments_of_others.x.array[self.triangles.turned(dofs)]
+        return self.load.moments - self._moments_of_others.x.array[self.simplices.turned(dofs)]
 
     def flux(
         self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
@@ -121,10 +119,9 @@ class EquilibrationP1:
             touches_upper: Whether it is at the upper one or beyond it.
             gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
-        triangles, patches, V = self.triangles, self.patches, self.level.V
-        beta = triangles.along_normals(triangles.gradient(u) * (-self.mu / 2))
-        correction = next_(beta) * self._A + previous(beta) * self._B
-        drops, correction = patches.gather(beta + self._all_moments(u), correction)
+        simplices, patches, V = self.simplices, self.patches, self.level.V
+        beta = simplices.along_normals(simplices.gradient(u) * (-self.mu / simplices.dim))
+        drops = patches.gather(beta + self._all_moments(u))[0]
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
@@ -133,18 +130,26 @@ class EquilibrationP1:
             self._in_cells(self._along_the_boundary(values, touches), gap)
             for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
         )
-        before, after = patches.walk(drops + (push - pull + patches.along(rest[patches.vertex])) * patches.area)
-        shift = -(patches.sums(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
-        # nothing leaves through the free boundary
-        open_ = ~patches.closed
-        shift[open_ & ~patches.exit_held] = -after[patches.last[open_ & ~patches.exit_held]]
-        shift[open_ & ~patches.entry_held] = 0.0
-        shift = patches.along(shift)
-        to_b, to_c = patches.scatter(after + shift, before + shift)
+        drops += (push - pull + patches.along(rest[patches.vertex])) * patches.area
+        normal, incompatible = self._on_patches(drops, beta)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
-            normal=previous(to_b) - next_(to_c), incompatible=patches.left_over(after),
+            normal=normal, incompatible=incompatible,
         )  # fmt: skip
+
+    @abstractmethod
+    def _on_patches(self, drops: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
+        """Sum of the fluxes on the patches (collective).
+
+        Args:
+            drops: What is to leave each corner less what flows out of it, with the sign changed: -int div sigma^a over
+                its cell.
+            beta: Fluxes of the targets phi_a mu grad u_h out of each cell, through the facet opposite to each of its
+                vertices if that has the vertex a: the same for all a, shape (cells, d + 1).
+
+        Returns:
+            The fluxes out of cells, and what patches of free vertices leave over, as `FluxP1` has them.
+        """
 
     def _multipliers(
         self, residual: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray
@@ -156,19 +161,20 @@ class EquilibrationP1:
 
     def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
         """Where u is given and touches, the mean of the neighbours: any value >= 0 will do, 0 is far off in contact."""
-        level, dofs, values = self.level, self.triangles.dofs, with_ghosts(self.level.V, values)
+        level, dofs, values = self.level, self.simplices.dofs, with_ghosts(self.level.V, values)
         wanted = touches & ~self.patches.free
         if total(level.comm, np.count_nonzero(wanted)) == 0:
             return values
         for _ in range(SWEEPS):
             corner = values[dofs]
-            others = self.patches.gather(corner.sum(axis=1, keepdims=True) - corner, np.full(corner.shape, 2.0))
+            dim = float(self.simplices.dim)
+            others = self.patches.gather(corner.sum(axis=1, keepdims=True) - corner, np.full(corner.shape, dim))
             sums, counts = (self.patches.at_vertices(part) for part in others)
             values = with_ghosts(level.V, np.where(wanted, sums / counts, values[: level.owned]))
         return values
 
     def _in_cells(self, values: np.ndarray, gap: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Nodal multipliers at the corners of cells with the same sum over each patch, and these along the fans
+        """Nodal multipliers at the corners of cells with the same sum over each patch, and these patch by patch
         (collective).
 
         Args:
@@ -177,11 +183,11 @@ class EquilibrationP1:
         """
         patches, own = self.patches, values[: self.level.owned]
         if total(self.level.comm, np.count_nonzero(own)) == 0:
-            return np.zeros(self.triangles.dofs.shape), np.zeros(len(patches.area))
-        along, corner = patches.along(own[patches.vertex]), values[self.triangles.dofs]
+            return np.zeros(self.simplices.dofs.shape), np.zeros(len(patches.area))
+        along, corner = patches.along(own[patches.vertex]), values[self.simplices.dofs]
         if gap is None:
             return corner, along
-        gaps = patches.gather(np.repeat(gap[:, None], 3, axis=1))[0]
+        gaps = patches.gather(np.repeat(gap[:, None], corner.shape[1], axis=1))[0]
         most = patches.smallest(gaps) + NEAR * own * self._softness
         far = (gaps > patches.along(most[patches.vertex])) & (along > 0)
         if total(self.level.comm, np.count_nonzero(far)) == 0:

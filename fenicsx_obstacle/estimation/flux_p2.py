@@ -25,7 +25,7 @@ from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
 from fenicsx_obstacle.estimation.flux_p1 import NEAR
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
-from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 
 
@@ -54,7 +54,7 @@ class EquilibrationP2:
     """Everything about flux and multipliers that depends on mesh and data alone.
 
     Attributes:
-        triangles: The owned cells, with the dofs of P1.
+        simplices: The owned cells, with the dofs of P1.
         patches: Their corners around the vertices.
         nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
         mu: Mean tension of each cell, as the solver has it.
@@ -62,44 +62,44 @@ class EquilibrationP2:
         missing: Force at owned nodes that the load gives more than what the solver makes of it.
     """
 
-    def __init__(self, triangles: Triangles, data: Data):
+    def __init__(self, simplices: Simplices, data: Data):
         """Sample the load, sort the corners (collective).
 
         Args:
-            triangles: Of P1 on the same mesh.
+            simplices: Of P1 on the same mesh.
             data: Of P2.
         """
-        self.triangles, self.level = triangles, data.level
-        self.nodes = triangles.turned_nodes(releases.cell_dofs(self.level.V)[: len(triangles.area)])
+        self.simplices, self.level = simplices, data.level
+        self.nodes = simplices.turned_nodes(releases.cell_dofs(self.level.V)[: len(simplices.area)])
         self._sample_tension(data)
         self.load = Load(
-            triangles, data, tests=lambda points: points[:, :, None] * points[:, None], basis=lambda points: points
+            simplices, data, tests=lambda points: points[:, :, None] * points[:, None], basis=lambda points: points
         )
         self.missing = self.summed(against_nodes(self.load.missing))[: self.level.owned]
-        self.patches = VertexPatches(triangles)
+        self.patches = VertexPatches(simplices)
         self._given = np.zeros(len(fem.Function(self.level.V).x.array), dtype=bool)
         self._given[data.fixed[0]] = True
-        weights = self.summed(np.repeat(triangles.area[:, None] / 3, 3, axis=1), middles=True)
+        weights = self.summed(np.repeat(simplices.area[:, None] / 3, 3, axis=1), middles=True)
         self._weights = np.where(weights > 0, weights, 1.0)
         self._prepare_patches()
 
     def _sample_tension(self, data: Data) -> None:
         """The mean of mu, and int mu psi_j psi_k."""
         points, weights = rule(2)
-        mu = of_solver(self.triangles, data, tension_of(data), points, positive=True)
+        mu = of_solver(self.simplices, data, tension_of(data), points, positive=True)
         self.mu = mu @ weights
         products = np.einsum("pj,pk->pjk", points, points)
-        self._mu_products = self.triangles.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
+        self._mu_products = self.simplices.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
 
     def _prepare_patches(self) -> None:
         """Metric of each corner, and the matrices of the fans."""
-        triangles = self.triangles
-        x = triangles.x
+        simplices = self.simplices
+        x = simplices.x
         forms = []
         self._metrics = []
         for i in range(3):
             to_b, to_c = x[:, (i + 1) % 3] - x[:, i], x[:, (i + 2) % 3] - x[:, i]
-            self._metrics.append(metric(to_b, to_c, triangles.area, self.mu))
+            self._metrics.append(metric(to_b, to_c, simplices.area, self.mu))
             forms.append(np.einsum("kc,kuv->cuv", self._metrics[-1], FORMS))
         form = np.stack(forms, axis=1)  # cells, corners, 3, 3
         pairs = [(u, v) for u in range(3) for v in range(u, 3)]
@@ -137,9 +137,9 @@ class EquilibrationP2:
             touches_upper: Whether it is at the upper one or beyond it.
             gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
-        triangles, patches = self.triangles, self.patches
-        area, gradient = triangles.area, self.gradients(u)
-        slopes = np.einsum("xck,xca->cak", gradient, triangles.normal) / (2 * area)[:, None, None]  # grad psi_a at k
+        simplices, patches = self.simplices, self.patches
+        area, gradient = simplices.area, self.gradients(u)
+        slopes = np.einsum("xck,xca->cak", gradient, simplices.normal) / (2 * area)[:, None, None]  # grad psi_a at k
         K = np.einsum("cak,ckj->caj", slopes, self._mu_products)  # int mu grad u . grad psi_a psi_j
         lower, upper = (
             self._in_cells(values, gap)
@@ -148,7 +148,7 @@ class EquilibrationP2:
         pushes = self.load.moments + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
         drops = (pushes - K).sum(axis=2)
         unbalanced = np.where(patches.free, -patches.at_vertices(patches.gather(drops)[0]) / patches.mass, 0.0)
-        rest = with_ghosts(triangles.data.level.V, unbalanced)[triangles.dofs]
+        rest = with_ghosts(simplices.data.level.V, unbalanced)[simplices.dofs]
         pushes = pushes + rest[:, :, None] * (area[:, None, None] * MASS)
         drops = (pushes - K).sum(axis=2)
         R = K - pushes  # int div sigma^a psi_j
@@ -161,7 +161,7 @@ class EquilibrationP2:
 
     def gradients(self, u: np.ndarray) -> np.ndarray:
         """grad u_h at the vertices of each cell, shape (2, cells, 3)."""
-        values, normal = u[self.nodes], self.triangles.normal
+        values, normal = u[self.nodes], self.simplices.normal
         found = np.einsum("cj,xcj->xc", -values[:, :3], normal)[:, :, None].repeat(3, axis=2)
         # phi_j = psi_j (2 psi_j - 1): slope 3 at its vertex, -1 elsewhere; of a middle 4 psi at the two ends
         found = found + 4 * values[None, :, :3] * normal
@@ -169,7 +169,7 @@ class EquilibrationP2:
         for k in range(3):
             j, m = (k + 1) % 3, (k + 2) % 3
             found[:, :, k] += 4 * (middle[:, m] * normal[:, :, j] + middle[:, j] * normal[:, :, m])
-        return found / (2 * self.triangles.area)[None, :, None]
+        return found / (2 * self.simplices.area)[None, :, None]
 
     def _multipliers(
         self, K: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray
@@ -195,7 +195,7 @@ class EquilibrationP2:
         """
         if gap is None:
             return values
-        area, nodes = np.repeat(self.triangles.area[:, None] / 3, 3, axis=1), self.nodes[:, 3:]
+        area, nodes = np.repeat(self.simplices.area[:, None] / 3, 3, axis=1), self.nodes[:, 3:]
         softness = self.summed(area / self.mu[:, None], middles=True)[nodes]
         own = np.repeat(gap[:, None], 3, axis=1)
         both = self.summed(own, middles=True)[nodes]
@@ -216,7 +216,7 @@ class EquilibrationP2:
         self, u: np.ndarray, gradient: np.ndarray, K: np.ndarray, R: np.ndarray, drops: np.ndarray
     ) -> list[np.ndarray]:
         """How far each corner's flux without further moments is from its target, against each unknown."""
-        normal, mu = self.triangles.normal, self.mu
+        normal, mu = self.simplices.normal, self.mu
         found = []
         for i in range(3):
             b, c = (i + 1) % 3, (i + 2) % 3
@@ -288,7 +288,7 @@ class EquilibrationP2:
 
     def membrane(self, u: np.ndarray) -> np.ndarray:
         """The moments of mu grad u_h with the mean tension, shape (cells, 8)."""
-        gradient, normal, mu = self.gradients(u), self.triangles.normal, self.mu
+        gradient, normal, mu = self.gradients(u), self.simplices.normal, self.mu
         found = np.empty((len(mu), 8))
         for i in range(3):
             ends = [-mu * (gradient[0, :, k] * normal[0, :, i] + gradient[1, :, k] * normal[1, :, i])

@@ -11,7 +11,7 @@ from math import pi
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 
@@ -21,7 +21,7 @@ class HeldBoundary:
 
     Attributes:
         sides: Of the box.
-        area: Of the domain.
+        area: Length, area or volume of the domain.
         everywhere: Whether u is given on the whole boundary.
         faces: If the domain is the box, on how many of its two faces across each axis u is given; otherwise 0.
     """
@@ -45,14 +45,23 @@ class HeldBoundary:
     def reach(self, load: float, least_tension: float) -> float:
         """A bound of w >= 0, w = 0 where u is given, free elsewhere, -div(mu grad w) = f with 0 <= f <= load.
 
-        V(t) is the area of {w > t} and P(t) the length of its boundary in the domain and where w = 0 is given. With
-        the coarea formula and Cauchy's inequality P^2 <= -V' int_{w = t} |grad w| <= -V' load V/mu. So P^2 >= c V gives
-        -V' >= c mu/load, and max w <= load area/(c mu). Held all around, c = 4 pi is the isoperimetric inequality
-        (Talenti 1976). In a box L x H with w = 0 on a face of length H, c = min(1, H/L): each line across this face
+        In the plane V(t) is the area of {w > t} and P(t) the length of its boundary in the domain and where w = 0 is
+        given. With the coarea formula and Cauchy's inequality P^2 <= -V' int_{w = t} |grad w| <= -V' load V/mu. So
+        P^2 >= c V gives -V' >= c mu/load, and max w <= load area/(c mu). Held all around, c = 4 pi is the isoperimetric
+        inequality (Talenti 1976). In a box L x H with w = 0 on a face of length H, c = min(1, H/L): each line across it
         that meets {w > t} has an end of it, so that P >= H if all of them do; otherwise no line along the face lies in
-        the set, P is at least the length of both its shadows, and V at most their product. Infinite where no
+        the set, P is at least the length of both its shadows, and V at most their product. On intervals P is at least
+        the number of ends where w = 0 is given, V' V <= -P^2 mu/load, and max w <= load length^2/(2 P^2 mu). In solids,
+        held all around, it is that of the ball of the same volume, load radius^2/(6 mu) (Talenti). Infinite where no
         such constant is known.
         """
+        dim = len(self.sides)
+        if dim == 1:
+            ends = 2.0 if self.everywhere else self.faces[0]
+            return load * self.area**2 / (2 * ends**2 * least_tension) if ends > 0 else np.inf
+        if dim == 3:
+            radius = (3 * self.area / (4 * pi)) ** (1 / 3)
+            return load * radius**2 / (6 * least_tension) if self.everywhere else np.inf
         constants = [0.0]
         if self.everywhere:
             constants.append(4 * pi)
@@ -61,31 +70,32 @@ class HeldBoundary:
         return load * self.area / (c * least_tension) if c > 0 else np.inf
 
 
-def held_boundary(triangles: Triangles, held_sides: np.ndarray) -> HeldBoundary:
+def held_boundary(simplices: Simplices, held_sides: np.ndarray) -> HeldBoundary:
     """Where u is given (collective).
 
     Args:
-        triangles: The owned cells.
-        held_sides: Whether u is given on the side opposite to each vertex, shape (cells, 3).
+        simplices: The owned cells.
+        held_sides: Whether u is given on the facet opposite to each vertex, shape (cells, vertices).
     """
-    level, x = triangles.data.level, triangles.x
+    level, x = simplices.data.level, simplices.x
     comm = level.comm
-    lower = np.array([smallest(comm, x[..., axis]) for axis in range(2)])
-    upper = np.array([largest(comm, x[..., axis]) for axis in range(2)])
+    dim = simplices.dim
+    lower = np.array([smallest(comm, x[..., axis]) for axis in range(dim)])
+    upper = np.array([largest(comm, x[..., axis]) for axis in range(dim)])
     sides = upper - lower
-    outer = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
+    outer = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
     facets = level.boundary_facets
     outer[facets[facets < len(outer)]] = True
-    cells, opposite = np.nonzero(outer[triangles.facets])
+    cells, opposite = np.nonzero(outer[simplices.facets])
     held = held_sides[cells, opposite]
-    ends = np.stack([x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]], axis=1)
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    around, area = total(comm, length), total(comm, triangles.area)
-    everywhere = total(comm, length[held]) >= around * (1 - 1e-9)
+    ends = np.stack([x[cells, (opposite + k) % (dim + 1)] for k in range(1, dim + 1)], axis=1)
+    size = np.linalg.norm(simplices.normal[:, cells, opposite], axis=0)
+    around, area = total(comm, size), total(comm, simplices.area)
+    everywhere = total(comm, size[held]) >= around * (1 - 1e-9)
     is_box = area >= np.prod(sides) * (1 - 1e-9)
-    faces = np.zeros(2)
-    for axis in range(2):
+    faces = np.zeros(dim)
+    for axis in range(dim):
         for at in (lower[axis], upper[axis]):
             on = held & np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1)
-            faces[axis] += is_box and total(comm, length[on]) >= sides[1 - axis] * (1 - 1e-9)
+            faces[axis] += is_box and total(comm, size[on]) >= np.prod(np.delete(sides, axis)) * (1 - 1e-9)
     return HeldBoundary(sides, area, bool(everywhere), faces)

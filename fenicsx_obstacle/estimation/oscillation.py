@@ -1,13 +1,13 @@
 """What the load is beyond the polynomials that the equilibrated flux sigma is in balance with.
 
-In each triangle T let g = f - Pi f and tau the smallest field with div tau = -g and no normal part on the boundary of
+In each cell T let g = f - Pi f and tau the smallest field with div tau = -g and no normal part on the boundary of
 T: sigma + tau is in balance with the load itself. Up to the mean of g, which quadrature leaves and Friedrichs' constant
 bounds, tau = grad w with a w of mean zero, so that
 
     ||tau||_T <= C ||g||_T   by Poincare's inequality,   (grad Q, tau)_T = (g, Q)_T   for every Q.
 
-Where the mesh does not resolve the load the first is far off. There T is divided, and tau is the sum of a flux in RT0
-on the parts, which has the means of g on them, and of such fields in the parts.
+Where the mesh does not resolve the load the first is far off. There triangles are divided, and tau is the sum of a flux
+in RT0 on the parts, which has the means of g on them, and of such fields in the parts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import Load
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.shapes import longest_edges
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1
@@ -32,15 +33,18 @@ DEEPEST = 4
 
 
 def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """C with ||v|| <= C ||grad v|| for functions of mean zero in triangles.
+    """C with ||v|| <= C ||grad v|| for functions of mean zero in convex cells.
 
-    It is at most diameter/j_11 (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
+    It is at most diameter/pi (Payne and Weinberger 1960, Bebendorf 2003). In triangles it is at most diameter/j_11
+    (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
     the right isosceles one with legs of length 1; an affine map multiplies it by its norm at most.
 
     Args:
-        x: Corners, shape (cells, 3, 2).
-        area: Of the triangles.
+        x: Corners, shape (cells, d + 1, d).
+        area: |T|.
     """
+    if x.shape[2] != 2:
+        return longest_edges(x) / np.pi
     sides = np.stack([((x[:, (k + 2) % 3] - x[:, (k + 1) % 3]) ** 2).sum(axis=1) for k in range(3)], axis=1)
 
     def norm(squares: np.ndarray, determinant: np.ndarray) -> np.ndarray:
@@ -59,25 +63,26 @@ class Oscillation:
     Attributes:
         norm: Bound of ||tau||_T.
         rest: The part of it that is due to the load's distance to polynomials q on parts of the cells.
-        first: int g (x - middle) with q in place of f, shape (2, cells).
+        first: int g (x - middle) with q in place of f, shape (d, cells).
         second: int g |x - middle|^2 with q in place of f, shape (cells,).
         poincare: C.
     """
 
-    def __init__(self, triangles: Triangles, load: Load, value: Field | None, degree: int):
+    def __init__(self, simplices: Simplices, load: Load, value: Field | None, degree: int):
         """Bound it (collective).
 
         Args:
-            triangles: The cells.
+            simplices: The cells.
             load: What is known of the load.
             value: The load.
             degree: Of Pi f, 0 or 1.
         """
-        self._triangles, area = triangles, triangles.area
-        self.poincare = poincare(triangles.x, area)
+        self._simplices, area = simplices, simplices.area
+        self.poincare = poincare(simplices.x, area)
         count = len(area)
         self.norm, self.rest, self.second = (np.zeros(count) for _ in range(3))
-        self.first = np.zeros((2, count))
+        dim = simplices.dim
+        self.first = np.zeros((dim, count))
         if load.pieces is None or value is None:
             return
         squares = np.zeros(count)
@@ -88,37 +93,38 @@ class Oscillation:
         self.norm = self.poincare * load.oscillation
         moments = load.moments if degree == 0 else load.moments.sum(axis=2)  # int f psi_l
         mean = moments.sum(axis=1) / area
-        # Pi_1 f has the values 9 m_l - 3 (sum of the others) over the area at the vertices
-        linear = (12 * moments - 3 * moments.sum(axis=1, keepdims=True)) / area[:, None] - mean[:, None]
-        of_linear = area / 12 * ((linear**2).sum(axis=1) + linear.sum(axis=1) ** 2)
+        # the nodal values of Pi_1 f, by the inverse of the mass matrix
+        inverse = (dim + 2) * moments - moments.sum(axis=1, keepdims=True)
+        linear = (dim + 1) * inverse / area[:, None] - mean[:, None]
+        of_linear = area / ((dim + 1) * (dim + 2)) * ((linear**2).sum(axis=1) + linear.sum(axis=1) ** 2)
         if degree == 0:
-            middle = triangles.x.mean(axis=1, keepdims=True)
-            self.first = np.einsum("cl,clx->xc", moments, triangles.x - middle)
+            middle = simplices.x.mean(axis=1, keepdims=True)
+            self.first = np.einsum("cl,clx->xc", moments, simplices.x - middle)
             self._add_second(load.pieces.groups, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
         rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
-        comm = triangles.data.level.comm
+        comm = simplices.data.level.comm
         parts = total(comm, len(rough))
         if degree == 0:  # the error of P1 is of the size of the load times h
             of_load = total(comm, self.poincare**2 * (area * mean**2 + load.oscillation**2))
             if total(comm, self.norm[rough] ** 2) <= SMALL**2 * of_load:
                 return
         depth = next((d for d in range(DEEPEST, 0, -1) if parts * 4**d <= PARTS), 0)
-        if depth > 0 and len(rough) > 0 and value.parts is None:
+        if dim == 2 and depth > 0 and len(rough) > 0 and value.parts is None:
             values = mean[:, None] + (linear if degree > 0 else 0.0 * linear)
             self.norm[rough] = np.minimum(self.norm[rough], self._divided(rough, value, values[rough], depth))
 
     def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""
-        x = self._triangles.x - self._triangles.x.mean(axis=1, keepdims=True)
+        x = self._simplices.x - self._simplices.x.mean(axis=1, keepdims=True)
         for whole in groups:
-            points, weights = rule(2, whole.degree + 2)
+            points, weights = rule(self._simplices.dim, whole.degree + 2)
             for block in blocks(len(whole.rows)):
                 part = whole[block]
                 there = np.matmul(part.points(points), x[part.rows])
                 distance = np.einsum("cpx,cpx->cp", there, there)
                 integrals = ((part.values(points) - mean[part.rows, None]) * distance) @ weights
-                size = part.share * self._triangles.area[part.rows]
+                size = part.share * self._simplices.area[part.rows]
                 self.second += np.bincount(part.rows, size * integrals, len(self.second))
 
     def _divided(self, cells: np.ndarray, value: Field, linear: np.ndarray, depth: int) -> np.ndarray:
@@ -130,11 +136,11 @@ class Oscillation:
             linear: Pi f at the vertices of these.
             depth: How often their edges are halved.
         """
-        triangles, area = self._triangles, self._triangles.area[cells]
+        simplices, area = self._simplices, self._simplices.area[cells]
         inside, count = _parts(depth), 4**depth
-        corners = (inside @ triangles.x[cells][:, None]).reshape(-1, 3, 2)
+        corners = (inside @ simplices.x[cells][:, None]).reshape(-1, 3, 2)
         size, nearest = np.repeat(area, count) / count, (inside @ linear[:, None, :, None]).reshape(-1, 3)
-        pieces = pieces_of(triangles.data, value, corners, np.repeat(cells, count), Division(1))
+        pieces = pieces_of(simplices.data, value, corners, np.repeat(cells, count), Division(1))
         means, squares, rests = (np.zeros(len(corners)) for _ in range(3))
         for group in pieces.groups:
             points, weights = rule(2, 2 * max(group.degree, 1))
@@ -149,7 +155,7 @@ class Oscillation:
         rest = self.poincare[cells] * np.sqrt((rests * size).reshape(-1, count).sum(axis=1))
         means = means.reshape(-1, count)
         means = (means - means.mean(axis=1, keepdims=True)) * (area / count)[:, None]
-        a, b = (triangles.x[cells, k] - triangles.x[cells, 0] for k in (1, 2))
+        a, b = (simplices.x[cells, k] - simplices.x[cells, 0] for k in (1, 2))
         metric = np.stack([np.einsum("cx,cx->c", p, q) for p, q in ((a, a), (a, b), (b, b))]) / (2 * area)
         between = np.einsum("kc,kij,ci,cj->c", metric, _energies(depth), means, means, optimize=True)
         return np.sqrt(np.maximum(between, 0.0)) + within + rest

@@ -1,4 +1,4 @@
-"""Parts of segments and triangles, which need not be cells of any mesh: halved, or cut along lines."""
+"""Parts of segments, triangles and tetrahedra, which need not be cells of any mesh: halved, or cut along lines."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Parts:
     Attributes:
         rows: The simplex that each is a part of.
         cells: The owned cell.
-        x: Corners, shape (parts, corners, 2).
+        x: Corners, shape (parts, corners, coordinates).
         inside: Their barycentric coordinates in the simplex; None: each part is a simplex itself.
         share: Of its measure.
         least: Lower bound of a datum there.
@@ -90,24 +90,22 @@ class Parts:
         crossed = (low < levels - close) & (high > levels + close)
         kept, rows = np.flatnonzero(~crossed), np.flatnonzero(crossed)
         above = values[rows] > levels[rows, None]
-        # the corner that is alone on its side comes first
-        alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
-        order = (alone[:, None] + np.arange(self.size)) % self.size
-        there = np.take_along_axis(values[rows], order, axis=1)
-        t = (levels[rows, None] - there[:, :1]) / (there[:, 1:] - there[:, :1])
-        t = np.clip(t, 0.0, 1.0)
-        corners = np.eye(self.size)[order]  # weights of the corners of the part
-        ends = corners[:, :1] * (1 - t)[..., None] + corners[:, 1:] * t[..., None]
-        tip = np.concatenate([corners[:, :1], ends], axis=1)
-        if self.size == 2:
-            found, shares = [tip, np.stack([ends[:, 0], corners[:, 1]], axis=1)], [t[:, 0], 1 - t[:, 0]]
-        else:
-            far = np.stack([ends[:, 0], corners[:, 1], corners[:, 2]], axis=1)
-            near = np.stack([ends[:, 0], corners[:, 2], ends[:, 1]], axis=1)
-            found, shares = [tip, far, near], [t[:, 0] * t[:, 1], 1 - t[:, 0], t[:, 0] * (1 - t[:, 1])]
-        source = np.concatenate([kept, *[rows] * len(found)])
-        weights = np.concatenate([np.broadcast_to(np.eye(self.size), (len(kept), self.size, self.size)), *found])
-        share = np.concatenate([np.ones(len(kept)), *shares])
+        found = []  # parts cut, and weights of the corners of each of their parts
+        for count in range(1, self.size):
+            chosen = np.flatnonzero(above.sum(axis=1) == count)
+            if not len(chosen):
+                continue
+            # the corners on the side that has fewer come first
+            first = above[chosen] == (2 * count <= self.size)
+            order = np.argsort(~first, axis=1, kind="stable")
+            there = np.take_along_axis(values[rows[chosen]], order, axis=1)
+            found += _cut_along(
+                rows[chosen], there, levels[rows[chosen]], np.eye(self.size)[order], min(count, self.size - count)
+            )
+        source = np.concatenate([kept, *(part for part, _ in found)])
+        whole = np.broadcast_to(np.eye(self.size), (len(kept), self.size, self.size))
+        weights = np.concatenate([whole, *(part for _, part in found)])
+        share = np.concatenate([np.ones(len(kept)), *(np.abs(np.linalg.det(part)) for _, part in found)])
         filled = share > 0  # where a line runs through a corner some have none
         source, weights, share = source[filled], weights[filled], share[filled]
         parts = self._replaced(source, weights @ self.x[source], weights @ self._inside[source], share)
@@ -125,3 +123,39 @@ class Parts:
     @property
     def _arrays(self) -> tuple[np.ndarray, ...]:
         return self.rows, self.cells, self.x, self._inside, self.share, self.least, self.most
+
+
+# the parts of simplices by how many corners are on one side: these come first. After the corners stand the places where
+# edges from the first ones to the others are cut
+_PRISM = ((0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5))
+_PIECES: dict[tuple[int, int], list[tuple[int, ...]]] = {
+    (2, 1): [(0, 2), (2, 1)],
+    (3, 1): [(0, 3, 4), (3, 1, 2), (3, 2, 4)],
+    (4, 1): [(0, 4, 5, 6), *(tuple((4, 5, 6, 1, 2, 3)[k] for k in part) for part in _PRISM)],
+    (4, 2): [tuple(prism[k] for k in part) for prism in ((0, 4, 5, 1, 6, 7), (2, 4, 6, 3, 5, 7)) for part in _PRISM],
+}
+
+
+def _cut_along(
+    rows: np.ndarray, values: np.ndarray, levels: np.ndarray, corners: np.ndarray, first: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Simplices cut where linear functions have given values.
+
+    Args:
+        rows: Which they are.
+        values: At their corners, the first ones on one side.
+        levels: Of the cuts.
+        corners: Weights of the corners, in the same order.
+        first: How many corners are on that side.
+
+    Returns:
+        Of the parts at each place: which simplices they are of, and the weights of their corners.
+    """
+    size = values.shape[1]
+    points = [corners]
+    for i in range(first):
+        for j in range(first, size):
+            t = np.clip((levels - values[:, i]) / (values[:, j] - values[:, i]), 0.0, 1.0)[:, None]
+            points.append((corners[:, i] * (1 - t) + corners[:, j] * t)[:, None])
+    together = np.concatenate(points, axis=1)
+    return [(rows, together[:, list(piece)]) for piece in _PIECES[size, first]]

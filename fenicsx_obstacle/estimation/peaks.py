@@ -7,16 +7,18 @@ may touch it; elsewhere its bounds are enough.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
-from fenicsx_obstacle.estimation.triangles import Triangles, with_ghosts
-from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
+from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
 
 # where u may touch; what counts is the distance to the nodal interpolant
@@ -43,9 +45,9 @@ class Peaks:
 
     def __init__(
         self,
-        triangles: Triangles,
-        patches: VertexPatches,
-        dirichlet: DirichletData,
+        simplices: Simplices,
+        patches: Patches,
+        dirichlet: BoundaryValues,
         sign: float,
         field: Field,
         known: Range,
@@ -53,16 +55,16 @@ class Peaks:
         """Compare it with its interpolant (collective).
 
         Args:
-            triangles: The cells.
+            simplices: The cells.
             patches: The cells around the vertices.
             dirichlet: Boundary values between the nodes.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
-        data = triangles.data
-        self.triangles, self.patches, self.dirichlet, self.sign, self._field = (
-            triangles,
+        data = simplices.data
+        self.simplices, self.patches, self.dirichlet, self.sign, self._field = (
+            simplices,
             patches,
             dirichlet,
             sign,
@@ -71,10 +73,10 @@ class Peaks:
         nodal = data.lower if sign > 0 else data.upper
         assert nodal is not None
         self.nodal = sign * (field.clip(nodal.x.array) if isinstance(field, Clipped) else nodal.x.array)
-        comm, cells = data.level.comm, len(triangles.area)
+        comm, cells = data.level.comm, len(simplices.area)
         self._heights = largest(comm, np.abs(self.nodal))
         self._flat = self._field.uniform
-        nodal_there = self.nodal[triangles.dofs]
+        nodal_there = self.nodal[simplices.dofs]
         low, high = polynomials.row_min(nodal_there), polynomials.row_max(nodal_there)
         bottom, top = (known.lower, known.upper.copy()) if sign > 0 else (-known.upper, -known.lower)
         self._top = top
@@ -87,12 +89,14 @@ class Peaks:
 
     def _take(self, cells: np.ndarray, pieces: Pieces) -> None:
         """Heights and means in some cells; above the interpolant, and in all."""
-        nodal = self.nodal[self.triangles.dofs[cells]]
+        nodal = self.nodal[self.simplices.dofs[cells]]
         highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
         for group in pieces.groups:
             coefficient, room = self._above(group, nodal)
             known = np.isfinite(group.rest)
-            top = polynomials.largest(coefficient, 3, max(group.degree, 1)) + np.where(known, group.rest, 0.0)
+            top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + np.where(
+                known, group.rest, 0.0
+            )
             side = group.upper if self.sign > 0 else -group.lower
             top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
             group.raise_to(highest, np.where(top <= room, 0.0, top + room))
@@ -105,7 +109,9 @@ class Peaks:
         """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
         degree, coefficient = group.above(linear, self.sign)
         size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(linear[group.rows]))
-        return coefficient, polynomials.round_off(size[:, None], 3, degree) + ROUND_OFF * self._heights
+        return coefficient, polynomials.round_off(
+            size[:, None], self.simplices.dim + 1, degree
+        ) + ROUND_OFF * self._heights
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """Nodal heights of an obstacle that is nowhere below this one where u may touch it (collective).
@@ -121,15 +127,15 @@ class Peaks:
         """
         if self._flat and not self.dirichlet.twice:
             return self.nodal
-        dofs = self.triangles.dofs
+        dofs = self.simplices.dofs
         for done, division in enumerate(SHARPER):
             near = self._near(u)
             new = np.flatnonzero(near & (self._done == done))
-            pieces = in_cells(self.triangles, self._field, division, new)
+            pieces = in_cells(self.simplices, self._field, division, new)
             self._take(new, pieces)
             self._done[new] = np.where(pieces.rough, done + 1, len(SHARPER))
         given = np.zeros(len(u), dtype=bool)
-        given[self.triangles.data.fixed[0]] = True
+        given[self.simplices.data.fixed[0]] = True
         # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
         cells, needed = np.flatnonzero(near & (self._height > 0)), np.zeros(dofs.shape)
         nodal, state = self.nodal[dofs[cells]], np.maximum(u, self.nodal)[dofs[cells]]
@@ -144,7 +150,7 @@ class Peaks:
 
     def _near(self, u: np.ndarray) -> np.ndarray:
         """Where u may touch."""
-        dofs = self.triangles.dofs
+        dofs = self.simplices.dofs
         near = (
             _least(u - self.nodal, dofs)
             <= np.maximum(self._height, ROUND_OFF * self._heights) + self.dirichlet.deviation
@@ -157,23 +163,24 @@ class Peaks:
         It is the positive part of obstacle - state - cones of boundary values, which is 0 on the boundary. Its gradient
         is bounded on those parts of the cells where it may be positive.
         """
-        triangles, comm = self.triangles, self.triangles.data.level.comm
+        simplices, comm = self.simplices, self.simplices.data.level.comm
         self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
         owner = np.flatnonzero(beside)
-        corners, inside = triangles.x[owner], np.broadcast_to(np.eye(3), (len(owner), 3, 3))
+        count, times = simplices.dim + 1, 2**simplices.dim
+        corners, inside = simplices.x[owner], np.broadcast_to(np.eye(count), (len(owner), count, count))
         for split in range(BESIDE + 1):
-            pieces = pieces_of(triangles.data, self._field, corners, owner, Division(0))
-            linear = (inside @ state[triangles.dofs[owner]][..., None])[..., 0]
+            pieces = pieces_of(simplices.data, self._field, corners, owner, Division(0))
+            linear = (inside @ state[simplices.dofs[owner]][..., None])[..., 0]
             cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
             above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
             for group in pieces.groups:
                 coefficient, room = self._above(group, linear)
                 beyond = group.rest - cones[group.rows]
-                open_ = np.flatnonzero(polynomials.largest(coefficient, 3, max(group.degree, 1)) + beyond > room)
+                open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > room)
                 rows = group.rows[open_]
                 above[rows] = True
                 if last:
-                    measure = triangles.area[owner[rows]] * group.share[open_] / 4**split
+                    measure = simplices.area[owner[rows]] * group.share[open_] / times**split
                     height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
                     steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
                     np.add.at(self.cover_volume, owner[rows], measure * height)
@@ -181,14 +188,14 @@ class Peaks:
             uncovered = np.count_nonzero(above)
             if last:
                 break
-            owner = np.repeat(owner[above], 4)
+            owner = np.repeat(owner[above], times)
             corners, inside = polynomials.halved(corners[above]), polynomials.halved(inside[above])
         jumps = total(comm, uncovered) > 0 and not self._field.continuous
         self.sampled = self._of_samples or jumps
 
     def _at_nodes(self, u_values: np.ndarray) -> np.ndarray:
         """The largest value at the corners of cells around each local dof, 0 if that is more (collective)."""
-        owned, level = np.zeros(self.patches.owned), self.triangles.data.level
+        owned, level = np.zeros(self.patches.owned), self.simplices.data.level
         if total(level.comm, np.count_nonzero(u_values)) > 0:
             owned = self.patches.largest(self.patches.gather(u_values)[0])
         return with_ghosts(level.V, owned)
@@ -196,5 +203,4 @@ class Peaks:
 
 def _least(nodal: np.ndarray, dofs: np.ndarray) -> np.ndarray:
     """The least value at the vertices of each cell."""
-    a, b, c = (nodal[dofs[:, k]] for k in range(3))
-    return np.minimum(np.minimum(a, b), c)
+    return reduce(np.minimum, (nodal[column] for column in dofs.T))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import reduce
+from math import factorial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.shapes import inward, least_heights, longest_edges, sizes
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
@@ -106,26 +108,24 @@ class Group:
         return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
 
     def steepness(self, coefficients: np.ndarray, corners: np.ndarray, more: np.ndarray) -> np.ndarray:
-        """Bound of the mean of |grad(datum - other functions)|^2 on the parts of triangles.
+        """Bound of the mean of |grad(datum - other functions)|^2 on the parts of triangles or tetrahedra.
 
         Args:
             coefficients: Of Bernstein, of the polynomials less other polynomials.
-            corners: Of the triangles, shape (triangles, 3, 2).
+            corners: Of these, shape (simplices, d + 1, d).
             more: Bound of the gradient of what is no polynomial.
         """
         x = corners[self.rows] if self.corners is None else self.corners @ corners[self.rows]
-        edges = np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)
-        area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])  # twice of it
-        turned = np.stack([-edges[..., 1], edges[..., 0]], axis=2) / area[:, None, None]
-        degree = polynomials.degree_of(coefficients.shape[1])
-        points, weights = rule(2, 2 * (degree - 1))
-        along = polynomials.slopes(coefficients, 3, degree)
-        there = np.stack([polynomials.evaluate(along[:, k], points, degree - 1) for k in range(3)], axis=1)
-        gradient = np.einsum("nkp,nkx->npx", there, turned)
+        dim = x.shape[2]
+        of_corners = inward(x) / (dim * sizes(x))[:, None]
+        degree = polynomials.degree_of(coefficients.shape[1], dim + 1)
+        points, weights = rule(dim, 2 * (degree - 1))
+        along = polynomials.slopes(coefficients, dim + 1, degree)
+        there = np.stack([polynomials.evaluate(along[:, k], points, degree - 1) for k in range(dim + 1)], axis=1)
+        gradient = np.einsum("nkp,xnk->npx", there, of_corners)
         mean = np.einsum("npx,npx,p->n", gradient, gradient, weights)
-        longest = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
         known = np.isfinite(self.steep)  # of samples it is not
-        unknown = np.where(known, self.steep, (self.upper - self.lower) * longest / area)
+        unknown = np.where(known, self.steep, (self.upper - self.lower) / least_heights(x))
         return (np.sqrt(mean) + more + np.where(np.isfinite(unknown), unknown, 0.0)) ** 2
 
     def lower_to(self, least: np.ndarray, values: np.ndarray) -> None:
@@ -175,12 +175,12 @@ class Pieces:
 
 
 def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:
-    """A datum on segments or triangles in the plane (collective where it is the first to need the distance).
+    """A datum on segments, triangles or tetrahedra (collective where it is the first to need the distance).
 
     Args:
         data: Of the problem.
         datum: It, without parts.
-        corners: Shape (simplices, corners, 2).
+        corners: Shape (simplices, corners, coordinates).
         cells: The owned cell that each lies in.
         division: When simplices are divided.
     """
@@ -369,9 +369,7 @@ class _Near:
     def _smooth(self, rows: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
         """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
         x = x[rows]
-        edges = [x[:, i] - x[:, j] for i in range(self._corners) for j in range(i)]
-        size = np.sqrt(np.max([edge[:, 0] ** 2 + edge[:, 1] ** 2 for edge in edges], axis=0))
-        height = size if self._corners == 2 else _quotient(np.abs(_cross(x)), size, 0.0)
+        size, height = longest_edges(x), least_heights(x)
         good = np.zeros(len(rows), dtype=bool)
         if division.degree == 2:
             second, third = bounds.derivative(2)[rows], bounds.derivative(3)[rows]
@@ -428,8 +426,9 @@ class _Near:
         size = np.maximum(np.abs(self.lower), np.abs(self.upper))
         far = ~self.whole | (self.rest > 2 * division.rough * self._half())
         if np.isfinite(division.length) and parts.inside is not None:
-            h = np.sqrt(_quotient(np.abs(_cross(parts.x)), parts.share, 0.0))  # of the simplex, about
-            far &= division.length * np.sqrt(parts.share) * self.rest > THIN * h * size
+            dim = parts.size - 1
+            h = (factorial(dim) * sizes(parts.x) / parts.share) ** (1 / dim)  # of the simplex, about
+            far &= division.length * parts.share ** (1 / dim) * self.rest > THIN * h * size
         return ~self.finite | (far & (self.rest > NEGLIGIBLE * size))
 
     def divided(self, parts: Parts, chosen: np.ndarray) -> Parts:
@@ -464,12 +463,6 @@ def _quotient(a: np.ndarray, b: np.ndarray, otherwise: float) -> np.ndarray:
     return np.divide(a, b, out=np.full(len(a), otherwise), where=b > 0)
 
 
-def _cross(corners: np.ndarray) -> np.ndarray:
-    """Twice the area of triangles, with a sign."""
-    (a, b), (c, d) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
-    return a * d - b * c
-
-
 @dataclass(frozen=True, eq=False)
 class _Samples:
     """What samples show of a datum of which no bounds are known, as `effects.field.Enclosed` has it."""
@@ -501,8 +494,8 @@ class _Samples:
 
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         points = polynomials.inner_points(self.corners.shape[1], degree)
-        x = np.zeros((3, len(cells) * len(points)))
-        x[:2] = (points @ self.corners[cells]).reshape(-1, 2).T
+        x, dim = np.zeros((3, len(cells) * len(points))), self.corners.shape[2]
+        x[:dim] = (points @ self.corners[cells]).reshape(-1, dim).T
         return self.here.at(x, self.names, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)
 
 

@@ -6,6 +6,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.cell_data import other_effects
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 
 
 def refuse_no_bound(problem: Problem) -> None:
@@ -18,9 +19,13 @@ def refuse_no_bound(problem: Problem) -> None:
     if model.time is not None:
         raise InputError(f"{model.source}: the error bound is for one equilibrium, not for [time]")
     mesh, pair = level.mesh, level.pair
-    if releases.cell_name(mesh) != "triangle" or mesh.geometry.dim != 2 or not pair.bounded:
-        what = f"{pair.name} on {releases.cell_name(mesh)} cells in {mesh.geometry.dim}D"
-        raise InputError(f"{model.source}: the error bound is for P1 on triangles in the plane, and P2, not for {what}")
+    cell, dim = releases.cell_name(mesh), mesh.geometry.dim
+    known = pair.bounded and (dim == 2 or pair.degree == 1)
+    if cell not in SIMPLICES or mesh.topology.dim != dim or not known:
+        raise InputError(
+            f"{model.source}: the error bound is for P1 on intervals, on triangles in the plane and on tetrahedra, and "
+            f"for P2 on triangles in the plane, not for {pair.name} on {cell} cells in {dim}D"
+        )
     for effect in sorted(model.effects, key=lambda effect: not effect.elastic):
         if effect.no_bound:
             raise InputError(f"{model.source}: {effect.no_bound}")

@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.pieces import Pieces
-from fenicsx_obstacle.estimation.triangles import Triangles
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
 
 
@@ -54,20 +54,20 @@ class Standing:
 class Hypotheses:
     """What is known of the data on one mesh, without sampling."""
 
-    def __init__(self, triangles: Triangles, tension: Pieces | None, load: Pieces | None, dirichlet: DirichletData):
+    def __init__(self, simplices: Simplices, tension: Pieces | None, load: Pieces | None, dirichlet: BoundaryValues):
         """Look at the parts of the boundary (collective).
 
         Args:
-            triangles: The owned cells.
+            simplices: The owned cells.
             tension: In the cells; None of a number.
             load: In the cells; None of a number.
             dirichlet: Boundary values.
         """
-        self._triangles, self._rim = triangles, dirichlet
-        comm = triangles.data.level.comm
-        self._reasons = cut_parts(triangles)
-        self._middles = np.zeros((len(triangles.area), 3))
-        self._middles[:, :2] = triangles.x.mean(axis=1)
+        self._simplices, self._rim = simplices, dirichlet
+        comm = simplices.data.level.comm
+        self._reasons = cut_parts(simplices)
+        self._middles = np.zeros((len(simplices.area), 3))
+        self._middles[:, : simplices.dim] = simplices.x.mean(axis=1)
         self._sampled = []
         for name, pieces, wrong in (
             ("tension", tension, "tension may be 0, negative, infinite or undefined"),
@@ -92,7 +92,7 @@ class Hypotheses:
             reasons: Further ones for which it is an indicator.
             obstacles: With the bound's state in mind.
         """
-        level, found, obstacles = self._triangles.data.level, [*reasons, *self._reasons], list(obstacles)
+        level, found, obstacles = self._simplices.data.level, [*reasons, *self._reasons], list(obstacles)
         for side in obstacles:
             if place := self._near(side.unbounded):
                 found.append(f"the obstacle may be infinite or undefined near {place}")
@@ -107,6 +107,6 @@ class Hypotheses:
 
     def _first(self, point: np.ndarray | None) -> str:
         """The first point that a rank has, in words (collective)."""
-        data = self._triangles.data
+        data = self._simplices.data
         found = next((one for one in data.level.comm.allgather(point) if one is not None), None)
         return "" if found is None else data.place(found)

@@ -1,9 +1,8 @@
-"""The cells around each vertex in their order, on the rank that owns the vertex, whatever ranks the cells are on.
+"""The triangles around each vertex in their order.
 
-A corner is a vertex a of an owned triangle with the other two, b and c, counter-clockwise after it. The corners of a
-vertex form fans: the corner after (a, b, c) is the one across its edge a-c, which begins with (a, c). Fans end at the
-boundary, and on curves inside the domain where u is given. Values travel between a corner's cell and its fan by one
-exchange over all ranks; everything that depends on the mesh alone is found once.
+A corner is a vertex a of an owned triangle with the other two, b and c, counter-clockwise after it. The patches are
+fans: the corner after (a, b, c) is the one across its edge a-c, which begins with (a, c). Fans end at the boundary, and
+on curves inside the domain where u is given.
 """
 
 from __future__ import annotations
@@ -11,59 +10,37 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from mpi4py import MPI
 
-from fenicsx_obstacle.estimation.triangles import Triangles, next_, previous
+from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous
 from fenicsx_obstacle.parallel import largest
 
 
-class VertexPatches:
+class VertexPatches(Patches):
     """The fans of all owned vertices, in arrays ordered by step: the first corners of all fans, then the second ones.
 
     Fans stand in order of decreasing length, so that step k is one slice, and a walk along all fans at once is a loop
     over slices.
 
     Attributes:
-        held: Whether u is given on the side opposite to each vertex, shape (owned cells, 3).
-        free: Whether u is not given at an owned vertex.
-        area: A third of the cell's area at each corner.
-        mass: int phi_i at owned vertices.
         steps: Slice of each step.
-        vertex: Owned dof of each fan.
         closed: Whether a fan goes all the way round.
         last: Place of the last corner of each fan.
         entry_held: Whether u is given on the edge where a fan begins; open fans only.
         exit_held: Whether u is given on the edge where a fan ends; open fans only.
     """
 
-    def __init__(self, triangles: Triangles):
+    def __init__(self, simplices: Simplices):
         """Sort the corners (collective)."""
-        data, dofs = triangles.data, triangles.dofs
-        self.comm, self.owned = data.level.comm, data.level.owned
-        is_held = np.zeros(triangles.facets.max(initial=-1) + 1, dtype=bool)
-        for facets in data.held:
-            is_held[facets[facets < len(is_held)]] = True
-        self.held = is_held[triangles.facets]
-        self.free = np.ones(self.owned, dtype=bool)
-        fixed = data.fixed[0]
-        self.free[fixed[fixed < self.owned]] = False
-        index_map = data.level.V.dofmap.index_map
-        number = np.asarray(index_map.local_to_global(dofs.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 3)
-        starts = np.array(self.comm.allgather(index_map.local_range[0]))
-        if self.comm.size > 1:
-            # ranks that own none share their start with the next: take the last
-            owner = np.searchsorted(starts, number, side="right").ravel() - 1
-            self._send = np.argsort(owner, kind="stable")
-            self._sent = np.bincount(owner, minlength=self.comm.size)
-            self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
-        entry, exit_ = (number * index_map.size_global + other for other in (next_(number), previous(number)))
+        super().__init__(simplices)
+        number = self._number
+        entry, exit_ = (number * self._vertices + other for other in (next_(number), previous(number)))
         ends = previous(self.held) + 2 * next_(self.held)
         a, entry, exit_, ends = self._to_owners(number, entry, exit_, ends)
-        a = a - starts[self.comm.rank]
+        a = a - self._first
         entry_held, exit_held = ends % 2 > 0, ends > 1
         self._sort(a, self._links(entry, exit_, entry_held, exit_held), entry_held, exit_held)
-        self.area = self.gather(np.repeat(triangles.area[:, None] / 3, 3, axis=1))[0]
-        self.mass = self.at_vertices(self.area)
+        self._weigh(simplices)
 
     def _links(self, entry: np.ndarray, exit_: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> np.ndarray:
         """The corner after each, -1 where its fan ends (local)."""
@@ -118,32 +95,6 @@ class VertexPatches:
         self.vertex = a[head]
         self.entry_held, self.exit_held = entry_held[head], exit_held[self._order[self.last]]
 
-    def gather(self, *values: np.ndarray) -> np.ndarray:
-        """Values at the corners of owned cells, each of shape (cells, 3), along the fans (collective).
-
-        Returns:
-            Shape (len(values), corners).
-        """
-        return np.stack([rows[self._order] for rows in self._to_owners(*values)])
-
-    def scatter(self, *values: np.ndarray) -> list[np.ndarray]:
-        """Values along the fans at the corners of their cells, each of shape (cells, 3) (collective)."""
-        found = []
-        for part in values:
-            ordered = np.empty(len(self._order))
-            ordered[self._order] = part
-            found.append(ordered)
-        if self.comm.size > 1:
-            back = self._exchange(np.stack(found, axis=1), self._received, self._sent)
-            ordered = np.empty_like(back)
-            ordered[self._send] = back
-            found = list(ordered.T)
-        return [part.reshape(-1, 3) for part in found]
-
-    def at_vertices(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the corners of each owned vertex (local)."""
-        return np.bincount(self.vertex, weights=self.sums(values), minlength=self.owned)
-
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums over the corners of each fan (local)."""
         sums = np.zeros(len(self.vertex))
@@ -195,18 +146,3 @@ class VertexPatches:
     def along(self, values: np.ndarray) -> np.ndarray:
         """One value for each fan at all of its corners (local)."""
         return np.concatenate([values[:0], *(values[: step.stop - step.start] for step in self.steps)])
-
-    def _to_owners(self, *values: np.ndarray) -> list[np.ndarray]:
-        """Values at corners, each of shape (cells, 3), in the order in which they come to their owners (collective)."""
-        if self.comm.size == 1:
-            return [part.ravel() for part in values]
-        rows = np.stack(values, axis=2).reshape(-1, len(values))[self._send]
-        return list(self._exchange(rows, self._sent, self._received).T)
-
-    def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
-        """Rows in the order of the ranks they go to; those that came, likewise (collective)."""
-        kind, width = (MPI.DOUBLE if rows.dtype == np.float64 else MPI.INT64_T), rows.shape[1]
-        out = np.empty((received.sum(), width), dtype=rows.dtype)
-        send = [np.ascontiguousarray(rows), (sent * width).tolist(), None, kind]
-        self.comm.Alltoallv(send, [out, (received * width).tolist(), None, kind])
-        return out

@@ -288,7 +288,9 @@ class MeasuredField(Field):
         return self.surface.at(self._inward(x[:2].T))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
-        return OnSurface(self.surface, self._inward(corners)) if self.surface.enclosed else None
+        if not self.surface.enclosed or corners.shape[2] != 2:
+            return None
+        return OnSurface(self.surface, self._inward(corners))
 
     def because(self, point: np.ndarray, names: Names) -> str:
         axes = "x" if self._along_x else "xy"

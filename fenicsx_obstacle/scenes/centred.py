@@ -32,7 +32,7 @@ class Form:
     """C + G (x - c) on each cell: the value of some branch at the middle, and its slopes."""
 
     value: Enclosure
-    slopes: tuple[Enclosure, Enclosure]
+    slopes: tuple[Enclosure, ...]  # one for each coordinate
 
 
 def linear(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -102,6 +102,7 @@ class _Forms:
 
     def __init__(self, walk: TreeWalk):
         self._walk, self._known, cells = walk, dict[str, Form](), walk.cells
+        self._none = (ZERO,) * cells.corners.shape[2]
         self._middle = np.zeros((cells.count, 3))
         self._middle[:, : cells.corners.shape[2]] = cells.corners.mean(axis=1)
 
@@ -116,7 +117,7 @@ class _Forms:
                 return self._operation(formula, BINARY[type(op)], left, right)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 inner = self.form(formula, operand)
-                return Form(negative(inner.value), (negative(inner.slopes[0]), negative(inner.slopes[1])))
+                return Form(negative(inner.value), tuple(negative(slope) for slope in inner.slopes))
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.form(formula, operand)
             case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
@@ -124,32 +125,38 @@ class _Forms:
                 return self._pairwise(one, other, lambda a, b: chosen(truth, a, b))
             case ast.Call(func=ast.Name(id=name), args=args) if not is_condition(node):
                 return self._call(formula, node, name, args)
-        return Form(self._walk.number(formula, node), (ZERO, ZERO))
+        return Form(self._walk.number(formula, node), self._none)
 
     @staticmethod
     def _pairwise(one: Form, other: Form, rule: intervals.Rule) -> Form:
         slopes = [rule(a, b) for a, b in _pairs(one, other)]
-        return Form(rule(one.value, other.value), (slopes[0], slopes[1]))
+        return Form(rule(one.value, other.value), tuple(slopes))
 
     def _name(self, name: str) -> Form:
         x, y, z = self._middle.T
         if name in CONSTANTS:
-            return Form(constant(CONSTANTS[name]), (ZERO, ZERO))
+            return Form(constant(CONSTANTS[name]), self._none)
         if name in "xyz":
             axis = "xyz".index(name)
-            return Form(_point(self._middle[:, axis]), (ONE if axis == 0 else ZERO, ONE if axis == 1 else ZERO))
+            return Form(_point(self._middle[:, axis]), self._along(*(ONE if axis == k else ZERO for k in range(3))))
         if name == "distance":
-            return Form(self._walk.name(name), (ZERO, ZERO))
-        r = self._walk.name("r")
-        over_x, over_y = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xy")
+            return Form(self._walk.name(name), self._none)
         if name == "r":
-            return Form(_point(np.sqrt(x**2 + y**2 + z**2)), (over_x, over_y))
+            r = self._walk.name("r")
+            slopes = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xyz")
+            return Form(_point(np.sqrt(x**2 + y**2 + z**2)), self._along(*slopes))
         if name == "theta":
             if not self._walk.name(name).whole.all():
-                return Form(self._walk.name(name), (ZERO, ZERO))
-            return Form(_point(np.arctan2(y, x)), (negative(divide(over_y, r)), divide(over_x, r)))
+                return Form(self._walk.name(name), self._none)
+            r = intervals.hypot(self._walk.name("x"), self._walk.name("y"))
+            over_x, over_y = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xy")
+            return Form(_point(np.arctan2(y, x)), self._along(negative(divide(over_y, r)), divide(over_x, r), ZERO))
         defined = self._walk.cells.vocabulary.define[name]
         return self.form(defined, defined.tree)
+
+    def _along(self, *slopes: Enclosure) -> tuple[Enclosure, ...]:
+        """Those along the coordinates that cells have."""
+        return slopes[: len(self._none)]
 
     def _operation(self, formula: Formula, sign: str, left: ast.expr, right: ast.expr) -> Form:
         one, other = self.form(formula, left), self.form(formula, right)
@@ -162,17 +169,17 @@ class _Forms:
             case "*":
                 # f g - C_f C_g = (f - C_f) g + C_f (g - C_g)
                 slopes = [_sum(_product(p, b), _product(one.value, q)) for p, q in _pairs(one, other)]
-                return Form(multiply(one.value, other.value), (slopes[0], slopes[1]))
+                return Form(multiply(one.value, other.value), tuple(slopes))
             case "/":
                 # f/g - C_f/C_g = (f - C_f)/g - C_f (g - C_g)/(g C_g)
                 factor = divide(one.value, multiply(b, other.value))
                 slopes = [
                     _sum(_product(p, divide(ONE, b)), negative(_product(factor, q))) for p, q in _pairs(one, other)
                 ]
-                return Form(divide(one.value, other.value), (slopes[0], slopes[1]))
+                return Form(divide(one.value, other.value), tuple(slopes))
         if not b.is_number:
             power = self._walk.number(formula, ast.BinOp(left=left, op=ast.Pow(), right=right))
-            return Form(power, (ZERO, ZERO))
+            return Form(power, self._none)
         exponent = float(b.lower)
         outer = multiply(b, intervals.raised(a, constant(exponent - 1))) if exponent else ZERO
         return _through(one, intervals.raised(one.value, b), outer)
@@ -180,7 +187,7 @@ class _Forms:
     def _call(self, formula: Formula, node: ast.Call, name: str, args: list[ast.expr]) -> Form:
         found = self._walk.number(formula, node)
         if name in ("sign", "floor"):
-            return Form(found, (ZERO, ZERO))
+            return Form(found, self._none)
         forms, parts = [self.form(formula, arg) for arg in args], [self._walk.number(formula, arg) for arg in args]
         one, a = forms[0], parts[0]
         if name == "abs":
@@ -203,7 +210,7 @@ class _Forms:
         """max(f + a, g + b) - max(f, g) is between a and b."""
         first, second = (below, above) if name == "min" else (above, below)
         slopes = [intervals.chosen(first | ~second, second, p, q) for p, q in _pairs(one, other)]
-        return Form(intervals.extreme(name, one.value, other.value, above, below), (slopes[0], slopes[1]))
+        return Form(intervals.extreme(name, one.value, other.value, above, below), tuple(slopes))
 
     @staticmethod
     def _of_two(name: str, forms: list[Form], parts: list[Enclosure], found: Enclosure) -> Form:
@@ -216,9 +223,9 @@ class _Forms:
             weights = [divide(b, square), negative(divide(a, square))]
             value = intervals.atan2(one.value, other.value)
         else:
-            return Form(found, (ZERO, ZERO))
+            return Form(found, tuple(ZERO for _ in one.slopes))
         slopes = [_sum(_product(weights[0], p), _product(weights[1], q)) for p, q in _pairs(one, other)]
-        return Form(value, (slopes[0], slopes[1]))
+        return Form(value, tuple(slopes))
 
 
 def _point(values: np.ndarray) -> Enclosure:
@@ -228,7 +235,7 @@ def _point(values: np.ndarray) -> Enclosure:
 
 def _through(inner: Form, value: Enclosure, outer: Enclosure) -> Form:
     """Of a function with a derivative within given bounds."""
-    return Form(value, (_product(outer, inner.slopes[0]), _product(outer, inner.slopes[1])))
+    return Form(value, tuple(_product(outer, slope) for slope in inner.slopes))
 
 
 def _pairs(one: Form, other: Form) -> list[tuple[Enclosure, Enclosure]]:

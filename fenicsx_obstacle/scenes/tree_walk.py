@@ -73,7 +73,7 @@ class TreeWalk:
             squares = [intervals.power(self.name(axis), 2) for axis in "xyz"]
             return intervals.distance(intervals.sqrt(intervals.add(intervals.add(*squares[:2]), squares[2])))
         if name == "theta":
-            least = np.maximum(self.name("r").lower, 0.0)
+            least = np.maximum(intervals.hypot(self.name("x"), self.name("y")).lower, 0.0)
             return replace(intervals.atan2(self.name("y"), self.name("x")), slopes=slopes.turn(least))
         if name == "distance":
             assert self.cells.distance is not None

@@ -1,6 +1,8 @@
-"""Triangles of a plane mesh as arrays, counter-clockwise, and data inside them."""
+"""Intervals, triangles or tetrahedra of a mesh as arrays, and data inside them."""
 
 from __future__ import annotations
+
+from functools import reduce
 
 import numpy as np
 from dolfinx import fem
@@ -8,57 +10,74 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.parents import EDGES
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.shapes import inward, signed_sizes
 
 
-class Triangles:
-    """The owned cells of a level of P1 on triangles in the plane (nothing here is collective but `values`).
+class Simplices:
+    """The owned cells of a level of P1 on intervals, triangles or tetrahedra, of as many coordinates as dimensions
+    (nothing here is collective but `values`).
 
     Attributes:
-        dofs: Local dofs of the vertices, shape (cells, 3).
-        x: Their coordinates, shape (cells, 3, 2).
-        facets: Local facet opposite to each vertex, shape (cells, 3).
-        area: Shape (cells,).
-        normal: 2 |T| grad phi_i = the edge opposite to vertex i turned inward; x and y of it, shape (2, cells, 3).
+        dim: Their dimension d.
+        dofs: Local dofs of the vertices, shape (cells, d + 1).
+        x: Their coordinates, shape (cells, d + 1, d).
+        facets: Local facet opposite to each vertex, shape (cells, d + 1).
+        area: Length, area or volume |T|, shape (cells,).
+        normal: d |T| grad phi_i = the facet opposite to vertex i as a vector that points inward; by coordinates, shape
+            (d, cells, d + 1).
     """
 
     def __init__(self, data: Data):
-        """Turn all cells counter-clockwise (collective where the spaces are new)."""
+        """Turn all cells so that their corners have a positive determinant (collective where the spaces are new)."""
         self.data, level = data, data.level
+        self.dim = level.mesh.topology.dim
         count = own_cells(level.mesh)
-        x = corners(level.mesh)[:count, :, :2]
-        clockwise = _cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) < 0
-        self._clockwise = np.flatnonzero(clockwise)
+        x = corners(level.mesh)[:count, :, : self.dim]
+        self._turned = np.flatnonzero(signed_sizes(x) < 0)
         self.x = self.turned(x)
         self.dofs = self.turned(releases.cell_dofs(level.V)[:count])
-        self.facets = self.turned(cell_facets(level.mesh)[:count])
-        x, y = self.x[..., 0], self.x[..., 1]
-        # the edge from the vertex after i to the one before, turned to the left
-        self.normal = np.stack([next_(y) - previous(y), previous(x) - next_(x)])
-        self.area = (self.normal[0, :, 1] * self.normal[1, :, 2] - self.normal[1, :, 1] * self.normal[0, :, 2]) / 2
+        facets = cell_facets(level.mesh)[:count]
+        self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
+        self.normal, self.area = inward(self.x), signed_sizes(self.x)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
-        """Values at vertices in the mesh's order, shape (cells, 3, ...), in the order here."""
-        values = values.copy()
-        values[self._clockwise] = values[self._clockwise][:, [0, 2, 1]]
+        """Values at vertices in the mesh's order, shape (cells, d + 1, ...), in the order here."""
+        values, last = values.copy(), [self.dim, self.dim - 1]
+        values[self._turned, self.dim - 1 :] = values[self._turned][:, last]
         return values
 
     def turned_nodes(self, dofs: np.ndarray) -> np.ndarray:
-        """Dofs of P2, shape (cells, 6), in the order here: at the vertices, then at the middles opposite to them."""
+        """Dofs of P2 on triangles, shape (cells, 6), in the order here: at the vertices, then at the middles opposite
+        to them."""
         return np.hstack([self.turned(dofs[:, :3]), self.turned(dofs[:, 3:])])
 
+    def edges(self, values: np.ndarray) -> np.ndarray:
+        """Values at the edges of tetrahedra in the mesh's order, shape (cells, 6), by the two vertices in the order
+        here, shape (cells, 4, 4)."""
+        found = np.zeros((len(values), 4, 4), dtype=values.dtype)
+        for k, (i, j) in enumerate(EDGES[3]):
+            found[:, i, j] = found[:, j, i] = values[:, k]
+        last = found[self._turned]
+        found[self._turned] = last[:, [0, 1, 3, 2]][:, :, [0, 1, 3, 2]]
+        return found
+
     def gradient(self, values: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Gradients of a P1 function from its values at local dofs, shape (2, cells)."""
+        """Gradients of a P1 function from its values at local dofs, shape (d, cells)."""
         corner = values[self.dofs[cells]]
-        return np.einsum("ci,xci->xc", corner, self.normal[:, cells]) / (2 * self.area[cells])
+        return np.einsum("ci,xci->xc", corner, self.normal[:, cells]) / (self.dim * self.area[cells])
 
     def along_normals(self, vectors: np.ndarray) -> np.ndarray:
-        """Inner products of one vector per cell, shape (2, cells), with `normal`: minus the flux out of each edge."""
-        return vectors[0][:, None] * self.normal[0] + vectors[1][:, None] * self.normal[1]
+        """Inner products of one vector per cell, shape (d, cells), with `normal`: minus the flux out of each facet."""
+        found = vectors[0][:, None] * self.normal[0]
+        for along, normal in zip(vectors[1:], self.normal[1:], strict=True):
+            found += along[:, None] * normal
+        return found
 
     def values(self, value: Field, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """A datum at barycentric coordinates, shape (points, 3) or (cells, points, 3), of cells.
+        """A datum at barycentric coordinates, shape (points, d + 1) or (cells, points, d + 1), of cells.
 
         Collective where it is the first to need the distance.
 
@@ -84,25 +103,25 @@ class Triangles:
             w = where[None] if where.ndim == 2 else where[block]
             corners = self.x[cells[block]]
             # term by term: two cells have the same point of their edge to the last digit, which a datum that jumps sees
-            inside = sum(w[..., k, None] * corners[:, None, k] for k in range(3))
-            x[:2] = inside.reshape(-1, 2).T
+            inside = sum(w[..., k, None] * corners[:, None, k] for k in range(self.dim + 1))
+            x[: self.dim] = inside.reshape(-1, self.dim).T
             found[block] = here.at(x, names, np.repeat(cells[block], where.shape[-2])).reshape(-1, where.shape[-2])
         return found
 
 
 def next_(values: np.ndarray) -> np.ndarray:
-    """For each vertex of a cell the value at the one after it, shape (cells, 3)."""
+    """For each vertex of a triangle the value at the one after it, shape (cells, 3)."""
     return np.take(values, [1, 2, 0], axis=1)  # several times faster than np.roll
 
 
 def previous(values: np.ndarray) -> np.ndarray:
-    """For each vertex of a cell the value at the one before it, shape (cells, 3)."""
+    """For each vertex of a triangle the value at the one before it, shape (cells, 3)."""
     return np.take(values, [2, 0, 1], axis=1)
 
 
 def sums(values: np.ndarray) -> np.ndarray:
-    """Of values at the vertices of each cell, shape (cells, 3)."""
-    return values[:, 0] + values[:, 1] + values[:, 2]  # several times faster than values.sum(axis=1)
+    """Of values at the vertices of each cell, shape (cells, vertices)."""
+    return reduce(np.add, values.T)  # several times faster than values.sum(axis=1)
 
 
 def lattice(parts: int) -> np.ndarray:
@@ -137,7 +156,3 @@ def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:
     function.x.array[: len(owned)] = owned
     function.x.scatter_forward()
     return function.x.array
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
