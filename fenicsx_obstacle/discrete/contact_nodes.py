@@ -166,6 +166,7 @@ class ContactNodes:
         if total(mesh.comm, np.count_nonzero(negative)) > 0:
             raise InputError(f"{name}: measure: its weight is negative somewhere: a node would have a negative area")
         self._check_normals(level, on, sums, sizes, name)
+        self._beside = _weightless(level, facets, on)
         nodes = np.flatnonzero(on)
         mean = sums[nodes] / sizes[nodes, :1]
         unit = mean / np.linalg.norm(mean, axis=1, keepdims=True)
@@ -241,6 +242,29 @@ class ContactNodes:
         R.assemble()
         return R
 
+    def extended(self, values: np.ndarray, V: fem.FunctionSpace) -> np.ndarray:
+        """Values at local nodes, where nodes of weight 0 get those of linear functions on their facets (collective).
+
+        P2 has such nodes at the vertices of triangles, and in axial symmetry on the axis.
+
+        Args:
+            values: At local nodes; right at the contact nodes.
+            V: The vector-valued space.
+        """
+        if self._beside is None:
+            return values
+        nodes, targets, known, factors = self._beside
+        bs = self.components
+        sums = fem.Function(V)
+        table = sums.x.array.reshape(len(values), bs)
+        np.add.at(table[:, 0], targets, np.einsum("ij,ij->i", factors, values[known]))
+        np.add.at(table[:, 1], targets, 1.0)
+        releases.add_ghosts(sums)
+        sums.x.scatter_forward()
+        found = values.copy()
+        found[nodes] = table[nodes, 0] / np.maximum(table[nodes, 1], 1.0)
+        return found
+
     def bounds(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Bounds of the normal component at the contact nodes.
 
@@ -282,6 +306,47 @@ def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
     unit_vectors = [ufl.as_vector([float(i == k) for i in range(size)]) for k in range(size)]
     normal = ufl.as_vector([ufl.replace(of, {u: e}) - rest for e in unit_vectors])
     return normal, None if isinstance(rest, Zero) else rest
+
+
+def _weightless(
+    level: VectorLevel, facets: np.ndarray, on: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Local nodes of weight 0 on owned contact facets; which of them, from which nodes and with which factors linear
+    extrapolation on each facet goes; None if there are none on any rank (collective)."""
+    mesh, V = level.mesh, level.V
+    dim, layout = mesh.topology.dim - 1, V.dofmap.dof_layout
+    own = facets[facets < mesh.topology.index_map(dim).size_local]
+    mesh.topology.create_connectivity(dim, dim + 1)
+    mesh.topology.create_connectivity(dim + 1, dim)
+    cells_of, facets_of = mesh.topology.connectivity(dim, dim + 1), mesh.topology.connectivity(dim + 1, dim)
+    cells = np.array([cells_of.links(facet)[0] for facet in own], dtype=np.int32)
+    number = [int(np.flatnonzero(facets_of.links(c) == f)[0]) for c, f in zip(cells, own, strict=True)]
+    count = len(facets_of.links(0)) if facets_of.num_nodes else 0
+    closures = [np.sort(layout.entity_closure_dofs(dim, k)) for k in range(count)]
+    rows = [releases.cell_dofs(V)[c][closures[k]] for c, k in zip(cells, number, strict=True)]
+    flags = fem.Function(V)  # owners decide
+    flags.x.array.reshape(len(on), level.components)[:, 0] = on
+    flags.x.scatter_forward()
+    weighty = flags.x.array.reshape(len(on), level.components)[:, 0] > 0.5
+    targets, known, factors = [], [], []
+    for row in rows:
+        there = weighty[row]
+        if there.all() or not there.any():
+            continue
+        x = level.nodes.T[row]
+        x = np.column_stack([np.ones(len(row)), x - x.mean(axis=0)])
+        inverse = np.linalg.pinv(x[there])
+        for place in np.flatnonzero(~there):
+            targets.append(row[place])
+            known.append(row[there])
+            factors.append(x[place] @ inverse)
+    if total(mesh.comm, len(targets)) == 0:
+        return None
+    if not targets:
+        nothing = np.empty(0, dtype=np.int64)
+        return nothing, nothing, np.empty((0, 1), dtype=np.int64), np.empty((0, 1))
+    at = np.array(targets)
+    return np.unique(at), at, np.array(known), np.array(factors)
 
 
 def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:

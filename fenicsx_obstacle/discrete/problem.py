@@ -281,6 +281,11 @@ class Problem:
         return self.forms
 
     @property
+    def loose_without_contact(self) -> bool:
+        """Whether the first active set of SNES VI has to be that of a penalty solve."""
+        return False
+
+    @property
     def symmetric(self) -> bool:
         """Whether the Jacobian is."""
         return all(effect.symmetric for effect in self.model.effects)

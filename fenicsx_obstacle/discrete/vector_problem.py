@@ -116,6 +116,10 @@ class VectorProblem(Problem):
     def _make_forms(self) -> VectorForms:
         return (VectorForms if self.affine else NonlinearVectorForms)(self.model.effects, self.data)
 
+    @property
+    def loose_without_contact(self) -> bool:
+        return self.floating
+
     @cached_property
     def motions(self) -> np.ndarray:
         """Rigid body motions at owned dofs, shape (motions, dofs) (first use is collective)."""
@@ -161,6 +165,7 @@ class VectorProblem(Problem):
         everywhere.x.scatter_forward()
         at_nodes = np.zeros(len(everywhere.x.array) // level.components)
         at_nodes[contact.nodes] = everywhere.x.array[contact.dofs]
+        at_nodes = contact.extended(at_nodes, level.V)
         found = fem.Function(level.Q)
         found.x.array[:] = at_nodes[level.node_of]
         return found

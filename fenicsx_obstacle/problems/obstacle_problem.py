@@ -82,7 +82,7 @@ class ObstacleProblem:
     """
 
     name = "ObstacleProblem"  # in messages
-    _solution: type[Solution] = Solution
+    _vector_valued = False
 
     def __init__(
         self,
@@ -173,9 +173,9 @@ class ObstacleProblem:
         """The data of a vector-valued problem (collective)."""
         # only here: a scalar problem does not load it
         from fenicsx_obstacle.discrete.contact_nodes import VectorData, of_vector_space
-        from fenicsx_obstacle.problems.vector_valued import VectorSolution, facets_and_weight
+        from fenicsx_obstacle.problems.vector_valued import facets_and_weight
 
-        self._solution = VectorSolution
+        self._vector_valued = True
         V = form.u.function_space
         facets, weight = facets_and_weight(measure, V.mesh, self.name)
         if of is None:
@@ -239,7 +239,7 @@ class ObstacleProblem:
 
     def _discrete(self, data: Data, prefix: str) -> Problem:
         """The discrete problem (collective)."""
-        if self._solution is Solution:
+        if not self._vector_valued:
             return Problem(data, prefix)
         from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 
@@ -305,7 +305,12 @@ class ObstacleProblem:
         u = self.u.copy()  # what the next solve finds does not change this solution
         u.name = self.u.name
         tension = self._data.model.elastic.tension_at(u, self._data)
-        return self._solution(level, u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
+        fields = (level, u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
+        if not self._vector_valued:
+            return Solution(*fields)
+        from fenicsx_obstacle.problems.vector_valued import VectorSolution, contact_table
+
+        return VectorSolution(*fields, nodes=contact_table(problem, state.p))
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
@@ -335,8 +340,8 @@ class ObstacleProblem:
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or from the coarsest level on where u is no start or a bad one (collective)."""
         problem = self._problem
-        scalar = not problem.preconditioner
-        grids = self._levels() if scalar and nested(problem.model.effects, problem.level.pair, options) else []
+        serves = not self._vector_valued and nested(problem.model.effects, problem.level.pair, options)
+        grids = self._levels() if serves else []
         spent = 0
         if len(grids) < 2 or self._has_start():
             if way.eps is not None:
