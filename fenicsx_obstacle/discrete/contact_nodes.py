@@ -154,15 +154,17 @@ class ContactNodes:
         tags = dmesh.meshtags(mesh, dim, own, np.ones(len(own), dtype=np.int32))
         ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
         cell = facet_of(releases.cell_name(mesh))
-        rule = midpoint_rule(cell) if (cell, level.pair.degree) == ("triangle", 2) else nodal_rule(cell, level.pair.degree)
+        rule = (
+            midpoint_rule(cell) if (cell, level.pair.degree) == ("triangle", 2) else nodal_rule(cell, level.pair.degree)
+        )
         dI, v = rule.on(ds), ufl.TestFunction(V)
         length = ufl.sqrt(ufl.dot(normal, normal))
         D = _integrals((1 if weight is None else weight) * v[0] * ds, V)[:, 0]
         sums = _integrals(ufl.dot(normal, v) * dI, V)
         sizes = _integrals((length * v[0] + v[1]) * dI, V)
         most = largest(mesh.comm, D)
-        on = (D > NO_WEIGHT * most) & (sizes[:, 1] > NO_WEIGHT * largest(mesh.comm, sizes[:, 1]))
-        negative = D < -NO_WEIGHT * most
+        on = (NO_WEIGHT * most < D) & (sizes[:, 1] > NO_WEIGHT * largest(mesh.comm, sizes[:, 1]))
+        negative = -NO_WEIGHT * most > D
         if total(mesh.comm, np.count_nonzero(negative)) > 0:
             raise InputError(f"{name}: measure: its weight is negative somewhere: a node would have a negative area")
         self._check_normals(level, on, sums, sizes, name)
@@ -253,17 +255,18 @@ class ContactNodes:
         """
         if self._beside is None:
             return values
-        nodes, targets, known, factors = self._beside
-        bs = self.components
+        targets, known, factors = self._beside
+        around = values[known]
+        at = np.einsum("ij,ij->i", factors, around)
+        at = np.where((around <= 0).all(axis=1), np.minimum(at, 0.0), at)  # no pull beside what pushes
+        at = np.where((around >= 0).all(axis=1), np.maximum(at, 0.0), at)
         sums = fem.Function(V)
-        table = sums.x.array.reshape(len(values), bs)
-        np.add.at(table[:, 0], targets, np.einsum("ij,ij->i", factors, values[known]))
+        table = sums.x.array.reshape(len(values), self.components)
+        np.add.at(table[:, 0], targets, at)
         np.add.at(table[:, 1], targets, 1.0)
         releases.add_ghosts(sums)
         sums.x.scatter_forward()
-        found = values.copy()
-        found[nodes] = table[nodes, 0] / np.maximum(table[nodes, 1], 1.0)
-        return found
+        return np.where(table[:, 1] > 0, table[:, 0] / np.maximum(table[:, 1], 1.0), values)
 
     def bounds(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Bounds of the normal component at the contact nodes.
@@ -310,9 +313,9 @@ def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
 
 def _weightless(
     level: VectorLevel, facets: np.ndarray, on: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Local nodes of weight 0 on owned contact facets; which of them, from which nodes and with which factors linear
-    extrapolation on each facet goes; None if there are none on any rank (collective)."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Nodes of weight 0 on owned contact facets, once for each facet, and the nodes and factors of the linear function
+    there; None if there are none on any rank (collective)."""
     mesh, V = level.mesh, level.V
     dim, layout = mesh.topology.dim - 1, V.dofmap.dof_layout
     own = facets[facets < mesh.topology.index_map(dim).size_local]
@@ -343,10 +346,8 @@ def _weightless(
     if total(mesh.comm, len(targets)) == 0:
         return None
     if not targets:
-        nothing = np.empty(0, dtype=np.int64)
-        return nothing, nothing, np.empty((0, 1), dtype=np.int64), np.empty((0, 1))
-    at = np.array(targets)
-    return np.unique(at), at, np.array(known), np.array(factors)
+        return np.empty(0, dtype=np.int64), np.empty((0, 1), dtype=np.int64), np.empty((0, 1))
+    return np.array(targets), np.array(known), np.array(factors)
 
 
 def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:

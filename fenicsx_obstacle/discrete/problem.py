@@ -168,9 +168,13 @@ class Problem:
         """The nearest values of u between the obstacles, ghosts included."""
         return np.clip(u_values, *self.obstacles())
 
-    def pressures(self, p: np.ndarray) -> fem.Function:
+    def in_q(self, values: np.ndarray) -> fem.Function:
         """Values at owned points of I as a Function of Q_h (collective)."""
-        return in_q(self.level, p)
+        return in_q(self.level, values)
+
+    def pressures(self, p: np.ndarray) -> fem.Function:
+        """The same of pressures, whose Q_h may have more nodes (collective)."""
+        return self.in_q(p)
 
     def set_reference(self, u_values: np.ndarray) -> None:
         """Count w from the obstacle nearest to `u_values` (ghosts included) and let w be the state of these heights."""

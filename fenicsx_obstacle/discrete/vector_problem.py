@@ -158,16 +158,24 @@ class VectorProblem(Problem):
         u.x.array[:] = self.data.contact.rotated(u.x.array)
         return u
 
+    def in_q(self, values: np.ndarray) -> fem.Function:
+        return self._of_nodes(self._at_nodes(values))
+
     def pressures(self, p: np.ndarray) -> fem.Function:
-        level, contact = self.level, self.data.contact
-        everywhere = fem.Function(level.V)
-        everywhere.x.array[: level.owned] = p
+        return self._of_nodes(self.data.contact.extended(self._at_nodes(p), self.level.V))
+
+    def _at_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Values at owned dofs, at local nodes: those of normal components, elsewhere 0 (collective)."""
+        contact, everywhere = self.data.contact, fem.Function(self.level.V)
+        everywhere.x.array[: self.level.owned] = values
         everywhere.x.scatter_forward()
-        at_nodes = np.zeros(len(everywhere.x.array) // level.components)
-        at_nodes[contact.nodes] = everywhere.x.array[contact.dofs]
-        at_nodes = contact.extended(at_nodes, level.V)
-        found = fem.Function(level.Q)
-        found.x.array[:] = at_nodes[level.node_of]
+        found = np.zeros(len(everywhere.x.array) // self.level.components)
+        found[contact.nodes] = everywhere.x.array[contact.dofs]
+        return found
+
+    def _of_nodes(self, values: np.ndarray) -> fem.Function:
+        found = fem.Function(self.level.Q)
+        found.x.array[:] = values[self.level.node_of]
         return found
 
     def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:

@@ -55,5 +55,5 @@ def state_of(problem: Problem, method: Method) -> State:
         if method.eps is not None and method.share != 1.0:  # the problem's eps is that of a step
             energy = (1 - method.share) * problem.energy(x, penalised=False, moving=False) + method.share * energy
         x.destroy()
-    touching = problem.pressures((contact.lower | contact.upper).astype(float))
+    touching = problem.in_q((contact.lower | contact.upper).astype(float))
     return State(problem.solution(), p, problem.pressures(p * problem.thickness), touching, contact, energy)
