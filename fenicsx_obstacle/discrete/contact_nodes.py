@@ -67,7 +67,7 @@ class VectorLevel(Level):
 
     @cached_property
     def _collapsed(self) -> tuple[fem.FunctionSpace, np.ndarray]:
-        """The scalar space of the same degree, and the node of V of each of its local dofs (first use is collective)."""
+        """The scalar space of this degree, and the node of V of each of its local dofs (first use is collective)."""
         space, dofs = self.V.sub(0).collapse()
         return space, np.asarray(dofs) // self.components
 

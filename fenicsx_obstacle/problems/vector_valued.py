@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.show.pictures import Picture
 
 NO_FILES = (
-    "a vector-valued solution has no folder of its own: write u, pressure and contact with dolfinx.io, as with "
+    "a vector-valued solution is neither saved nor drawn: write u, pressure and contact with dolfinx.io, as with "
     "VTXWriter(comm, 'u.bp', [solution.u])"
 )
 
@@ -94,17 +94,12 @@ class VectorSolution(Solution):
         raise InputError(NO_FILES)
 
     def plot(self, path: str | Path | None = None) -> Picture:
-        """Draw the deformed body with its displacement and contact pressure (collective).
-
-        Args:
-            path: A file to write, too: .png, .pdf or .svg.
+        """Not for vector-valued solutions.
 
         Raises:
-            InputError: If the name has another ending, the file cannot be written, or the body is in space.
+            InputError: With what draws them.
         """
-        from fenicsx_obstacle.show.deformed import draw_deformed
-
-        return draw_deformed(self, None if path is None else Path(path))
+        raise InputError(NO_FILES)
 
     def _shape(self, of: str) -> tuple[int, ...]:
         return (self.level.mesh.geometry.dim,) if of == "u" else ()
