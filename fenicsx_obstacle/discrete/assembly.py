@@ -61,7 +61,7 @@ class Forms:
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self.impulse: np.ndarray | None = None
-        self._u, varied = self._state()
+        self._u, varied = self._unknown()
         self._a_minus_f = self._terms(self._u)
         given = [effect.derivative(self._u, self.v, data) for effect in effects]
         self._slope = sum(form for form in given if form is not None) or ufl.derivative(self._a_minus_f, varied)
@@ -80,7 +80,7 @@ class Forms:
             self.measure, self.rule, self.thickness = data.parts.all("contact"), data.parts.rule, data.extent
             self._finite = [None if gap is None else fem.Function(data.level.V) for gap in self._finite]
 
-    def _state(self) -> tuple[Any, fem.Function]:
+    def _unknown(self) -> tuple[Any, fem.Function]:
         """u in UFL, and the Function by which forms are differentiated."""
         return self.w + self.reference, self.w
 

@@ -37,7 +37,7 @@ class VectorForms(Nodal):
     def _set_contact_measure(self) -> None:
         self.contact = self.data.contact
 
-    def _state(self) -> tuple[fem.Function, fem.Function]:
+    def _unknown(self) -> tuple[fem.Function, fem.Function]:
         self.displacement = fem.Function(self.data.level.V, name="u")
         return self.displacement, self.displacement
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NoReturn
 
 import numpy as np
 import ufl
@@ -22,9 +22,6 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.problems.own_form import facets_of
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.words import nearest, shown
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.show.pictures import Picture
 
 NO_FILES = (
     "a vector-valued solution is neither saved nor drawn: write u, pressure and contact with dolfinx.io, as with "
@@ -85,7 +82,7 @@ class VectorSolution(Solution):
     def plain(self) -> VectorSolution:
         return self
 
-    def save(self, folder: str | Path) -> None:
+    def save(self, folder: str | Path) -> NoReturn:
         """Not for vector-valued solutions.
 
         Raises:
@@ -93,7 +90,7 @@ class VectorSolution(Solution):
         """
         raise InputError(NO_FILES)
 
-    def plot(self, path: str | Path | None = None) -> Picture:
+    def plot(self, path: str | Path | None = None) -> NoReturn:
         """Not for vector-valued solutions.
 
         Raises:
