@@ -54,24 +54,35 @@ class Forms:
         self.above = fem.Function(V) if data.upper is not None else None
         self.eps = fem.Constant(data.level.mesh, PETSc.ScalarType(1.0))
         pair = data.level.pair
-        self.v, self.rule = ufl.TestFunction(V), pair.rule(releases.cell_name(data.level.mesh))
-        self.measure: Any = data.dx
+        self.v = ufl.TestFunction(V)
         self.thickness, self._finite = 1.0, [self.below, self.above]
-        if data.thin:
-            self.measure, self.rule, self.thickness = data.parts.all("contact"), data.parts.rule, data.extent
-            self._finite = [None if gap is None else fem.Function(V) for gap in self._finite]
+        self._set_contact_measure()
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self.impulse: np.ndarray | None = None
-        self._a_minus_f = self._terms(self.w + self.reference)
-        given = [effect.derivative(self.w + self.reference, self.v, data) for effect in effects]
-        self._slope = sum(form for form in given if form is not None) or ufl.derivative(self._a_minus_f, self.w)
+        self._u, varied = self._unknown()
+        self._a_minus_f = self._terms(self._u)
+        given = [effect.derivative(self._u, self.v, data) for effect in effects]
+        self._slope = sum(form for form in given if form is not None) or ufl.derivative(self._a_minus_f, varied)
         self._stiffness = releases.form(self._slope)
         dofs, values = data.fixed
         self.fixed = dofs[dofs < data.level.owned]
         self._bc = fem.dirichletbc(values, dofs)
         self._made: dict[str, Any] = {}
+
+    def _set_contact_measure(self) -> None:
+        """Where I is taken, and by which rule."""
+        data = self.data
+        self.measure: Any = data.dx
+        self.rule = data.level.pair.rule(releases.cell_name(data.level.mesh))
+        if data.thin:
+            self.measure, self.rule, self.thickness = data.parts.all("contact"), data.parts.rule, data.extent
+            self._finite = [None if gap is None else fem.Function(data.level.V) for gap in self._finite]
+
+    def _unknown(self) -> tuple[Any, fem.Function]:
+        """u in UFL, and the Function by which forms are differentiated."""
+        return self.w + self.reference, self.w
 
     def vector(self) -> PETSc.Vec:
         """A new vector, ghosted."""
@@ -83,6 +94,9 @@ class Forms:
 
     def weights(self) -> np.ndarray:
         """D_i = I(phi_i, 1) at owned points of I: dofs of V_h, 0 at those that are none, or else of Q_h."""
+        return self._point_weights()
+
+    def _point_weights(self) -> np.ndarray:
         level = self.data.level
         v = self.v if level.pair.nodal else ufl.TestFunction(level.Q)
         values = self._integrals(v * self.rule.on(self.measure), v.ufl_function_space())
@@ -155,7 +169,7 @@ class Forms:
     def _energies(self) -> list[tuple[int, Any]]:
         """Energies of the effects with their orders in time, each by itself: in one form FFCx 0.5 takes u at the only
         point of one rule for u at all points of another."""
-        parts = ((effect.order, effect.energy(self.w + self.reference, self.data)) for effect in self.effects)
+        parts = ((effect.order, effect.energy(self._u, self.data)) for effect in self.effects)
         return [(order, releases.form(part)) for order, part in parts if part is not None]
 
     def _form(self, name: str) -> Any:
@@ -167,7 +181,7 @@ class Forms:
             gaps["eps"] = self.eps if self.thickness == 1.0 else self.eps / self.thickness
             if name == "at rest":
                 still = [effect for effect in self.effects if effect.order == 0]
-                form = residual(still, self.w + self.reference, self.v, self.data)
+                form = residual(still, self._u, self.v, self.data)
             elif name == "elastic":
                 form = self._a_minus_f
             elif name == "contact energy":
@@ -191,17 +205,32 @@ class Nodal(Forms):
 
     def __init__(self, effects: Sequence[Effect], data: Data):
         super().__init__(effects, data)
-        self.stiffness = super().create_matrix()
-        fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
-        self.stiffness.assemble()
+        self.stiffness = self._assembled()
         self._constant, self._minus_load = self.vector(), self.vector()
-        loads = self._terms(fem.Constant(data.level.mesh, PETSc.ScalarType(0.0)))
+        loads = self._terms(self._zero())
         loaded = any(integral.integrand() != 0 for integral in loads.integrals())
         self._loads = releases.form(loads) if loaded else None
         self._load()
-        self._D = super().weights()
+        self._D = self._point_weights()
         if data.level.pair.own_weights:
             self._lump(own_weights(data.level.pair, data.level.V))
+
+    def _assembled(self) -> PETSc.Mat:
+        """The stiffness."""
+        stiffness = super().create_matrix()
+        fem.petsc.assemble_matrix(stiffness, self._stiffness)
+        stiffness.assemble()
+        return stiffness
+
+    def _assemble_again(self) -> None:
+        """Fill the stiffness with its present values."""
+        self.stiffness.zeroEntries()
+        fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
+        self.stiffness.assemble()
+
+    def _zero(self) -> fem.Constant:
+        """u = 0."""
+        return fem.Constant(self.data.level.mesh, np.zeros(self.w.ufl_shape, dtype=PETSc.ScalarType))
 
     def _load(self) -> None:
         if self._loads is None:
@@ -215,9 +244,7 @@ class Nodal(Forms):
         self._load()
         changed = stiffness or self._stiffness_moves
         if changed:
-            self.stiffness.zeroEntries()
-            fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
-            self.stiffness.assemble()
+            self._assemble_again()
             self.stiffness.copy(A, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             self._hold_fixed(A)
         return changed
@@ -230,7 +257,7 @@ class Nodal(Forms):
 
     def _lump(self, D: np.ndarray) -> None:
         """Take these weights for I, and F_i = f(x_i) D_i, or -(A g + f)/D would not tend to the pressure."""
-        zero = fem.Constant(self.data.level.mesh, PETSc.ScalarType(0.0))
+        zero = self._zero()
         for effect in self.effects:
             f = effect.density(self.data)
             if f is None:

@@ -7,6 +7,7 @@ round-off for eps < 1e-12.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +19,7 @@ from fenicsx_obstacle.discrete.admissible import check_admissible
 from fenicsx_obstacle.discrete.afloat import check_support, forces_at_work
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.duality import point_cells
+from fenicsx_obstacle.discrete.duality import in_q, point_cells
 from fenicsx_obstacle.discrete.limit_load import check_limit_load
 from fenicsx_obstacle.discrete.signs import is_m_matrix
 from fenicsx_obstacle.discrete.transfer import Transfer, to_parents
@@ -54,6 +55,9 @@ class Problem:
         prefix: Of its PETSc options; where it is empty, that of the solver.
     """
 
+    preconditioner: Mapping[str, str] = {}  # options in place of those for scalar problems
+    eps_share = 0.01  # of the median of D_i/A_ii: eps = "auto" where no effect says how stiff it is
+
     def __init__(self, data: Data, prefix: str = ""):
         """Assemble what stays."""
         self.prefix = prefix
@@ -62,15 +66,7 @@ class Problem:
         check_admissible(data)
         self.affine = all(effect.affine for effect in model.effects)
         nodal = level.pair.nodal
-        if data.thin and not level.pair.at_vertices:
-            raise InputError(f"{model.source}: obstacles on the boundary are for elements P1 and Q1")
-        if level.pair.own_weights:
-            others = [effect.key for effect in model.effects if not effect.in_model_problem]
-            others += ["[time]"] * (model.time is not None)
-            if others:
-                message = f"element {level.pair.name} is for tension and load, not for {others[0]}"
-                raise InputError(f"{model.source}: {message}")
-        self.forms = forms = (Nodal if self.affine and nodal else Forms)(model.effects, data)
+        self.forms = forms = self._make_forms()
         self.w, self.reference, self.eps = forms.w, forms.reference, forms.eps
         self.below, self.above = forms.below, forms.above
         self.constrained = self.below is not None or self.above is not None
@@ -83,8 +79,29 @@ class Problem:
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
         self.load = self._load_sum()
         check_limit_load(self)
-        self._start, self.floating = check_support(self)
+        self._start, self.floating = self._check_support()
         self.set_reference(self.cold_start())
+
+    def _make_forms(self) -> Forms:
+        """What assembles the residual.
+
+        Raises:
+            InputError: If the element is not for these data.
+        """
+        model, pair = self.model, self.level.pair
+        if self.data.thin and not pair.at_vertices:
+            raise InputError(f"{model.source}: obstacles on the boundary are for elements P1 and Q1")
+        if pair.own_weights:
+            others = [effect.key for effect in model.effects if not effect.in_model_problem]
+            others += ["[time]"] * (model.time is not None)
+            if others:
+                message = f"element {pair.name} is for tension and load, not for {others[0]}"
+                raise InputError(f"{model.source}: {message}")
+        return (Nodal if self.affine and pair.nodal else Forms)(model.effects, self.data)
+
+    def _check_support(self) -> tuple[np.ndarray | None, bool]:
+        """What `check_support` finds."""
+        return check_support(self)
 
     def options_of(self, solver: str) -> str:
         """The prefix of the PETSc options of a solver."""
@@ -139,13 +156,25 @@ class Problem:
             self.__dict__.pop("m_matrix", None)
         self.load = self._load_sum()
         check_limit_load(self)
-        self._start, self.floating = check_support(self)
+        self._start, self.floating = self._check_support()
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
         """Heights of the obstacles, ghosts included; -inf and inf where there is none."""
         lower, upper = self.data.lower, self.data.upper
         return (-np.inf if lower is None else lower.x.array), (np.inf if upper is None else upper.x.array)
+
+    def between(self, u_values: np.ndarray) -> np.ndarray:
+        """The nearest values of u between the obstacles, ghosts included."""
+        return np.clip(u_values, *self.obstacles())
+
+    def in_q(self, values: np.ndarray) -> fem.Function:
+        """Values at owned points of I as a Function of Q_h (collective)."""
+        return in_q(self.level, values)
+
+    def pressures(self, p: np.ndarray) -> fem.Function:
+        """The same of pressures, whose Q_h may have more nodes (collective)."""
+        return self.in_q(p)
 
     def set_reference(self, u_values: np.ndarray) -> None:
         """Count w from the obstacle nearest to `u_values` (ghosts included) and let w be the state of these heights."""
@@ -239,6 +268,10 @@ class Problem:
         self.forms.jacobian(self.A, penalised=self.constrained and penalised)
         return self.A
 
+    def hold(self, penalty_diagonal: np.ndarray) -> None:
+        """Add this diagonal to the stiffness in A; infinite entries hold a dof in place (collective)."""
+        self.nodal.add_penalty_diagonal(self.A, penalty_diagonal)
+
     @cached_property
     def transfer(self) -> Transfer:
         """Interpolation from the next coarser problem; by default from the mesh that this one was refined from (first
@@ -250,6 +283,11 @@ class Problem:
         """The assembled matrices (affine effects only)."""
         assert isinstance(self.forms, Nodal)
         return self.forms
+
+    @property
+    def loose_without_contact(self) -> bool:
+        """Whether the first active set of SNES VI has to be that of a penalty solve."""
+        return False
 
     @property
     def symmetric(self) -> bool:

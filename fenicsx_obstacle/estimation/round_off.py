@@ -39,7 +39,7 @@ def round_off(problem: Problem, p: np.ndarray, eps: float | None) -> dict[str, f
     left = EPSILON * largest(comm, stiff[pressing]) / size
     if eps is None:
         return {"from_heights": None, "line": None, "left": left}
-    u_values = problem.solution().x.array[:own]
+    u_values = (problem.w.x.array + problem.reference.x.array)[:own]
     plain = np.zeros(own)
     for obstacle, sign in zip(problem.obstacles(), (1.0, -1.0), strict=True):
         g = np.broadcast_to(obstacle, len(problem.w.x.array))[:own]

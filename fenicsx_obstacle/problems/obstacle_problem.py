@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
@@ -25,7 +24,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.problems.figures import course_of, figures_of
-from fenicsx_obstacle.problems.own_form import OfForm, check_form, conditions, number_of, obstacle
+from fenicsx_obstacle.problems.own_form import OfForm, check_form, conditions, facets_of, number_of, obstacle
 from fenicsx_obstacle.problems.solution import Seconds, Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.solvers import multigrid
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Estimator
 
 PATIENCE = 5  # steps from a start of the caller's before the coarse levels give one
-SHARE = 0.01  # of the median of D_i/A_ii: eps = "auto"
 NEARBY = 0.01  # of u: so far from the start an energy is compared with F
 OTHER = 0.1  # of F: no quadrature of the same functional is so far off
 Monitor = Callable[[int, Step], None]
@@ -84,6 +82,7 @@ class ObstacleProblem:
     """
 
     name = "ObstacleProblem"  # in messages
+    _vector_valued = False
 
     def __init__(
         self,
@@ -95,7 +94,8 @@ class ObstacleProblem:
         upper: Any = None,
         energy: ufl.Form | None = None,
         J: ufl.Form | None = None,
-        measure: ufl.Measure | None = None,
+        of: Any = None,
+        measure: Any = None,
         petsc_options_prefix: str = "",
         petsc_options: Mapping[str, Any] | None = None,
         form_compiler_options: Mapping[str, Any] | None = None,
@@ -105,8 +105,9 @@ class ObstacleProblem:
 
         Args:
             F: Residual without contact, a linear form in one test function; linear in u or not.
-            u: Unknown of F, a continuous Lagrange Function of degree 1 or 2. It holds the start, and then the solution.
-                If u is given nowhere and only the obstacle supports it, the iteration starts from contact instead.
+            u: Unknown of F, a continuous Lagrange Function of degree 1 or 2, scalar or vector-valued. It holds the
+                start, and then the solution. If u is given nowhere and only the obstacle supports it, the iteration
+                starts from contact instead.
             bcs: Dirichlet conditions, a list or a single one.
             lower: Obstacle below, taken at the nodes: a number; a Constant; a Function, also of another space, or on
                 another mesh that covers this one; UFL without u; or a callable of x, shape (3, n), as
@@ -115,8 +116,12 @@ class ObstacleProblem:
             energy: The functional whose derivative F is; with it a line search safeguards the iteration. Needed where F
                 is not linear only.
             J: The derivative of F where UFL's own is not wanted; of linear F it is not used.
+            of: Of vector-valued u, what the obstacles bound: a scalar UFL expression linear in u, such as
+                `ufl.dot(u, n)` with a constant, a field or `ufl.FacetNormal(mesh)` for n; it is sampled once. At each
+                contact node it has one unit normal, the mean over the facets there.
             measure: Where contact can be: `ds(3)` for the facets tagged 3, also a tuple of tags; by default the domain.
-                The pressure is then a force per area of these facets (in the plane, per length).
+                The pressure is then a force per area of these facets (in the plane, per length). Of vector-valued u
+                facets of the boundary, and there may be a factor, as `x[0] * ds(3)` in axial symmetry.
             petsc_options_prefix: Of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
             petsc_options: Options without the prefix; they go before those of the command line, and hold for this
                 problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
@@ -132,9 +137,13 @@ class ObstacleProblem:
         if not isinstance(u, fem.Function):
             raise InputError(f"{self.name}: u = {shown(u)}: expected the Function that F is to be solved for")
         V = u.function_space
-        facets = None if measure is None else _facets(measure, V.mesh, self.name)
-        level = of_space(V, self.name, None if facets is None else {"contact": facets})
-        with agree(level.comm):
+        vector_valued = V.dofmap.index_map_bs > 1
+        if of is not None and not vector_valued:
+            raise InputError(f"{self.name}: of= is for vector-valued u; obstacles bound a scalar u itself")
+        if not vector_valued:
+            facets = None if measure is None else facets_of(measure, V.mesh, self.name)
+            level = of_space(V, self.name, None if facets is None else {"contact": facets})
+        with agree(V.mesh.comm):
             check_form(F, u, f"{self.name}: F", arguments=1)
             if energy is not None:
                 check_form(energy, u, f"{self.name}: energy", arguments=0)
@@ -146,15 +155,34 @@ class ObstacleProblem:
             }
             held = conditions(bcs, V, self.name)
         form = OfForm(F=F, u=u, functional=energy, J=J)
-        where: dict[str, Any] = sides if measure is None else {"boundary": (Part("measure", ("contact",), **sides),)}
-        model = Model((form,), source=self.name, **where)
-        data = Data(model, level, bcs=held, live=True)
+        data: Data
+        if vector_valued:
+            data = self._vector_data(form, sides, held, of, measure)
+        else:
+            where: dict[str, Any] = sides if facets is None else {"boundary": (Part("measure", ("contact",), **sides),)}
+            model = Model((form,), source=self.name, **where)
+            data = Data(model, level, bcs=held, live=True)
         compiled = (form_compiler_options, jit_options)
         self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
         if energy is not None:
             self._refuse_no_minimum()
             with releases.compiled_with(*compiled):
                 self._refuse_other_energy(F, energy)
+
+    def _vector_data(self, form: OfForm, sides: dict[str, Any], bcs: list[Any], of: Any, measure: Any) -> Data:
+        """The data of a vector-valued problem (collective)."""
+        # only here: a scalar problem does not load it
+        from fenicsx_obstacle.discrete.contact_nodes import VectorData, of_vector_space
+        from fenicsx_obstacle.problems.vector_valued import facets_and_weight
+
+        self._vector_valued = True
+        V = form.u.function_space
+        facets, weight = facets_and_weight(measure, V.mesh, self.name)
+        if of is None:
+            raise InputError(f"{self.name}: u is vector-valued: say what the obstacles bound, of=ufl.dot(u, n)")
+        level = of_vector_space(V, self.name, {"contact": facets})
+        model = Model((form,), boundary=(Part("measure", ("contact",), **sides),), source=self.name)
+        return VectorData(model, level, bcs, of=of, u=form.u, weight=weight)
 
     @classmethod
     def of_model(
@@ -202,12 +230,20 @@ class ObstacleProblem:
         self._estimator: Estimator | None = None
         started = time.perf_counter()
         with releases.compiled_with(*compiled):
-            self._problem = Problem(data, prefix)
+            self._problem = self._discrete(data, prefix)
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = [] if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
         self._grids: list[Multigrid] | None = None
         self._solved_before = False
+
+    def _discrete(self, data: Data, prefix: str) -> Problem:
+        """The discrete problem (collective)."""
+        if not self._vector_valued:
+            return Problem(data, prefix)
+        from fenicsx_obstacle.discrete.vector_problem import VectorProblem
+
+        return VectorProblem(data, prefix)
 
     @property
     def A(self) -> PETSc.Mat:
@@ -269,7 +305,12 @@ class ObstacleProblem:
         u = self.u.copy()  # what the next solve finds does not change this solution
         u.name = self.u.name
         tension = self._data.model.elastic.tension_at(u, self._data)
-        return Solution(level, u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
+        fields = (level, u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
+        if not self._vector_valued:
+            return Solution(*fields)
+        from fenicsx_obstacle.problems.vector_valued import VectorSolution, contact_table
+
+        return VectorSolution(*fields, nodes=contact_table(problem, state.p))
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
@@ -299,7 +340,8 @@ class ObstacleProblem:
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or from the coarsest level on where u is no start or a bad one (collective)."""
         problem = self._problem
-        grids = self._levels() if nested(problem.model.effects, problem.level.pair, options) else []
+        serves = not self._vector_valued and nested(problem.model.effects, problem.level.pair, options)
+        grids = self._levels() if serves else []
         spent = 0
         if len(grids) < 2 or self._has_start():
             if way.eps is not None:
@@ -370,7 +412,7 @@ class ObstacleProblem:
         start = self.u.x.array.copy()
         dofs, given = self._data.fixed
         start[dofs] = given.x.array[dofs]
-        problem.set_reference(np.clip(start, *problem.obstacles()))
+        problem.set_reference(problem.between(start))
 
     def _bounds(self) -> Estimator:
         """Bounds of the energy error (collective).
@@ -431,7 +473,7 @@ class ObstacleProblem:
             raise InputError(
                 f"{self.name}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number"
             )
-        return SHARE * float(np.median(everywhere))
+        return problem.eps_share * float(np.median(everywhere))
 
     def _refuse_no_number(self) -> None:
         """Name the place where F is not finite, if there is one (collective).
@@ -499,26 +541,3 @@ def _values_in(form: ufl.Form) -> list[np.ndarray]:
     flat = ufl.algorithms.expand_derivatives(form)
     functions = [one.x.array.copy() for one in flat.coefficients()]
     return functions + [np.array(one.value) for one in flat.constants()]
-
-
-def _facets(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
-    """Local facets of a measure (collective).
-
-    Raises:
-        InputError: If it is no measure of facets of this mesh, or has no facets.
-    """
-    kinds = ("exterior_facet", "interior_facet")
-    if not isinstance(measure, ufl.Measure) or measure.integral_type() not in kinds:
-        raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
-    tags, ids = measure.subdomain_data(), measure.subdomain_id()
-    if ids == "everywhere" or ids == ("everywhere",):
-        mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
-        found = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
-    elif not hasattr(tags, "find"):
-        raise InputError(f"{name}: measure has the tag {ids} without MeshTags: give it subdomain_data=")
-    else:
-        wanted = ids if isinstance(ids, tuple) else (ids,)
-        found = np.unique(np.concatenate([tags.find(number) for number in wanted])).astype(np.int32)
-    if total(mesh.comm, len(found)) == 0:
-        raise InputError(f"{name}: measure has no facets: no facet is tagged {ids}")
-    return found

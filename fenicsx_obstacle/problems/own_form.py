@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
@@ -23,6 +24,7 @@ from fenicsx_obstacle.discrete.fields import field, foreign
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.words import shown
 
 _NOT_SMOOTH = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
@@ -101,7 +103,7 @@ class OfForm(Effect):
         if not (self.affine and self.symmetric):
             return None
         # F(u; v) = a(u, v) - f(v), so that a(u, u)/2 - f(u) = (F(u; u) + F(0; u))/2
-        zero = fem.Constant(data.level.mesh, PETSc.ScalarType(0.0))
+        zero = fem.Constant(data.level.mesh, np.zeros(self.u.ufl_shape, dtype=PETSc.ScalarType))
         return 0.5 * (self.terms(u, u, data) + self.terms(zero, u, data))
 
 
@@ -168,7 +170,7 @@ def conditions(bcs: Any, V: fem.FunctionSpace, place: str) -> list[Any]:
             wanted = "expected what dolfinx.fem.dirichletbc returns"
             raise InputError(f"{place}: bcs[{number}] = {shown(bc)}: {wanted}")
         space = bc.function_space
-        if getattr(space, "_cpp_object", space) != V._cpp_object:
+        if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
             raise InputError(f"{place}: bcs[{number}] is of another space than u: take u.function_space for it")
     return list(given)
 
@@ -208,3 +210,26 @@ def obstacle(g: Any, u: fem.Function, place: str) -> Field:
             f"{place} depends on u: obstacles are given; put a copy, u.copy(), into it to iterate over them"
         )
     return field(g, place)
+
+
+def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
+    """Local facets of a measure (collective).
+
+    Raises:
+        InputError: If it is no measure of facets of this mesh, or has no facets.
+    """
+    kinds = ("exterior_facet", "interior_facet")
+    if not isinstance(measure, ufl.Measure) or measure.integral_type() not in kinds:
+        raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
+    tags, ids = measure.subdomain_data(), measure.subdomain_id()
+    if ids == "everywhere" or ids == ("everywhere",):
+        mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+        found = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
+    elif not hasattr(tags, "find"):
+        raise InputError(f"{name}: measure has the tag {ids} without MeshTags: give it subdomain_data=")
+    else:
+        wanted = ids if isinstance(ids, tuple) else (ids,)
+        found = np.unique(np.concatenate([tags.find(number) for number in wanted])).astype(np.int32)
+    if total(mesh.comm, len(found)) == 0:
+        raise InputError(f"{name}: measure has no facets: no facet is tagged {ids}")
+    return found

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.contact import Contact, contact_of
 from fenicsx_obstacle.solvers.choose import Method
@@ -48,7 +47,7 @@ class State:
 def state_of(problem: Problem, method: Method) -> State:
     """The state that a problem is in, just solved by a method (collective)."""
     p = method.pressure(problem)
-    contact, level = contact_of(problem, p), problem.level
+    contact = contact_of(problem, p)
     energy = None
     if problem.has_energy:
         x = problem.state()
@@ -56,5 +55,5 @@ def state_of(problem: Problem, method: Method) -> State:
         if method.eps is not None and method.share != 1.0:  # the problem's eps is that of a step
             energy = (1 - method.share) * problem.energy(x, penalised=False, moving=False) + method.share * energy
         x.destroy()
-    touching = in_q(level, (contact.lower | contact.upper).astype(float))
-    return State(problem.solution(), p, in_q(level, p * problem.thickness), touching, contact, energy)
+    touching = problem.in_q((contact.lower | contact.upper).astype(float))
+    return State(problem.solution(), p, problem.pressures(p * problem.thickness), touching, contact, energy)

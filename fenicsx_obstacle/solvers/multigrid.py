@@ -12,6 +12,7 @@ changes nothing but diagonals.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
@@ -95,25 +96,83 @@ class Multigrid:
             smoother = pc.getMGSmoother(number) if number else pc.getMGCoarseSolve()
             smoother.setOperators(grid.problem.A)
 
+    @property
+    def keeps_sizes(self) -> bool:
+        return True
+
     def _grids(self) -> list[Multigrid]:
         return [*(self.coarser._grids() if self.coarser else []), self]
 
 
+class Holding(Protocol):
+    """A preconditioner of the matrix of a problem whose contact nodes are held by its diagonal."""
+
+    @property
+    def problem(self) -> Problem:
+        """Whose matrix it is for."""
+
+    def truncate(self, penalty_diagonal: np.ndarray) -> None:
+        """Let springs hold the owned nodes, infinite ones in place (collective)."""
+
+    def install(self, pc: PETSc.PC) -> None:
+        """Make a PC this one."""
+
+    @property
+    def keeps_sizes(self) -> bool:
+        """Whether a PC serves another active set; else it is made anew."""
+
+
+class HeldRows:
+    """The preconditioner of a problem that has one of its own, for the whole matrix with contact nodes held.
+
+    The submatrix of the inactive set would lose blocks and near-null space, which algebraic multigrid needs.
+
+    Attributes:
+        problem: With a preconditioner.
+    """
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+
+    def truncate(self, penalty_diagonal: np.ndarray) -> None:
+        self.problem.hold(penalty_diagonal)
+
+    def install(self, pc: PETSc.PC) -> None:
+        pc.setType(self.problem.preconditioner["pc_type"])
+
+    @property
+    def keeps_sizes(self) -> bool:
+        return False
+
+
+def renew(ksp: PETSc.KSP, prefix: str) -> None:
+    """Give a KSP a new PC with its options: GAMG keeps the sizes of the coarse levels of the first matrix."""
+    pc = PETSc.PC().create(ksp.comm)
+    pc.setOptionsPrefix(prefix)
+    pc.setFromOptions()
+    ksp.setPC(pc)
+    pc.destroy()
+
+
 class OnInactive:
-    """PETSc Python PC for the reduced systems of SNES VI: the multigrid of the whole level with contact nodes held.
+    """PETSc Python PC for the reduced systems of SNES VI: multigrid of the whole level with contact nodes held.
 
     The reduced system changes its size from step to step, multigrid does not: vectors are filled up with zeros.
     """
 
-    def __init__(self, snes: PETSc.SNES, multigrid: Multigrid, prefix: str):
-        self.snes, self.multigrid = snes, multigrid
-        A = multigrid.problem.A
-        self.inner = PETSc.PC().create(A.comm)
-        self.inner.setOptionsPrefix(prefix)
-        self.inner.setOperators(A)
-        multigrid.install(self.inner)
-        self.inner.setFromOptions()
-        self.whole, self.answer = A.createVecs()
+    def __init__(self, snes: PETSc.SNES, multigrid: Holding, prefix: str):
+        self.snes, self.multigrid, self.prefix = snes, multigrid, prefix
+        self.inner = self._make_inner()
+        self.whole, self.answer = multigrid.problem.A.createVecs()
+
+    def _make_inner(self) -> PETSc.PC:
+        A = self.multigrid.problem.A
+        inner = PETSc.PC().create(A.comm)
+        inner.setOptionsPrefix(self.prefix)
+        inner.setOperators(A)
+        self.multigrid.install(inner)
+        inner.setFromOptions()
+        return inner
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Hold what the inequality holds now; safe while SNES solves, and only then."""
@@ -124,6 +183,9 @@ class OnInactive:
         held = np.ones(problem.level.owned, dtype=bool)
         held[self.free] = False
         self.multigrid.truncate(np.where(held & ~problem.fixed, np.inf, 0.0))
+        if not self.multigrid.keeps_sizes:
+            self.inner.destroy()
+            self.inner = self._make_inner()
         self.inner.setUp()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:

@@ -27,7 +27,7 @@ from fenicsx_obstacle.solvers.linear import (
     user_has_set,
 )
 from fenicsx_obstacle.solvers.meaning import determined, stiffness_of
-from fenicsx_obstacle.solvers.multigrid import Multigrid, OnInactive
+from fenicsx_obstacle.solvers.multigrid import HeldRows, Holding, Multigrid, OnInactive, renew
 from fenicsx_obstacle.solvers.range import violation
 from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
 
@@ -94,9 +94,15 @@ def run(
     chosen = user_has_set(f"{prefix}pc_type")
     if direct or chosen:
         multigrid = None
-    linear: Mapping[str, Any] = LINEAR if problem.symmetric else GENERAL
-    if direct or not problem.level.pair.nodal or (not chosen and direct_first(problem.level.dofs)):
+    linear: Mapping[str, Any] = {**(LINEAR if problem.symmetric else GENERAL), **problem.preconditioner}
+    directly = not chosen and not problem.preconditioner and direct_first(problem.level.dofs)
+    if direct or not problem.level.pair.nodal or directly:
         linear = DIRECT  # stiff springs that couple nodes defeat algebraic multigrid
+    held: Holding | None = multigrid
+    if problem.preconditioner and not (penalised or chosen or linear is DIRECT):
+        held = HeldRows(problem)
+        # SNES VI reads the options again when the active set changes
+        linear = {key: value for key, value in linear.items() if key != "pc_type"}
     database = {**options, **(linear if multigrid is None else INEXACT)}
     if user_has_set(f"{prefix}ksp_type"):
         database.pop("ksp_norm_type", None)  # the natural norm is one of few methods
@@ -112,6 +118,8 @@ def run(
             multigrid.truncate(problem.nodal.penalty_diagonal())
         else:
             problem.jacobian(x, penalised=penalised)
+            if penalised and problem.preconditioner and linear is not DIRECT:
+                renew(snes.ksp, prefix)
 
     snes.setJacobian(jacobian, problem.A)
     if objective:
@@ -121,9 +129,9 @@ def run(
         if multigrid is not None and penalised:
             multigrid.install(snes.ksp.pc)
         snes.setFromOptions()
-        if multigrid is not None and not penalised:
+        if held is not None and not penalised:
             snes.ksp.pc.setType("python")
-            snes.ksp.pc.setPythonContext(OnInactive(snes, multigrid, prefix))
+            snes.ksp.pc.setPythonContext(OnInactive(snes, held, prefix))
         if prepare is not None:
             prepare(snes)
         if multigrid is not None:

@@ -50,6 +50,8 @@ def solve_vi(
     how: dict[str, Any] = {"least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
+    if problem.loose_without_contact:
+        return require(_from_penalty(problem, how), problem, None, tolerance)
     limited = user_has_set(problem.options_of("vi") + "snes_max_it")  # a limit is kept
     if problem.affine or not problem.constrained or limited:
         return require(_settled(problem, multigrid, how), problem, None, tolerance)
@@ -73,7 +75,8 @@ def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
 
 def _from_penalty(problem: Problem, how: dict[str, Any]) -> Outcome:
     """From the solution with a small eps. PETSc's line search goes by the norm of the residual, which for what is not
-    linear has minima of its own; the penalty has the energy, which has none."""
+    linear has minima of its own; the penalty has the energy, which has none. A body that contact alone holds needs
+    closed nodes from the first step on, and SNES VI opens those where its first residual pulls."""
     first = solve_penalty(problem, NEAR * soft_eps(problem), monitor=how["monitor"])
     return joined(first, _settled(problem, None, how))
 

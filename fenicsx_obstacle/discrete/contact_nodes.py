@@ -1,0 +1,418 @@
+"""Contact nodes of vector-valued problems: one unit normal N_i, one weight D_i and one gap for each node.
+
+At a contact node the constraint is lower <= of(u) <= upper with of(u) = N_i . u, up to a given part and a length. A
+Householder reflection H_i maps N_i to a coordinate axis, so that one component of H_i u is the normal displacement and
+the constraint a simple bound. The penalty and the variational inequality take the same N_i, D_i and bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from petsc4py import PETSc
+from ufl.algorithms import extract_arguments, extract_coefficients
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.classes import Derivative, Zero
+from ufl.corealg.traversal import unique_pre_traversal
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.assembly import NO_WEIGHT
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.levels import Level, of_mesh
+from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
+from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.words import shown
+
+KINK = 0.8  # length of the mean of unit normals, below which a node has no normal: two facets at more than 74 degrees
+HELD = 1e-6  # part of a unit normal in free directions, below which contact moves nothing
+ROUND_OFF = 1e-14  # of a unit normal
+BEYOND = 1e-10  # of the largest gap or displacement: a held node beyond an obstacle by round-off
+
+
+class VectorLevel(Level):
+    """A mesh with a vector-valued nodal space V; dofs are counted component by component."""
+
+    @property
+    def components(self) -> int:
+        """Of u at a node."""
+        return self.V.dofmap.index_map_bs
+
+    @property
+    def owned(self) -> int:
+        return self.V.dofmap.index_map.size_local * self.components
+
+    @property
+    def dofs(self) -> int:
+        return self.V.dofmap.index_map.size_global * self.components
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Coordinates of the local nodes, shape (3, nodes)."""
+        return np.ascontiguousarray(self.V.tabulate_dof_coordinates().T)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        return np.repeat(self.nodes, self.components, axis=1)
+
+    @cached_property
+    def _collapsed(self) -> tuple[fem.FunctionSpace, np.ndarray]:
+        """The scalar space of this degree, and the node of V of each of its local dofs (first use is collective)."""
+        space, dofs = self.V.sub(0).collapse()
+        return space, np.asarray(dofs) // self.components
+
+    @cached_property
+    def Q(self) -> fem.FunctionSpace:
+        """Gaps and pressures: the scalar space of the same degree (first use is collective)."""
+        return self._collapsed[0]
+
+    @property
+    def node_of(self) -> np.ndarray:
+        """The node of V of each local dof of Q."""
+        return self._collapsed[1]
+
+    @cached_property
+    def scalar(self) -> Level:
+        """The same mesh with Q for the space V_h (first use is collective)."""
+        level = Level(self.mesh, self.h, self.facets, self.groups, pair=self.pair)
+        level.__dict__["V"] = self.Q
+        return level
+
+
+def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray]) -> VectorLevel:
+    """The level of a vector-valued space of the caller's own (collective).
+
+    Args:
+        V: Continuous Lagrange elements of degree 1 or 2, as many components as points have coordinates.
+        source: What messages call its user.
+        facets: Local facets of each named part.
+
+    Raises:
+        InputError: If it is another space, or the mesh is no domain.
+    """
+    cell, layout = releases.cell_name(V.mesh), V.dofmap.dof_layout
+    degree = next((d for d in (1, 2) if layout.num_dofs == _nodes_of(cell, d)), None)
+    gdim = V.mesh.geometry.dim
+    if degree is None or len(layout.entity_dofs(0, 0)) != 1 or V.dofmap.index_map_bs != gdim:
+        raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 with {gdim} components, "
+                         f"not of {V.ufl_element()}")  # fmt: skip
+    pair = Pair(f"{'P' if cell in SIMPLICES else 'Q'}{degree}", degree, {}, ("Lagrange", degree))
+    found = of_mesh(releases.settle(V.mesh), source, facets)
+    level = VectorLevel(found.mesh, found.h, facets, None, pair=pair, remarks=found.remarks)
+    level.__dict__["V"] = V
+    return level
+
+
+def _nodes_of(cell: str, degree: int) -> int:
+    """Lagrange nodes in a cell."""
+    dim = {"interval": 1, "triangle": 2, "quadrilateral": 2}.get(cell, 3)
+    simplex = {1: dim + 1, 2: (dim + 1) * (dim + 2) // 2}
+    return simplex[degree] if cell in SIMPLICES else (degree + 1) ** dim
+
+
+class ContactNodes:
+    """Normals, weights and rotations at the nodes of facets where contact can be.
+
+    Arrays have one row for each local contact node, ghosts included, in ascending order of the nodes.
+
+    Attributes:
+        nodes: Local numbers.
+        dofs: Local dof of the normal component of each.
+        weights: D_i = int w phi_i over the facets, for a weight w; a force is p_i D_i.
+        normals: Unit normals in the directions in which u is free, shape (nodes, components).
+        turned: Nodes whose normal is along no coordinate axis.
+    """
+
+    def __init__(self, level: VectorLevel, of: Any, u: fem.Function, weight: Any, fixed: np.ndarray, name: str):
+        """Integrate over the facets named `contact` (collective).
+
+        Args:
+            level: With V of u.
+            of: What the obstacles bound: a scalar UFL expression, linear in u plus what does not depend on u.
+            u: The unknown.
+            weight: UFL factor of the surface measure, such as the radius in axial symmetry; None for 1.
+            fixed: Local dofs where u is given.
+            name: Of the problem, for messages.
+
+        Raises:
+            InputError: If `of` is no such expression, or facets that meet at a node have too different normals.
+        """
+        normal, rest = _parts_of(of, u, f"{name}: of")
+        V, bs, mesh = level.V, level.components, level.mesh
+        dim, facets = mesh.topology.dim - 1, level.facets["contact"]
+        own = np.sort(facets[facets < mesh.topology.index_map(dim).size_local]).astype(np.int32)
+        tags = dmesh.meshtags(mesh, dim, own, np.ones(len(own), dtype=np.int32))
+        ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
+        cell = facet_of(releases.cell_name(mesh))
+        rule = (
+            midpoint_rule(cell) if (cell, level.pair.degree) == ("triangle", 2) else nodal_rule(cell, level.pair.degree)
+        )
+        dI, v = rule.on(ds), ufl.TestFunction(V)
+        length = ufl.sqrt(ufl.dot(normal, normal))
+        D = _integrals((1 if weight is None else weight) * v[0] * ds, V)[:, 0]
+        sums = _integrals(ufl.dot(normal, v) * dI, V)
+        sizes = _integrals((length * v[0] + v[1]) * dI, V)
+        most = largest(mesh.comm, D)
+        on = (NO_WEIGHT * most < D) & (sizes[:, 1] > NO_WEIGHT * largest(mesh.comm, sizes[:, 1]))
+        negative = -NO_WEIGHT * most > D
+        if total(mesh.comm, np.count_nonzero(negative)) > 0:
+            raise InputError(f"{name}: measure: its weight is negative somewhere: a node would have a negative area")
+        self._check_normals(level, on, sums, sizes, name)
+        self._beside = _weightless(level, facets, on)
+        nodes = np.flatnonzero(on)
+        mean = sums[nodes] / sizes[nodes, :1]
+        unit = mean / np.linalg.norm(mean, axis=1, keepdims=True)
+        scale = sizes[nodes, 0] / sizes[nodes, 1]
+        offset = np.zeros(len(nodes)) if rest is None else _integrals(rest * v[0] * dI, V)[nodes, 0] / sizes[nodes, 1]
+        held = np.zeros(sizes.size, dtype=bool)
+        held[fixed] = True
+        held = held.reshape(sizes.shape)[nodes]
+        free = np.where(held, 0.0, unit)
+        lengths = np.linalg.norm(free, axis=1)
+        touchable = lengths > HELD
+        self.components, self.nodes = bs, nodes[touchable]
+        self.weights, self._lengths = D[self.nodes], lengths[touchable]
+        self._scale, self._offset = scale[touchable], offset[touchable]
+        self._in_held_directions = np.where(held, unit, 0.0)[touchable]
+        # nodes where contact moves nothing: what is given there is checked
+        self._held = nodes[~touchable], unit[~touchable], scale[~touchable], offset[~touchable]
+        self.normals = free[touchable] / self._lengths[:, None]
+        axis = np.argmax(np.abs(self.normals) > np.abs(self.normals).max(axis=1, initial=0.0)[:, None] - 1e-6, axis=1)
+        self.dofs = bs * self.nodes + axis
+        self._set_reflections(axis)
+
+    def _check_normals(
+        self, level: VectorLevel, on: np.ndarray, sums: np.ndarray, sizes: np.ndarray, name: str
+    ) -> None:
+        """Reject nodes without a normal (collective)."""
+        length = np.linalg.norm(sums, axis=1)
+        for bad, what in (
+            (sizes[:, 0] <= NO_WEIGHT * sizes[:, 1], "of does not depend on u"),
+            (length < KINK * sizes[:, 0], "facets with different normals meet, so that the node there has none; give "
+             "one normal for each part, or round the edge,"),
+        ):  # fmt: skip
+            points = level.nodes.T[on & bad]
+            found = [one for one in level.comm.allgather(points[0].tolist() if len(points) else None) if one]
+            if found:
+                place = ", ".join(f"{x:.4g}" for x in min(found)[: level.mesh.geometry.dim])
+                raise InputError(f"{name}: of: {what} at ({place})")
+
+    def _set_reflections(self, axis: np.ndarray) -> None:
+        """Householder reflections with H e = N, for e the coordinate axis that is nearest to N."""
+        difference = -self.normals.copy()
+        difference[np.arange(len(axis)), axis] += 1.0
+        square = np.einsum("ij,ij->i", difference, difference)
+        turned = square > ROUND_OFF**2
+        self.turned = self.nodes[turned]
+        d = difference[turned]
+        self._H = np.eye(self.components) - 2 * d[:, :, None] * d[:, None, :] / square[turned][:, None, None]
+
+    def rotated(self, values: np.ndarray) -> np.ndarray:
+        """Values at local or owned dofs, from Cartesian components to normal and tangential ones, or back."""
+        bs, count = self.components, np.searchsorted(self.turned, len(values) // self.components)
+        out = values.copy()
+        if count:
+            table = out.reshape(len(values) // bs, bs)
+            table[self.turned[:count]] = np.einsum("nij,nj->ni", self._H[:count], table[self.turned[:count]])
+        return out
+
+    def rotation(self, A: PETSc.Mat) -> PETSc.Mat:
+        """The same as a matrix with the layout of A, its own inverse (collective)."""
+        bs, (first, end) = self.components, A.getOwnershipRange()
+        count = np.searchsorted(self.turned, (end - first) // bs)
+        turned = np.zeros(end - first, dtype=bool)
+        rows = (bs * self.turned[:count, None] + np.arange(bs)).ravel()
+        turned[rows] = True
+        indptr = np.concatenate([[0], np.cumsum(np.where(turned, bs, 1))])
+        columns, values = np.empty(indptr[-1], dtype=PETSc.IntType), np.ones(indptr[-1])
+        columns[indptr[:-1][~turned]] = first + np.flatnonzero(~turned)
+        places = indptr[rows][:, None] + np.arange(bs)
+        columns[places] = first + bs * np.repeat(self.turned[:count], bs)[:, None] + np.arange(bs)
+        values[places] = self._H[:count].reshape(bs * count, bs)
+        R = PETSc.Mat().createAIJ((A.getSizes()[0], A.getSizes()[1]), bsize=bs, comm=A.comm,
+                                  csr=(indptr.astype(PETSc.IntType), columns, values))  # fmt: skip
+        R.assemble()
+        return R
+
+    def extended(self, values: np.ndarray, V: fem.FunctionSpace) -> np.ndarray:
+        """Values at local nodes, where nodes of weight 0 get those of linear functions on their facets (collective).
+
+        P2 has such nodes at the vertices of triangles, and in axial symmetry on the axis.
+
+        Args:
+            values: At local nodes; right at the contact nodes.
+            V: The vector-valued space.
+        """
+        if self._beside is None:
+            return values
+        targets, known, factors = self._beside
+        around = values[known]
+        at = np.einsum("ij,ij->i", factors, around)
+        at = np.where((around <= 0).all(axis=1), np.minimum(at, 0.0), at)  # no pull beside what pushes
+        at = np.where((around >= 0).all(axis=1), np.maximum(at, 0.0), at)
+        sums = fem.Function(V)
+        table = sums.x.array.reshape(len(values), self.components)
+        np.add.at(table[:, 0], targets, at)
+        np.add.at(table[:, 1], targets, 1.0)
+        releases.add_ghosts(sums)
+        sums.x.scatter_forward()
+        return np.where(table[:, 1] > 0, table[:, 0] / np.maximum(table[:, 1], 1.0), values)
+
+    def bounds(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """Bounds of the normal component at the contact nodes.
+
+        Args:
+            g: Values of an obstacle at local nodes.
+            given: Values of u that are held, at local dofs.
+        """
+        bs = self.components
+        held = given.reshape(len(given) // bs, bs)[self.nodes]
+        taken = np.einsum("ij,ij->i", self._in_held_directions, held)
+        return ((g[self.nodes] - self._offset) / self._scale - taken) / self._lengths
+
+    def excess_where_held(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """How far N . u is above an obstacle at nodes where u is given."""
+        nodes, unit, scale, offset = self._held
+        u = given.reshape(len(given) // self.components, self.components)[nodes]
+        return np.einsum("ij,ij->i", unit, u) - (g[nodes] - offset) / scale
+
+
+def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
+    """The vector N with of(u) = N . u + rest, and the rest, or None where that is 0.
+
+    Raises:
+        InputError: If `of` is not like that.
+    """
+    wanted = "expected a scalar UFL expression that is linear in u, such as ufl.dot(u, n)"
+    if not isinstance(of, ufl.core.expr.Expr) or of.ufl_shape != () or extract_arguments(of):
+        raise InputError(f"{place} = {shown(of)}: {wanted}")
+    if u not in extract_coefficients(of):
+        raise InputError(f"{place} does not depend on u: {wanted}")
+    lowered = apply_algebra_lowering(of)
+    if any(isinstance(node, Derivative) and u in extract_coefficients(node) for node in unique_pre_traversal(lowered)):
+        raise InputError(f"{place} holds derivatives of u: {wanted}")
+    v = ufl.Argument(u.function_space, 0)
+    if u in extract_coefficients(apply_derivatives(apply_algebra_lowering(ufl.derivative(of, u, v)))):
+        raise InputError(f"{place} is not linear in u: {wanted}")
+    size = u.ufl_shape[0]
+    rest = ufl.replace(of, {u: Zero((size,))})
+    unit_vectors = [ufl.as_vector([float(i == k) for i in range(size)]) for k in range(size)]
+    normal = ufl.as_vector([ufl.replace(of, {u: e}) - rest for e in unit_vectors])
+    return normal, None if isinstance(rest, Zero) else rest
+
+
+def _weightless(
+    level: VectorLevel, facets: np.ndarray, on: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Nodes of weight 0 on owned contact facets, once for each facet, and the nodes and factors of the linear function
+    there; None if there are none on any rank (collective)."""
+    mesh, V = level.mesh, level.V
+    dim, layout = mesh.topology.dim - 1, V.dofmap.dof_layout
+    own = facets[facets < mesh.topology.index_map(dim).size_local]
+    mesh.topology.create_connectivity(dim, dim + 1)
+    mesh.topology.create_connectivity(dim + 1, dim)
+    cells_of, facets_of = mesh.topology.connectivity(dim, dim + 1), mesh.topology.connectivity(dim + 1, dim)
+    cells = np.array([cells_of.links(facet)[0] for facet in own], dtype=np.int32)
+    number = [int(np.flatnonzero(facets_of.links(c) == f)[0]) for c, f in zip(cells, own, strict=True)]
+    count = len(facets_of.links(0)) if facets_of.num_nodes else 0
+    closures = [np.sort(layout.entity_closure_dofs(dim, k)) for k in range(count)]
+    rows = [releases.cell_dofs(V)[c][closures[k]] for c, k in zip(cells, number, strict=True)]
+    flags = fem.Function(V)  # owners decide
+    flags.x.array.reshape(len(on), level.components)[:, 0] = on
+    flags.x.scatter_forward()
+    weighty = flags.x.array.reshape(len(on), level.components)[:, 0] > 0.5
+    targets, known, factors = [], [], []
+    for row in rows:
+        there = weighty[row]
+        if there.all() or not there.any():
+            continue
+        x = level.nodes.T[row]
+        x = np.column_stack([np.ones(len(row)), x - x.mean(axis=0)])
+        inverse = np.linalg.pinv(x[there])
+        for place in np.flatnonzero(~there):
+            targets.append(row[place])
+            known.append(row[there])
+            factors.append(x[place] @ inverse)
+    if total(mesh.comm, len(targets)) == 0:
+        return None
+    if not targets:
+        return np.empty(0, dtype=np.int64), np.empty((0, 1), dtype=np.int64), np.empty((0, 1))
+    return np.array(targets), np.array(known), np.array(factors)
+
+
+def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:
+    """A linear form at local nodes, ghosts included, shape (nodes, components) (collective)."""
+    vector = fem.petsc.assemble_vector(releases.form(linear))
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    found = fem.Function(V)
+    own = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    found.x.array[:own] = vector.array_r[:own]
+    found.x.scatter_forward()
+    vector.destroy()
+    values = found.x.array
+    return values.reshape(len(values) // V.dofmap.index_map_bs, V.dofmap.index_map_bs).copy()
+
+
+class VectorData(Data):
+    """The data of a vector-valued problem: obstacles bound the normal components at contact nodes."""
+
+    def __init__(self, model: Model, level: VectorLevel, bcs: Any, *, of: Any, u: fem.Function, weight: Any = None):
+        """Sample nothing yet.
+
+        Args:
+            model: With obstacles on the facets named `contact`.
+            level: Mesh and V.
+            bcs: Dirichlet conditions of V or of its components.
+            of: What the obstacles bound, as for `ContactNodes`.
+            u: The unknown.
+            weight: As for `ContactNodes`.
+        """
+        super().__init__(model, level, bcs=bcs, live=True)
+        self.level: VectorLevel = level
+        self._of, self._u, self._weight = of, u, weight
+        self._scalar = self.on(level.scalar)
+
+    @cached_property
+    def contact(self) -> ContactNodes:
+        """Normals and weights (first use is collective)."""
+        flags = fem.Function(self.level.V)
+        dofs, _ = self.fixed
+        flags.x.array[dofs] = 1.0
+        flags.x.scatter_forward()
+        fixed = np.flatnonzero(flags.x.array > 0.5)
+        return ContactNodes(self.level, self._of, self._u, self._weight, fixed, self.model.source)
+
+    def _thin_obstacle(self, obstacles: Mapping[int, Field], none: float) -> fem.Function:
+        level, contact, given = self.level, self.contact, self.fixed[1].x.array
+        on_q = self._scalar._thin_obstacle(obstacles, none).x.array
+        g = np.full(len(given) // level.components, none)
+        g[level.node_of] = on_q
+        self._check_held(g, given, 1.0 if none > 0 else -1.0)
+        function = fem.Function(level.V)
+        function.x.array[:] = none
+        function.x.array[contact.dofs] = contact.bounds(g, given)
+        function.x.scatter_forward()
+        return function
+
+    def _check_held(self, g: np.ndarray, given: np.ndarray, side: float) -> None:
+        """Reject values of bcs beyond an obstacle (collective)."""
+        beyond = side * self.contact.excess_where_held(g, given)
+        comm = self.level.comm
+        size = max(largest(comm, np.abs(given)), largest(comm, np.abs(g[np.isfinite(g)])))
+        most = largest(comm, beyond)
+        if most > BEYOND * size:
+            word = "upper" if side > 0 else "lower"
+            raise InputError(
+                f"{self.model.source}: a value of bcs is beyond the {word} obstacle by {most:.3g}, so that no u "
+                "satisfies both"
+            )

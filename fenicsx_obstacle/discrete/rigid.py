@@ -1,0 +1,147 @@
+"""Rigid body motions: near-null vectors of multigrid for elasticity, and what holds a body."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, smallest, total
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.vector_problem import VectorProblem
+
+INDEPENDENT = 1e-8  # of the largest eigenvalue of a Gram matrix: vectors that are others' combinations
+LOOSE = 1e-11  # relative energy of a motion that nothing resists
+BALANCED = 1e-6  # of the load: what contact leaves of a force on a loose body
+
+
+def rigid_motions(x: np.ndarray, components: int) -> np.ndarray:
+    """Translations and rotations at points, not normalised.
+
+    Args:
+        x: Shape (3, nodes), about their centre and in units of the size of the body.
+        components: Of u, as many as the points have coordinates.
+
+    Returns:
+        Shape (motions, nodes, components).
+    """
+    n = x.shape[1]
+    found = []
+    for k in range(components):
+        motion = np.zeros((n, components))
+        motion[:, k] = 1.0
+        found.append(motion)
+    for i in range(components):
+        for j in range(i):
+            motion = np.zeros((n, components))
+            motion[:, i], motion[:, j] = x[j], -x[i]
+            found.append(motion)
+    return np.array(found).reshape(len(found), n, components)
+
+
+def motions_of(problem: VectorProblem) -> np.ndarray:
+    """Rigid body motions in normal and tangential components at owned dofs, shape (motions, dofs) (collective)."""
+    level, contact = problem.level, problem.data.contact
+    x = level.nodes[:, : level.V.dofmap.index_map.size_local]
+    low = np.array([smallest(level.comm, axis) for axis in x])
+    high = np.array([largest(level.comm, axis) for axis in x])
+    centred = (x - (low + high)[:, None] / 2) / max(np.max(high - low), 1e-300)
+    motions = rigid_motions(centred, level.components)
+    return np.array([contact.rotated(motion.reshape(level.owned)) for motion in motions]).reshape(
+        len(motions), level.owned
+    )
+
+
+def near_null_space(problem: VectorProblem, motions: np.ndarray, free: np.ndarray) -> PETSc.NullSpace | None:
+    """The motions with zeros at dofs that are held, orthonormal (collective).
+
+    Zeros at the normal components of closed nodes keep coarse corrections from moving them, so that counts of linear
+    steps do not depend on eps.
+
+    Args:
+        problem: Whose matrix it is for.
+        motions: Of `motions_of`.
+        free: Whether an owned dof is not held.
+    """
+    comm, struck = problem.level.comm, motions * free
+    values, vectors = np.linalg.eigh(comm.allreduce(struck @ struck.T))
+    kept = values > INDEPENDENT * max(values[-1], 1e-300)
+    basis = (vectors[:, kept] / np.sqrt(values[kept])).T @ struck
+    if not len(basis):
+        return None
+    found = []
+    for row in basis:
+        vector = problem.A.createVecRight()
+        vector.array[:] = row
+        found.append(vector)
+    space = PETSc.NullSpace().create(vectors=found, comm=comm)
+    for vector in found:
+        vector.destroy()
+    return space
+
+
+def check_held(problem: VectorProblem) -> bool:
+    """Check that supports or contact hold the body; whether it is contact alone (collective).
+
+    A motion without elastic energy that supports allow does work against no force but contact's. So contact forces,
+    which only push, must balance the load on all such motions: there are p_i >= 0 with sum p_i D_i N_i . z = f . z.
+
+    Args:
+        problem: With the residual of u = 0 in `elastic`.
+
+    Raises:
+        InputError: If a motion is resisted by nothing, or the load pulls the body from the obstacles.
+    """
+    comm, source = problem.level.comm, problem.model.source
+    motions, fixed = problem.motions, problem.fixed
+    gram = comm.allreduce(motions @ motions.T)
+    values, vectors = np.linalg.eigh(gram)
+    basis = (vectors / np.sqrt(values)).T @ motions
+    resisted = basis[:, fixed] @ basis[:, fixed].T + _energies(problem, basis)
+    values, vectors = np.linalg.eigh(comm.allreduce(resisted))
+    loose = vectors[:, values < LOOSE].T @ basis
+    if not len(loose):
+        return False
+    load = -comm.allreduce((loose * ~fixed) @ problem.elastic.array_r)
+    at, D = problem.touchable, problem.weights
+    pushes = [(loose * D * sign)[:, at & np.isfinite(bound[: len(D)])] for bound, sign in problem.bounded_sides()]
+    everywhere = np.concatenate(comm.allgather(np.concatenate(pushes, axis=1)), axis=1)
+    strength = np.linalg.svd(everywhere, compute_uv=False) if everywhere.shape[1] else np.zeros(1)
+    if len(strength) < len(loose) or strength[-1] <= INDEPENDENT * strength[0]:
+        raise InputError(
+            f"{source}: nothing holds the body: {_in_words(len(loose))}, and contact does not resist "
+            f"{'it' if len(loose) == 1 else 'all of them'}; hold more components of u with bcs"
+        )
+    from scipy.optimize import nnls  # only where contact alone holds a body
+
+    _, left = nnls(everywhere, load, maxiter=100 * everywhere.shape[1])
+    if left > BALANCED * np.linalg.norm(load) or not np.any(load):
+        raise InputError(
+            f"{source}: contact alone holds the body, and the load does not press it against the obstacles: no u is in "
+            "balance; hold more components of u with bcs"
+        )
+    return True
+
+
+def _energies(problem: VectorProblem, basis: np.ndarray) -> np.ndarray:
+    """This rank's part of z . A z over the mean diagonal of A, for pairs of motions (collective)."""
+    A = problem.forms.stiffness
+    x, y = A.createVecs()
+    A.getDiagonal(x)
+    mean = total(problem.level.comm, np.abs(x.array_r)) / problem.level.dofs
+    images = []
+    for row in basis:
+        x.array[:] = row
+        A.mult(x, y)
+        images.append(y.array_r.copy())
+    for vector in (x, y):
+        vector.destroy()
+    found = basis @ np.array(images).T / (mean or 1.0)
+    return (found + found.T) / 2
+
+
+def _in_words(count: int) -> str:
+    return f"{count} rigid body {'motion is' if count == 1 else 'motions are'} free"

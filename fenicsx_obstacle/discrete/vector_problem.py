@@ -1,0 +1,195 @@
+"""Vector-valued problems with contact on the boundary: (3.4) for the normal component at contact nodes.
+
+The unknown is H u instead of u, with H the reflections of `ContactNodes`: one component at a contact node is N_i . u.
+In these components the penalised residual is
+
+    A w + (A r - f) + D chi (w - gap)/eps,
+
+D, chi and gap only at normal components. So everything that solves scalar problems applies: the penalty is diagonal,
+bounds of the variational inequality are simple, and w counts from the obstacle (gap form).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle.discrete.assembly import Nodal
+from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.rigid import check_held, motions_of, near_null_space
+from fenicsx_obstacle.parallel import total
+
+
+class VectorForms(Nodal):
+    """Matrix and load of affine forms, in normal and tangential components (all methods collective).
+
+    Attributes:
+        displacement: u in Cartesian components, in the forms.
+    """
+
+    data: VectorData
+
+    def _set_contact_measure(self) -> None:
+        self.contact = self.data.contact
+
+    def _unknown(self) -> tuple[fem.Function, fem.Function]:
+        self.displacement = fem.Function(self.data.level.V, name="u")
+        return self.displacement, self.displacement
+
+    def _point_weights(self) -> np.ndarray:
+        values, contact = np.zeros(len(self.w.x.array)), self.contact
+        values[contact.dofs] = contact.weights
+        return values[: self.data.level.owned]
+
+    def _load(self) -> None:
+        super()._load()
+        self._minus_load.array[:] = self.contact.rotated(self._minus_load.array_r)
+
+    def _assembled(self) -> PETSc.Mat:
+        self._cartesian = super()._assembled()
+        if total(self.data.level.comm, len(self.contact.turned)) == 0:
+            return self._cartesian
+        self._rotation = self.contact.rotation(self._cartesian)
+        return self._cartesian.PtAP(self._rotation)
+
+    def _assemble_again(self) -> None:
+        self._cartesian.zeroEntries()
+        fem.petsc.assemble_matrix(self._cartesian, self._stiffness)
+        self._cartesian.assemble()
+        if self.stiffness is not self._cartesian:
+            self._cartesian.PtAP(self._rotation, result=self.stiffness)
+
+    def take_displacement(self) -> None:
+        """Let the forms see the present state."""
+        self.displacement.x.array[:] = self.contact.rotated(self.w.x.array + self.reference.x.array)
+
+    def energy(self, *, penalised: bool, moving: bool = True) -> float:
+        self.take_displacement()
+        return super().energy(penalised=penalised, moving=moving)
+
+
+class NonlinearVectorForms(VectorForms):
+    """The same for forms that are assembled at every evaluation (all methods collective)."""
+
+    def set_reference(self) -> None:
+        """Nothing is kept that depends on r."""
+
+    def elastic(self, out: PETSc.Vec) -> None:
+        self.take_displacement()
+        self._assemble(out, self._form("elastic"))
+        out.array[:] = self.contact.rotated(out.array_r)
+
+    def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
+        self.take_displacement()
+        self.renew(A, stiffness=True)
+        super().jacobian(A, penalised=penalised)
+
+    def _load(self) -> None:
+        self._minus_load.set(0.0)
+
+
+class VectorProblem(Problem):
+    """A vector-valued problem on one mesh; u and obstacles of its methods are Cartesian, w, r and gaps are not.
+
+    Attributes:
+        motions: Rigid body motions at owned dofs, in the components of w.
+    """
+
+    data: VectorData
+    level: VectorLevel
+    forms: VectorForms
+    eps_share = 1e-3  # D_i/A_ii is about .7 h/E* for degree 1 and .3 h/E* for degree 2
+    preconditioner: Mapping[str, str] = {
+        "pc_type": "gamg",
+        "mg_levels_pc_type": "jacobi",
+        "mg_coarse_ksp_type": "preonly",
+        # PETSc's default for the coarsest level keeps the size of the first active set
+        "mg_coarse_pc_type": "lu",
+        "mg_coarse_pc_factor_mat_solver_type": "mumps",
+    }
+
+    def _make_forms(self) -> VectorForms:
+        return (VectorForms if self.affine else NonlinearVectorForms)(self.model.effects, self.data)
+
+    @property
+    def loose_without_contact(self) -> bool:
+        return self.floating
+
+    @cached_property
+    def motions(self) -> np.ndarray:
+        """Rigid body motions at owned dofs, shape (motions, dofs) (first use is collective)."""
+        return motions_of(self)
+
+    def bounded_sides(self) -> list[tuple[np.ndarray, float]]:
+        """Bounds of local dofs on each side that has an obstacle, and where it is along N_i: 1 above, -1 below."""
+        sides = ((self.data.lower, -1.0), (self.data.upper, 1.0))
+        return [(bound.x.array, sign) for bound, sign in sides if bound is not None]
+
+    def _check_support(self) -> tuple[np.ndarray | None, bool]:
+        return None, check_held(self)
+
+    def cold_start(self) -> np.ndarray:
+        """u = 0 but for given values; beyond the obstacle at all contact nodes, where contact alone holds the body."""
+        dofs, given = self.data.fixed
+        u_values = np.zeros(len(given.x.array))
+        u_values[dofs] = given.x.array[dofs]
+        if not self.floating:
+            return self.between(u_values)
+        w = self.data.contact.rotated(u_values)
+        for bound, sign in self.bounded_sides():
+            there = np.isfinite(bound)
+            w[there] = bound[there] + sign * self.data.extent
+        return self.data.contact.rotated(w)
+
+    def between(self, u_values: np.ndarray) -> np.ndarray:
+        contact = self.data.contact
+        return contact.rotated(np.clip(contact.rotated(u_values), *self.obstacles()))
+
+    def set_reference(self, u_values: np.ndarray) -> None:
+        super().set_reference(self.data.contact.rotated(u_values))
+
+    def solution(self) -> fem.Function:
+        u = super().solution()
+        u.x.array[:] = self.data.contact.rotated(u.x.array)
+        return u
+
+    def in_q(self, values: np.ndarray) -> fem.Function:
+        return self._of_nodes(self._at_nodes(values))
+
+    def pressures(self, p: np.ndarray) -> fem.Function:
+        return self._of_nodes(self.data.contact.extended(self._at_nodes(p), self.level.V))
+
+    def _at_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Values at owned dofs, at local nodes: those of normal components, elsewhere 0 (collective)."""
+        contact, everywhere = self.data.contact, fem.Function(self.level.V)
+        everywhere.x.array[: self.level.owned] = values
+        everywhere.x.scatter_forward()
+        found = np.zeros(len(everywhere.x.array) // self.level.components)
+        found[contact.nodes] = everywhere.x.array[contact.dofs]
+        return found
+
+    def _of_nodes(self, values: np.ndarray) -> fem.Function:
+        found = fem.Function(self.level.Q)
+        found.x.array[:] = values[self.level.node_of]
+        return found
+
+    def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
+        super().jacobian(x, penalised=penalised)
+        self._set_near_null_space(self.forms.penalty_diagonal() if penalised else np.zeros(self.level.owned))
+        return self.A
+
+    def hold(self, penalty_diagonal: np.ndarray) -> None:
+        self.forms.add_penalty_diagonal(self.A, penalty_diagonal)
+        self._set_near_null_space(penalty_diagonal)
+
+    def _set_near_null_space(self, penalty_diagonal: np.ndarray) -> None:
+        """Give A the rigid body motions that its penalty diagonal leaves free (collective)."""
+        space = near_null_space(self, self.motions, (penalty_diagonal == 0) & ~self.fixed)
+        if space is not None:
+            self.A.setNearNullSpace(space)
+            space.destroy()

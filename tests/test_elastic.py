@@ -1,0 +1,295 @@
+"""Elastic bodies on rigid obstacles: ObstacleProblem for vector-valued u, against Hertz and exact states."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from petsc4py import PETSc
+
+from fenicsx_obstacle import InputError, ObstacleProblem, releases
+
+Cell = dmesh.CellType
+ELEMENTS = [(cell, degree) for cell in (Cell.triangle, Cell.quadrilateral, Cell.tetrahedron, Cell.hexahedron)
+            for degree in (1, 2)]  # fmt: skip
+RADIUS, DEPTH = 20.0, 40.0  # of the indenter, of the body, in units of the half-width of contact
+
+
+def stress(strain, poisson):
+    """Hooke's law for E/(1 - nu^2) = 1."""
+    young = 1 - poisson**2
+    mu, lam = young / 2 / (1 + poisson), young * poisson / (1 + poisson) / (1 - 2 * poisson)
+    return 2 * mu * strain + lam * ufl.tr(strain) * ufl.Identity(strain.ufl_shape[0])
+
+
+def strain_of(u, radius=None):
+    """In plane strain and in space; with a radius in axial symmetry."""
+    e = ufl.sym(ufl.grad(u))
+    return e if radius is None else ufl.as_matrix([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / radius]])
+
+
+class Body:
+    """A box, held or on rollers, with facets tagged 3 above and 4 below."""
+
+    def __init__(self, cell, degree, counts, shape=lambda x: x):
+        box = [np.zeros(len(counts)), np.array(counts, dtype=float)]
+        make = dmesh.create_rectangle if len(counts) == 2 else dmesh.create_box
+        self.mesh = mesh = make(COMM, box, counts, cell)
+        mesh.geometry.x[:] = shape(mesh.geometry.x / np.max(counts))
+        self.dim = dim = len(counts)
+        self.V = releases.functionspace(mesh, "Lagrange", degree, dim)
+        self.u, self.v = fem.Function(self.V), ufl.TestFunction(self.V)
+        self.x = ufl.SpatialCoordinate(mesh)
+
+    def facets(self, where):
+        return dmesh.locate_entities_boundary(self.mesh, self.dim - 1, where)
+
+    def tagged(self, **where):
+        """ds with the tags 3 above and 4 below."""
+        found = [self.facets(one) for one in where.values()]
+        numbers = np.concatenate([np.full(len(f), tag, np.int32) for f, tag in zip(found, (3, 4), strict=False)])
+        facets = np.concatenate(found)
+        order = np.argsort(facets)
+        tags = dmesh.meshtags(self.mesh, self.dim - 1, facets[order], numbers[order])
+        return ufl.Measure("ds", domain=self.mesh, subdomain_data=tags)
+
+    def held(self, where, axis, value=0.0):
+        """u[axis] = value."""
+        space = self.V.sub(axis)
+        dofs = fem.locate_dofs_topological(space, self.dim - 1, self.facets(where))
+        return fem.dirichletbc(PETSc.ScalarType(value), dofs, space)
+
+
+@pytest.mark.parametrize(("cell", "degree"), ELEMENTS)
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_patch(cell, degree, method):
+    """A uniform pressure presses a body that contact alone holds against a plane: p_i is that pressure at every node,
+    nodes of weight 0 included, to 1e-10; on cells of unequal size, with the normals of the facets."""
+
+    def uneven(x):
+        x[:, 0] += 0.3 * x[:, 0] * (1 - x[:, 0]) * (0.5 + x[:, 1])
+        return x
+
+    body = Body(cell, degree, [3] * (2 if cell in (Cell.triangle, Cell.quadrilateral) else 3), uneven)
+    top = body.dim - 1
+    ds = body.tagged(above=lambda x: np.isclose(x[top], 1), below=lambda x: np.isclose(x[top], 0))
+    q, n, u, v = 0.01, ufl.FacetNormal(body.mesh), body.u, body.v
+    F = ufl.inner(stress(strain_of(u), 0.3), strain_of(v)) * ufl.dx + q * ufl.dot(n, v) * ds(4)
+    bcs = [body.held(lambda x, axis=axis: np.isclose(x[axis], 0), axis) for axis in range(top)]
+    problem = ObstacleProblem(F, u, bcs=bcs, upper=1e-3, of=ufl.dot(u, n), measure=ds(3))
+    solution = problem.solve(method=method, eps=1e-3 if method == "penalty" else "auto", rtol=1e-13)
+    assert np.allclose(solution.nodes.pressure, -q, rtol=1e-10)
+    assert np.allclose(solution.nodes.resultant, [0] * top + [-q], atol=1e-10 * q)
+    points = np.array([[0.0] * top + [1.0], [0.4] * top + [1.0]])
+    assert np.allclose(solution.at(points, "pressure"), -q, rtol=1e-9)
+
+
+def graded(x):
+    """Points of the unit square so that the upper left corner of a body of side DEPTH has cells of equal size."""
+
+    def stretched(t):  # 3/5 of the cells within 1.6
+        return np.where(t < 0.6, t * 1.6 / 0.6, 1.6 * np.exp(np.log(DEPTH / 1.6) * (t - 0.6) / 0.4))
+
+    x[:, 0], x[:, 1] = stretched(x[:, 0]), -stretched(1 - x[:, 1])
+    return x
+
+
+class Hertz(Body):
+    """A quarter of a plane or a half of a round section below a rigid indenter of RADIUS; depth and width are DEPTH."""
+
+    def __init__(self, cells=26, degree=2, *, axial=False, depth=1 / RADIUS, cell=Cell.triangle):
+        super().__init__(cell, degree, [cells, cells], graded)
+        u, v, r = self.u, self.v, self.x[0] if axial else None
+        form = ufl.inner(stress(strain_of(u, r), 0.3), strain_of(v, r)) * (r if axial else 1)
+        self.F = form * ufl.dx(metadata={"quadrature_degree": 4})
+        self.ds = self.tagged(above=lambda x: np.isclose(x[1], 0) & (x[0] < 3.2))
+        self.bcs = [
+            self.held(lambda x: np.isclose(x[0], 0), 0),
+            self.held(lambda x: np.isclose(x[1], -DEPTH), 1, depth),
+        ]
+        self.gap = self.x[0] ** 2 / (2 * RADIUS)
+
+    def solve(self, measure=None, **how):
+        measure = self.ds(3) if measure is None else measure
+        problem = ObstacleProblem(self.F, self.u, bcs=self.bcs, upper=self.gap, of=self.u[1], measure=measure)
+        return problem.solve(**how)
+
+
+def profile(nodes, width):
+    """The peak of p = p0 sqrt(1 - x^2/a^2) by a fit of p^2 on x^2 within 0.9 a."""
+    x = nodes.points[:, 0]
+    inner = x < 0.9 * width
+    return np.sqrt(np.polyfit(x[inner] ** 2, nodes.pressure[inner] ** 2, 1)[1])
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_cylinder(method):
+    """Hertz, plane strain: a = 2 sqrt(P R/(pi E*)) by moments and p0 = 2 P/(pi a) within 0.3 % (a/h = 10, P2)."""
+    nodes = Hertz(depth=0.118).solve(method=method).nodes
+    forces = -2 * nodes.forces[:, 1]
+    a = np.sqrt(4 * forces.sum() * RADIUS / np.pi)
+    assert 0.9 < a < 1.1
+    assert np.isclose(2 * np.sqrt(forces @ nodes.points[:, 0] ** 2 / forces.sum()), a, rtol=3e-3)
+    assert np.isclose(profile(nodes, a), 2 * forces.sum() / (np.pi * a), rtol=3e-3)
+
+
+def test_ball():
+    """Hertz, axial symmetry, by the factor r of the measure: a, p0 and the approach a^2/R within 0.5 %, after the
+    body's own 4 a/(3 pi DEPTH); on the axis, where D_i = 0, p is extrapolated to within 1 %."""
+    body = Hertz(axial=True)
+    solution = body.solve(measure=body.x[0] * body.ds(3))
+    nodes = solution.nodes
+    forces = -2 * np.pi * nodes.forces[:, 1]
+    a = np.cbrt(3 * forces.sum() * RADIUS / 4)
+    p0 = 3 * forces.sum() / (2 * np.pi * a**2)
+    assert 0.9 < a < 1.1 and nodes.points[0, 0] > 0
+    assert np.isclose(np.sqrt(2.5 * forces @ nodes.points[:, 0] ** 2 / forces.sum()), a, rtol=5e-3)
+    assert np.isclose(profile(nodes, a), p0, rtol=5e-3)
+    assert np.isclose(1 / RADIUS, a**2 / RADIUS * (1 - 4 * a / (3 * np.pi * DEPTH)), rtol=5e-3)
+    assert np.isclose(-solution.at([0.0, 0.0], "pressure"), p0, rtol=1e-2)
+
+
+def test_order_in_eps():
+    """On a fixed mesh the force differs from that of the variational inequality by O(eps), down to eps = 1e-10."""
+    body = Hertz(cells=16, degree=1)
+    exact = body.solve(method="vi").force.upper
+    scales = (1e-5, 1e-6, 1e-7)
+    errors = [abs(body.solve(eps=eps).force.upper / exact - 1) for eps in scales]
+    orders = np.log10(np.array(errors[:-1]) / errors[1:])
+    assert np.all(np.abs(orders - 1) < 0.05), orders
+    assert abs(body.solve(eps=1e-10).force.upper / exact - 1) < 1e-8
+    assert abs(body.solve(eps=1e-14).force.upper / exact - 1) < 1e-8
+
+
+def test_linear_steps_depend_on_neither_eps_nor_h():
+    """Rigid body motions without normal components at closed nodes: conjugate gradients with GAMG take as many steps
+    for eps = 1e-2 as for 1e-12, and hardly more on a mesh of four times as many cells; a tilted body too."""
+    counts = []
+    for cells in (24, 48):
+        for eps in (1e-2, 1e-12):
+            solution = Box(cells, angle=0.5).problem().solve(eps=eps)
+            counts.append(solution.record["krylov_iterations"] / solution.iterations)
+    assert max(counts) < 1.5 * min(counts), counts
+
+
+class Box(Body):
+    """A unit square or cube that is held below and pressed into a cylinder or ball, all turned by an angle."""
+
+    def __init__(self, cells=6, dim=2, degree=1, angle=0.0, large=False):
+        turn = np.eye(3)
+        turn[[0, 0, dim - 1, dim - 1], [0, dim - 1, 0, dim - 1]] = (
+            np.cos(angle),
+            -np.sin(angle),
+            np.sin(angle),
+            np.cos(angle),
+        )
+        cell = Cell.triangle if dim == 2 else Cell.tetrahedron
+        super().__init__(cell, degree, [cells] * dim)
+        top = dim - 1
+        self.ds = self.tagged(above=lambda x: np.isclose(x[top], 1))
+        below = self.facets(lambda x: np.isclose(x[top], 0))
+        lifted = fem.Function(self.V)
+        normal = turn[:dim, top]
+        lifted.interpolate(lambda x: np.outer(0.02 * normal, np.ones(x.shape[1])))
+        self.bcs = [fem.dirichletbc(lifted, fem.locate_dofs_topological(self.V, top, below))]
+        self.mesh.geometry.x[:] = self.mesh.geometry.x @ turn.T
+        self.normal = ufl.as_vector(normal.tolist())
+        along = self.x - ufl.dot(self.x, self.normal) * self.normal
+        middle = ufl.as_vector((turn[:dim, :top] @ np.full(top, 0.5)).tolist())
+        self.gap = ufl.dot(along - middle, along - middle) / 2
+        gradient, u = ufl.grad(self.u), self.u
+        self.energy = ufl.inner(stress(strain_of(u), 0.3), strain_of(u)) / 2 * ufl.dx
+        if large:  # a neo-Hookean body
+            D = ufl.Identity(dim) + gradient
+            J = ufl.det(D)
+            mu, lam = 0.35, 0.525
+            self.energy = (mu / 2 * (ufl.inner(D, D) - dim - 2 * ufl.ln(J)) + lam / 2 * ufl.ln(J) ** 2) * ufl.dx
+        self.F = ufl.derivative(self.energy, u, self.v)
+
+    def problem(self, **more):
+        given = {"bcs": self.bcs, "upper": self.gap, "of": ufl.dot(self.u, self.normal), "measure": self.ds(3), **more}
+        return ObstacleProblem(self.F, self.u, **given)
+
+
+@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_any_direction(dim, degree, method):
+    """All figures are the same, to 1e-8, if the body, its load and its obstacle are turned as one."""
+    cells = 6 if dim == 2 else 4
+    straight, tilted = (Box(cells, dim, degree, angle).problem().solve(method=method) for angle in (0.0, 0.7))
+    assert straight.area > 0
+    assert np.isclose(straight.force.upper, tilted.force.upper, rtol=1e-8)
+    assert np.isclose(straight.energy, tilted.energy, rtol=1e-8)
+    pressures = [np.sort(one.nodes.pressure) for one in (straight, tilted)]
+    assert np.allclose(*pressures, atol=1e-8 * np.abs(pressures[0]).max())
+    size = np.linalg.norm(tilted.nodes.resultant)
+    assert np.isclose(size, tilted.force.upper, rtol=1e-8)
+
+
+def test_large_strains():
+    """A neo-Hookean body: penalty and variational inequality agree as eps -> 0, with a line search on the energy; for
+    small displacements the force is that of Hooke's law."""
+    forces = {}
+    for large in (False, True):
+        body = Box(8, large=large)
+        problem = body.problem(energy=body.energy if large else None)
+        forces[large] = problem.solve(eps=1e-8).force.upper
+    assert np.isclose(forces[True], forces[False], rtol=0.05)
+    exact = Box(8, large=True).problem().solve(method="vi").force.upper
+    assert np.isclose(forces[True], exact, rtol=1e-6)
+
+
+def test_data_that_change():
+    """A second solve takes new values of Constants, of the obstacle and of bcs, and starts from the last contact."""
+    body = Hertz(cells=16, degree=1)
+    level = fem.Constant(body.mesh, PETSc.ScalarType(0.01))
+    problem = ObstacleProblem(body.F, body.u, bcs=body.bcs, upper=body.gap + level, of=body.u[1], measure=body.ds(3))
+    first = problem.solve().force.upper
+    level.value = 0.0
+    second = problem.solve()
+    assert first < second.force.upper
+    body.u.x.array[:] = 0.0
+    assert np.isclose(second.force.upper, body.solve().force.upper, rtol=1e-9)
+    assert problem.solve().iterations <= 1
+
+
+def test_of_may_be_the_present_place():
+    """of = (u + x) . n against a plane at a height is u . n against the gap to it."""
+    body = Box()
+    one = body.problem().solve().force.upper
+    shifted = ufl.dot(body.u, body.normal) + body.x[1]
+    assert np.isclose(one, body.problem(of=shifted, upper=body.gap + body.x[1]).solve().force.upper, rtol=1e-9)
+    below = body.problem(of=-2 * ufl.dot(body.u, body.normal), upper=None, lower=-2 * body.gap).solve()
+    assert np.isclose(one, below.force.lower, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda body: {"of": None}, "u is vector-valued: say what the obstacles bound"),
+        (lambda body: {"measure": None}, "u is vector-valued: measure"),
+        (lambda body: {"of": body.u}, "of = .*: expected a scalar UFL expression that is linear in u"),
+        (lambda body: {"of": body.u[0] ** 2}, "of is not linear in u"),
+        (lambda body: {"of": body.u[0].dx(0)}, "of holds derivatives of u"),
+        (lambda body: {"of": body.x[0]}, "of does not depend on u"),
+        (lambda body: {"of": ufl.dot(body.u, ufl.FacetNormal(body.mesh)), "measure": ufl.ds}, "facets with different"),
+        (lambda body: {"bcs": []}, "nothing holds the body: 3 rigid body motions are free"),
+        (lambda body: {"upper": -1.0, "measure": ufl.ds}, "a value of bcs is beyond the upper obstacle"),
+        (lambda body: {"measure": -body.x[0] * body.ds(3)}, "its weight is negative"),
+    ],
+)
+def test_what_is_rejected(change, words):
+    """One message with the remedy, on all ranks."""
+    body = Box()
+    with pytest.raises(InputError, match=words):
+        body.problem(**change(body))
+
+
+def test_a_load_that_pulls():
+    """A body that contact alone holds, and a load that pulls it away: rejected before anything is solved."""
+    body = Box()
+    body.F = body.F + body.v[1] * ufl.dx
+    bcs = [body.held(lambda x: np.isclose(x[0], 0), 0)]
+    with pytest.raises(InputError, match="does not press it against the obstacles"):
+        body.problem(bcs=bcs)
