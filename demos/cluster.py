@@ -97,8 +97,7 @@ assert np.isclose(read.at([0.5, 0.06]), second.at([0.5, 0.06]), rtol=1e-12)
 
 # %% [markdown]
 # Every rank has the same values in `second.report`, so that a test or a print needs no communication. Functions such as
-# `second.u` are distributed, as always in DOLFINx. How many processes pay is measured in the page *Performance*: some
-# 20000 unknowns per process.
+# `second.u` are distributed, as always in DOLFINx. What processes gain is measured in the page *Performance*.
 
 # %%
 line = second.along([0, 0.06], [2, 0.06], n=201)

@@ -101,9 +101,8 @@ def displace():
 # ## Loading and unloading
 #
 # The crack length is measured by the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy
-# of
-# the upper half. The material ahead of the tip also yields, so that this length exceeds that of the damaged line by a
-# constant of about $H$.
+# of the upper half. The strip ahead of the tip deforms elastically too, so that this length exceeds that of the damaged
+# line by a constant of about $H$.
 
 
 # %%
