@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
-from scipy.optimize import brentq
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.changes import SCENE, scene_of
@@ -135,6 +134,8 @@ class Find:
         for x, (row, answer) in zip(self.ends, solved, strict=True):
             self._take(x, self.study.keep(row, self._scene(x)), answer, on_row)
         del solved
+
+        from scipy.optimize import brentq  # only where a target is looked for
 
         def difference(x: float) -> float:
             x = self.comm.bcast(float(x))  # one value on all ranks
