@@ -2,7 +2,7 @@
 # # Your own mesh: Gmsh, materials, tags and Functions
 #
 # A square membrane with a stiff patch is held on the left and on the right; the other two sides are free. It sags under
-# the load 1 onto a curved floor $\psi$:
+# the load 1 onto a curved obstacle $\psi$:
 #
 # $$ -\nabla \cdot (\mu \nabla u) = -1 + p, \qquad u \ge \psi, \quad p \ge 0, \quad p\,(u - \psi) = 0, \qquad
 #    \mu = 20 \text{ in the patch}, \ 1 \text{ elsewhere}. $$
@@ -64,7 +64,7 @@ materials = Scene(
 solution = solve(materials, tol=0.01, element="P2")
 if comm.rank == 0:
     print(solution.summary())
-    print(f"force on the floor {solution.force.lower:.4f}, contact area {solution.area:.4f}")
+    print(f"force on the obstacle {solution.force.lower:.4f}, contact area {solution.area:.4f}")
 assert solution.record["adaptive"]["reached"] and solution.record["bound"]["relative"] <= 0.01
 assert solution.record["bound"]["words"] == "certified on the polygon of the mesh"
 
@@ -72,7 +72,7 @@ assert solution.record["bound"]["words"] == "certified on the polygon of the mes
 # ## The same with Functions
 #
 # Every datum may also be a DOLFINx Function. Here the tension is piecewise constant, as another part of a program may
-# have computed it, and the floor is given on a coarse mesh of its own; it is interpolated.
+# have computed it, and the obstacle is given on a coarse mesh of its own; it is interpolated.
 
 # %%
 mu = fem.Function(releases.functionspace(mesh, "DG", 0))
@@ -83,9 +83,9 @@ assert again.record["bound"]["relative"] <= 0.01
 assert np.isclose(again.force.lower, solution.force.lower, rtol=1e-3)
 
 # %% [markdown]
-# The load on the whole area is 2. The floor carries a part of it, the sides the rest. Where the membrane rests on the
-# floor with tension 1, $u = \psi$ and the pressure is $p = 1 - \nabla \cdot (\mu \nabla \psi) = 1.1$. The stiff patch
-# leaves the floor at about x = 1.3; beyond, the pressure is zero.
+# The load on the whole area is 2. The obstacle carries a part of it, the sides the rest. Where the membrane touches the
+# obstacle with tension 1, $u = \psi$ and the pressure is $p = 1 - \nabla \cdot (\mu \nabla \psi) = 1.1$. The stiff
+# patch does not touch it near (1.45, 0.5): the pressure is zero there.
 
 # %%
 assert 0 < solution.force.lower < 2

@@ -175,7 +175,9 @@ def find(
     check_places(folder, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress(scene.name, quiet=quiet):
-        rows = report_find(scene, {key: ends}, target, fixed, folder, say, within=within or WITHIN, fresh=fresh)
+        rows = report_find(
+            scene, {key: ends}, target, fixed, folder, say, within=WITHIN if within is None else within, fresh=fresh
+        )
     if json_file is not None:
         write_json(json_file, rows)
 

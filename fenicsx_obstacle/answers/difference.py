@@ -40,7 +40,7 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     Raises:
         InputError: If their meshes are of different dimensions, or a folder has no result.
     """
-    a, b = (one if isinstance(one, Solution) else read_solution(Path(one)) for one in (a, b))
+    a, b = (one if isinstance(one, Solution) else _read(Path(one)) for one in (a, b))
     fine, coarse = _by_size(a, b)
     points, mine = _everywhere(fine)
     there = {"u": coarse.values(points)[mine]}
@@ -69,14 +69,14 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     }
 
 
-def read_solution(folder: Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Solution:
+def _read(folder: Path) -> Solution:
     """What a folder holds: the answer of a scene, or the solution of a form (collective).
 
     Raises:
         InputError: If it holds neither.
     """
-    of_scene = on_root(comm, (folder / "scene.toml").exists)
-    return Answer.read(folder, comm) if of_scene else Solution.read(folder, comm)
+    of_scene = on_root(MPI.COMM_WORLD, (folder / "scene.toml").exists)
+    return Answer.read(folder) if of_scene else Solution.read(folder)
 
 
 def _by_size(a: Solution, b: Solution) -> tuple[Solution, Solution]:

@@ -21,8 +21,8 @@ from fenicsx_obstacle.solvers.relaxation import relax
 from fenicsx_obstacle.solvers.snes import Outcome
 
 _log = logging.getLogger(__name__)
-# on coarse levels, whose discretisation error is larger by far: a step, and this unbalanced force
 FEW = 8  # Newton steps from a start that is said to be near
+# on coarse levels, whose discretisation error is larger by far: a step, and this unbalanced force
 ON_THE_WAY: dict[str, Any] = {"least": 1, "tolerance": 1e-2}
 
 
@@ -45,19 +45,18 @@ def solve_nested(
             steps do not do, as always.
 
     Returns:
-        The outcome of each level, the finest last.
+        The outcome of each level that was solved, the finest last.
 
     Raises:
         NotConverged: On the finest level, where the coarsest level is algebraic from a cold start too. A coarse state
             is a start, converged or not, if the problem is affine.
     """
+    if start is not None and (found := solve_from(grids[-1], start, solve)) is not None:
+        return [found]
     outcomes: list[Outcome] = []
     for grid in grids:
         multigrid = grid if isinstance(grid, Multigrid) else None
         problem = grid.problem if isinstance(grid, Multigrid) else grid
-        finest = grid is grids[-1]
-        if finest and start is not None and (found := solve_from(problem, start, solve, multigrid)) is not None:
-            return [*outcomes, found]
         if before is None:
             problem.set_reference(problem.cold_start())
         else:
@@ -65,6 +64,7 @@ def solve_nested(
             if problem.constrained and multigrid is not None:
                 none = np.zeros(len(problem.weights))
                 relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
+        finest = grid is grids[-1]
         unwatched = {"monitor": None} if isinstance(problem, GalerkinProblem) else {}  # it has no mesh to be shown on
         try:
             outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY | unwatched)))
@@ -83,17 +83,16 @@ def solve_nested(
     return outcomes
 
 
-def solve_from(
-    problem: Problem, start: np.ndarray, solve: Callable[..., Outcome], multigrid: Multigrid | None = None
-) -> Outcome | None:
+def solve_from(grid: Multigrid | Problem, start: np.ndarray, solve: Callable[..., Outcome]) -> Outcome | None:
     """Solve from the solution of other data; None where that takes more than a few steps (collective).
 
     Args:
-        problem: What to solve.
+        grid: The multigrid of the problem, or the problem where multigrid does not serve.
         start: Values of u, ghosts included.
         solve: As for `solve_nested`.
-        multigrid: Preconditioner.
     """
+    multigrid = grid if isinstance(grid, Multigrid) else None
+    problem = grid.problem if isinstance(grid, Multigrid) else grid
     problem.set_reference(start)
     try:
         return solve(problem, multigrid=multigrid, patience=FEW)

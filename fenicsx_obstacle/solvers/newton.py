@@ -17,7 +17,7 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.linear import user_has_set
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.shrinking import Shrinking
-from fenicsx_obstacle.solvers.snes import Outcome, require, run
+from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.solvers.stopping import ACTIVE_SET_GREW, TOLERANCE, TOO_MANY, StepMonitor, Stopping
 
 NEWTON = {
@@ -79,7 +79,7 @@ def solve_penalty(
     how: dict[str, Any] = {"unchanged": successive, "least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
-    if problem.affine or not problem.constrained or _is_limited(problem):
+    if problem.affine or not problem.constrained or is_limited(problem, "penalty"):
         return require(_settled(problem, how, multigrid), problem, eps, tolerance)
     start = problem.solution().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
@@ -87,11 +87,6 @@ def solve_penalty(
         problem.set_reference(start)
         outcome = joined(outcome, _by_continuation(problem, eps, how))
     return require(outcome, problem, eps, tolerance)
-
-
-def _is_limited(problem: Problem) -> bool:
-    """Whether the user's options limit the number of steps: the limit is kept."""
-    return user_has_set(problem.options_of("penalty") + "snes_max_it")
 
 
 def soft_eps(problem: Problem) -> float:
@@ -154,7 +149,7 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
     searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
-        if outcome.reason == TOO_MANY and ("patience" in how or _is_limited(problem)):
+        if outcome.reason == TOO_MANY and ("patience" in how or is_limited(problem, "penalty")):
             break  # far from everything: full steps would only stray
         if not outcome.converged and outcome.reason != ACTIVE_SET_GREW:
             outcome = joined(outcome, _attempt(problem, search, how, multigrid))

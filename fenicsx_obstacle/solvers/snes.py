@@ -159,6 +159,11 @@ def run(
     return outcome
 
 
+def is_limited(problem: Problem, solver: str) -> bool:
+    """Whether the user's options limit the number of steps of a solver: the limit is kept."""
+    return user_has_set(problem.options_of(solver) + "snes_max_it")
+
+
 def require(outcome: Outcome, problem: Problem, eps: float | None, tolerance: float) -> Outcome:
     """The outcome, if it converged to a solution (collective).
 

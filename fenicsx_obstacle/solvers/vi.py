@@ -10,10 +10,9 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.solvers.linear import user_has_set
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
-from fenicsx_obstacle.solvers.snes import Outcome, require, run
+from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, StepMonitor, Stopping
 
 # without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function
@@ -52,8 +51,7 @@ def solve_vi(
         how["patience"] = patience
     if problem.loose_without_contact:
         return require(_from_penalty(problem, how), problem, None, tolerance)
-    limited = user_has_set(problem.options_of("vi") + "snes_max_it")  # a limit is kept
-    if problem.affine or not problem.constrained or limited:
+    if problem.affine or not problem.constrained or is_limited(problem, "vi"):
         return require(_settled(problem, multigrid, how), problem, None, tolerance)
     start = problem.solution().x.array
     outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})

@@ -226,11 +226,4 @@ def _target(text: str, scene: Scene) -> tuple[str, str, float]:
     known |= {one: f"report.{one}" for one in scene.report}
     if name not in known:
         raise InputError(f"{scene.source}: target '{text}': no quantity '{name}'" + nearest(name, known))
-    number: Any = value
-    for kind in (int, float):
-        try:
-            number = kind(value)
-            break
-        except ValueError:
-            continue
-    return name, known[name], scene.number(number, f"target '{text}'")
+    return name, known[name], scene.number(value, f"target '{text}'")
