@@ -34,26 +34,26 @@ comm = MPI.COMM_WORLD
 # %%
 tolerances = [0.3, 0.1, 0.03]
 solutions = [solve("ball", tol=tolerance) for tolerance in tolerances]
-bounds = [solution.record["bound"] for solution in solutions]
-errors = [solution.record["errors"]["energy"] for solution in solutions]
-unknowns = [solution.record["dofs"] for solution in solutions]
+bounds = [solution.bound for solution in solutions]
+errors = [solution.errors.energy for solution in solutions]
+unknowns = [solution.dofs for solution in solutions]
 if comm.rank == 0:
     print("tolerance  unknowns  relative bound  bound   true error  bound/error")
     for tolerance, n, bound, error in zip(tolerances, unknowns, bounds, errors, strict=True):
-        print(f"{tolerance:9.2f}  {n:8d}  {bound['relative']:14.4f}  {bound['total']:.4f}  {error:10.4f}"
-              f"  {bound['total'] / error:11.2f}  {bound['words']}")  # fmt: skip
+        print(f"{tolerance:9.2f}  {n:8d}  {bound.relative:14.4f}  {bound.total:.4f}  {error:10.4f}"
+              f"  {bound.total / error:11.2f}  {bound.words}")  # fmt: skip
 for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
-    assert bound["guaranteed"] and bound["words"] == "certified"
-    assert bound["relative"] <= tolerance
-    assert error <= bound["total"] <= 3 * error
+    assert bound.guaranteed and bound.words == "certified"
+    assert bound.relative <= tolerance
+    assert error <= bound.total <= 3 * error
 
 # %% [markdown]
 # The bound is larger than the error, as it must be, and at most three times as large. What it consists of is in
-# `solution.record["bound"]`: `discretisation`, `penalty`, `algebraic` (the linear solver) and `data`.
+# `solution.bound`: `discretisation`, `penalty`, `algebraic` (the linear solver) and `data`.
 #
 # If a part of the data is known by samples only, such as a Python callable, `words` says so: *certified for the sampled
 # load*. `guaranteed` is true for `certified` alone. If the tolerance cannot be reached with the memory or the time that
-# `budget="60s"` allows, the best solution is returned and `solution.record["adaptive"]["reached"]` is false.
+# `budget="60s"` allows, the best solution is returned and `solution.adaptive.reached` is false.
 #
 # ## Picture
 #
@@ -62,7 +62,7 @@ for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
 
 # %%
 last = solutions[-1]
-path = last.record["adaptive"]["path"]
+path = last.adaptive.path
 mesh = last.level.mesh
 corners = comm.gather(mesh.geometry.x[releases.geometry_dofs(mesh)])
 if comm.rank == 0:
@@ -72,8 +72,8 @@ if comm.rank == 0:
     left.add_patch(plt.Circle((0, 0), 0.69797, fill=False, color="#D55E00", label="free boundary"))
     left.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", title=f"mesh for 3 %: {len(triangles)} triangles")
     left.legend(loc="lower left")
-    n = np.array([step["dofs"] for step in path])
-    right.loglog(n, [step["total"] for step in path], "o-", color="#0072B2", label="certified bound, all meshes")
+    n = np.array([step.dofs for step in path])
+    right.loglog(n, [step.total for step in path], "o-", color="#0072B2", label="certified bound, all meshes")
     right.loglog(unknowns, errors, "s", color="#D55E00", label="true error")
     right.loglog(n, 0.6 * errors[-1] * np.sqrt(n[-1] / n), "k:", label="order $N^{-1/2}$")
     right.set(xlabel="unknowns N", title="error in the energy norm")

@@ -65,8 +65,8 @@ solution = solve(materials, tol=0.01, element="P2")
 if comm.rank == 0:
     print(solution.summary())
     print(f"force on the obstacle {solution.force.lower:.4f}, contact area {solution.area:.4f}")
-assert solution.record["adaptive"]["reached"] and solution.record["bound"]["relative"] <= 0.01
-assert solution.record["bound"]["words"] == "certified on the polygon of the mesh"
+assert solution.adaptive.reached and solution.bound.relative <= 0.01
+assert solution.bound.words == "certified on the polygon of the mesh"
 
 # %% [markdown]
 # ## The same with Functions
@@ -79,7 +79,7 @@ mu = fem.Function(releases.functionspace(mesh, "DG", 0))
 mu.x.array[:] = 1.0
 mu.x.array[cell_tags.find(5)] = 20.0
 again = solve(Scene(**common, tension=mu), tol=0.01, element="P2")
-assert again.record["bound"]["relative"] <= 0.01
+assert again.bound.relative <= 0.01
 assert np.isclose(again.force.lower, solution.force.lower, rtol=1e-3)
 
 # %% [markdown]

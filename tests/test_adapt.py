@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import COMM, membrane, slow_except
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.scenes import catalogue
 
@@ -30,6 +30,17 @@ def test_tolerance(name, tol):
     assert record["errors"]["energy"] >= limit / 6 or len(record["adaptive"]["path"]) == 1
 
 
+def test_a_saved_tolerance_reads_back(folder):
+    """A solution read from files has the same bound, errors and meshes as the one that was saved, as typed values."""
+    answer = solve(catalogue.scene("disk_flat"), tol=0.2)
+    answer.save(folder / "answer")
+    again = Answer.read(folder / "answer")
+    assert again.bound.record == answer.bound.record and again.bound.indicator is None
+    assert again.errors == answer.errors and again.errors.energy <= again.bound.total
+    assert again.adaptive == answer.adaptive and again.adaptive.reached
+    assert [mesh.dofs for mesh in again.adaptive.path][-1] == again.dofs == answer.dofs
+
+
 def test_reentrant_corner():
     """L-shape: graded meshes reach an error of .099 of the bound's kind with a fraction of the uniform unknowns."""
     record = solve(L_SHAPE, tol_absolute=0.099).record
@@ -52,7 +63,7 @@ def test_eps_is_lowered_until_the_mesh_decides():
 def test_budget(budget):
     """The best answer so far with its bound, and a clear word."""
     answer = solve(catalogue.scene("ball"), tol=1e-3, budget=budget)
-    assert not answer.record["adaptive"]["reached"]
+    assert not answer.adaptive.reached and answer.adaptive.stopped.startswith("the budget of")
     assert "IS NOT REACHED: the budget of" in answer.summary()
     assert answer.record["errors"]["energy"] <= answer.record["bound"]["total"]
     if "unknowns" in budget:

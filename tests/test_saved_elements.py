@@ -90,7 +90,7 @@ def test_an_adaptive_p2_answer_keeps_its_error(folder):
     read = Answer.read(folder)
     assert_same(read, saved)
     V, exact = read.level.V, saved.scene.tables.exact
-    assert exact is not None and read.record["bound"]["relative"] < 0.1 and read.bound is None
+    assert exact is not None and read.bound.relative < 0.1 and read.bound.record == saved.bound.record
     squared = []
     for answer in (read, saved):
         e = answer.error.x.array[: answer.level.owned]

@@ -143,7 +143,7 @@ class Refinement:
                 yield context, answer
                 self._started += time.perf_counter() - paused
                 bulk = self.bulk if share is None else share(answer)
-                finer = context.refined(_marked(_bound(answer).indicator, bulk, self.comm))
+                finer = context.refined(_marked(_indicator(answer), bulk, self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
@@ -248,6 +248,12 @@ class _Adaptation(Refinement):
 def _bound(answer: Answer) -> Bound:
     assert answer.bound is not None
     return answer.bound
+
+
+def _indicator(answer: Answer) -> np.ndarray:
+    indicator = _bound(answer).indicator
+    assert indicator is not None
+    return indicator
 
 
 def _marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:

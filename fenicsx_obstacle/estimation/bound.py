@@ -24,8 +24,10 @@ and Lee (1993) and Veeser (2001).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from math import hypot, sqrt
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -59,7 +61,8 @@ class Bound:
         guaranteed: Whether all hypotheses hold: the words are 'certified' alone.
         words: What it rests on.
         indicator: What of the bound goes with each owned cell, to first order; their sum over all ranks is about total.
-        admissible: v_h.
+            None of a solution read from files.
+        admissible: v_h; None of a solution read from files.
     """
 
     total: float
@@ -71,12 +74,21 @@ class Bound:
     data: float
     guaranteed: bool
     words: str
-    indicator: np.ndarray = field(repr=False)
-    admissible: fem.Function = field(repr=False)
+    indicator: np.ndarray | None = field(default=None, repr=False)
+    admissible: fem.Function | None = field(default=None, repr=False)
+
+    @classmethod
+    def read(cls, record: Mapping[str, Any]) -> Bound:
+        """The bound of a saved solution.
+
+        Args:
+            record: What answer.json has of it.
+        """
+        return cls(**{one.name: record[one.name] for one in fields(cls) if one.name in record})
 
     @property
     def record(self) -> dict[str, float | bool | str | None]:
-        """Its figures, as in answer.json."""
+        """Its values, as in answer.json."""
         return {key: value for key, value in vars(self).items() if key not in ("indicator", "admissible")}
 
 

@@ -149,7 +149,11 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)
     except (InputError, LookupError, ValueError) as error:
         raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-    optional = {name: fields.get(name) for name in ("lower", "upper")}
+    optional: dict[str, Any] = {name: fields.get(name) for name in ("lower", "upper")}
+    if "bound" in record:
+        from fenicsx_obstacle.estimation.bound import Bound  # only where it was asked for
+
+        optional["bound"] = Bound.read(record["bound"])
     return Saved({**fields, **optional, "level": level, "history": steps, "record": record}, arrays["points"])
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 import ufl
@@ -73,6 +74,65 @@ class Seconds:
     solve: float
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Norms of the difference to the exact solution of a scene.
+
+    Attributes:
+        energy: Of u: L2 norm of tension^(1/2) grad, in the unit of the square root of the energy.
+        h1: Of u: H1 norm.
+        l2: Of u: L2 norm.
+        max: Of u: largest difference at a node.
+        pressure_l2: Of p: L2 norm; None where the scene has no exact pressure.
+    """
+
+    energy: float
+    h1: float
+    l2: float
+    max: float
+    pressure_l2: float | None = None
+
+
+@dataclass(frozen=True)
+class AdaptiveMesh:
+    """One mesh of an adaptive solve.
+
+    Attributes:
+        dofs: Unknowns.
+        total: Bound of the energy error.
+        relative: The bound over the energy norm of u; None where that is 0.
+        eps: Penalty parameter, in units of u/p; None for the variational inequality.
+        seconds: Wall-clock time from the start of the solve.
+        memory_mb: Peak memory of all ranks until then, in MB.
+    """
+
+    dofs: int
+    total: float
+    relative: float | None
+    eps: float | None
+    seconds: float
+    memory_mb: float
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """How a tolerance was reached, or why it was not.
+
+    Attributes:
+        tolerance: Of the energy error.
+        relative: Whether the tolerance is relative to the energy norm of u.
+        reached: Whether the bound of the energy error is below the tolerance.
+        stopped: What ended the refinement otherwise; "" if the tolerance is reached.
+        path: The meshes, the coarsest first.
+    """
+
+    tolerance: float
+    relative: bool
+    reached: bool
+    stopped: str
+    path: tuple[AdaptiveMesh, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Profile:
     """Values along a line; not-a-number outside the mesh.
@@ -96,6 +156,14 @@ class Profile:
     flux: np.ndarray | None
 
 
+T = TypeVar("T")
+
+
+def _from_record(kind: Callable[..., T], values: Mapping[str, Any]) -> T:
+    """A dataclass with those of the values that it has fields for: later versions may save more."""
+    return kind(**{name: values[name] for name in signature(kind).parameters if name in values})
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A converged solution with its pressure, contact set, history and values.
@@ -109,7 +177,7 @@ class Solution:
         upper: Nodal upper obstacle, or None.
         history: The steps of the iteration.
         record: All values, as in answer.json.
-        bound: Of the energy error, where it was asked for; of a solution read from files only the values in `record`.
+        bound: Of the energy error, where it was asked for.
         tension: In UFL, a number or a matrix; None of a form of the caller's own, which hides it, and if read.
     """
 
@@ -176,6 +244,31 @@ class Solution:
     def iterations(self) -> int:
         """Newton steps on the finest mesh."""
         return self.record["newton_iterations"]
+
+    @property
+    def dofs(self) -> int:
+        """Unknowns on all ranks, those with given values included."""
+        return self.record["dofs"]
+
+    @property
+    def report(self) -> Mapping[str, float | None]:
+        """The values that [report] asks for, by name; None where a value is not finite."""
+        return self.record.get("report") or {}
+
+    @property
+    def errors(self) -> Errors | None:
+        """Of u and p; None where the exact solution is not known."""
+        found = self.record.get("errors")
+        return None if found is None else _from_record(Errors, found)
+
+    @property
+    def adaptive(self) -> Adaptive | None:
+        """How the tolerance was reached; None where none was asked for."""
+        found = self.record.get("adaptive")
+        if found is None:
+            return None
+        path = tuple(_from_record(AdaptiveMesh, mesh) for mesh in found["path"])
+        return _from_record(Adaptive, {**found, "path": path})
 
     @property
     def seconds(self) -> Seconds:

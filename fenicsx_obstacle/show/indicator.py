@@ -29,6 +29,7 @@ def draw_bound(bound: Bound, arrays: dict[str, np.ndarray], comm: MPI.Comm, path
     Returns:
         One line: the file, and how many cells carry most of the bound.
     """
+    assert bound.indicator is not None
     return on_root(comm, _draw, gathered(comm, bound.indicator), arrays, bound, path)
 
 
