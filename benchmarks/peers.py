@@ -118,6 +118,18 @@ def by_this_package(method: str) -> Callable[[Case], Result]:
     return solve
 
 
+def iterated(snes: PETSc.SNES, x: PETSc.Vec) -> Result:
+    """Solve with conjugate gradients and BoomerAMG."""
+    snes.setTolerances(rtol=1e-8, max_it=MAX_STEPS)
+    snes.ksp.setType("cg")
+    snes.ksp.setTolerances(rtol=1e-8)
+    snes.ksp.pc.setType(releases.AMG)
+    snes.solve(None, x)
+    if snes.getConvergedReason() <= 0:
+        raise RuntimeError(f"SNES reason {snes.getConvergedReason()}")
+    return Result(x.array.copy(), snes.getIterationNumber())
+
+
 def snes_vi(case: Case, start: np.ndarray | None = None) -> Result:
     """SNES VI, the matrix assembled once, conjugate gradients with BoomerAMG."""
     u = fem.Function(case.V)
@@ -146,14 +158,7 @@ def snes_vi(case: Case, start: np.ndarray | None = None) -> Result:
     snes.setFunction(residual, x.duplicate())
     snes.setJacobian(lambda *_: None, A)
     snes.setVariableBounds(lower, upper)
-    snes.setTolerances(rtol=1e-8, max_it=MAX_STEPS)
-    snes.ksp.setType("cg")
-    snes.ksp.setTolerances(rtol=1e-8)
-    snes.ksp.pc.setType(releases.AMG)
-    snes.solve(None, x)
-    if snes.getConvergedReason() <= 0:
-        raise RuntimeError(f"SNES reason {snes.getConvergedReason()}")
-    return Result(x.array.copy(), snes.getIterationNumber())
+    return iterated(snes, x)
 
 
 def snes_vi_nested(case: Case) -> Result:
@@ -242,14 +247,7 @@ def newton(case: Case, u: fem.Function, F: Any) -> Result:
     snes.setType("newtonls")
     snes.setFunction(residual, x.duplicate())
     snes.setJacobian(jacobian, A)
-    snes.setTolerances(rtol=1e-8, max_it=MAX_STEPS)
-    snes.ksp.setType("cg")
-    snes.ksp.setTolerances(rtol=1e-8)
-    snes.ksp.pc.setType(releases.AMG)
-    snes.solve(None, x)
-    if snes.getConvergedReason() <= 0:
-        raise RuntimeError(f"SNES reason {snes.getConvergedReason()}")
-    return Result(x.array.copy(), snes.getIterationNumber())
+    return iterated(snes, x)
 
 
 def scikit_fem(case: Case) -> Result:
