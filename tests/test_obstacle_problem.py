@@ -1,7 +1,9 @@
 """ObstacleProblem on the caller's own mesh, form, tags and Functions: the same solution as every other way in."""
 
+import gc
 import subprocess
 import sys
+import weakref
 from contextlib import nullcontext
 
 import numpy as np
@@ -124,6 +126,24 @@ def test_other_dimensions(shape, degree):
     assert largest(COMM, found.pressure.x.array) <= 0 and found.area > 0.01
     supports = COMM.allreduce(float(problem.b.array_r[fixed_dofs(bc, V)].sum()))
     assert np.isclose(30 - found.force.upper, -supports, rtol=1e-8)
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_the_solver_can_be_looked_at(method):
+    """`solver` has the counts, the reason and the options of the last SNES, and keeps no problem alive."""
+    mesh = dmesh.create_unit_square(COMM, 48, 48)
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - 30 * v * ufl.dx
+    problem = ObstacleProblem(F, u, bcs=[held(V)[0]], upper=0.3)
+    assert problem.solver is None
+    found = problem.solve(method=method)
+    assert problem.solver.getConvergedReason() > 0 and problem.solver.ksp.getType() == "cg"
+    assert problem.solver.getIterationNumber() == found.iterations
+    inner = weakref.ref(problem._problem)
+    del problem
+    gc.collect()
+    assert inner() is None
 
 
 def fixed_dofs(bc, V):

@@ -53,9 +53,12 @@ class Problem:
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
         prefix: Of its PETSc options; where it is empty, that of the solver.
+        solver: The SNES of the last attempt, where it is kept.
     """
 
     preconditioner: Mapping[str, str] = {}  # options in place of those for scalar problems
+    keeps_solver = False  # for the caller to look at; it holds memory
+    solver: PETSc.SNES | None = None
     eps_share = 0.01  # of the median of D_i/A_ii: eps = "auto" where no effect says how stiff it is
 
     def __init__(self, data: Data, prefix: str = ""):

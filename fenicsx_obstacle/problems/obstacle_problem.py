@@ -76,6 +76,8 @@ class ObstacleProblem:
 
     Attributes:
         u: The unknown: start and solution.
+        solver: The SNES of the last attempt, for its counts, reason and options; None before the first solve. Each
+            attempt has a new one: `petsc_options` change it, `monitor` watches it.
         A: The matrix of the last linear system; rows of Dirichlet dofs are those of the identity.
         b: The residual F(u; v_i) at the last u, without the contact forces; at Dirichlet dofs the reaction of the
             support.
@@ -239,11 +241,19 @@ class ObstacleProblem:
 
     def _discrete(self, data: Data, prefix: str) -> Problem:
         """The discrete problem (collective)."""
-        if not self._vector_valued:
-            return Problem(data, prefix)
-        from fenicsx_obstacle.discrete.vector_problem import VectorProblem
+        if self._vector_valued:
+            from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 
-        return VectorProblem(data, prefix)
+            problem: Problem = VectorProblem(data, prefix)
+        else:
+            problem = Problem(data, prefix)
+        problem.keeps_solver = True
+        return problem
+
+    @property
+    def solver(self) -> PETSc.SNES | None:
+        """The SNES of the last attempt on the finest level; None before the first solve."""
+        return self._problem.solver
 
     @property
     def A(self) -> PETSc.Mat:

@@ -144,8 +144,12 @@ def run(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
         time.perf_counter() - start, reason, stopping.roundoff_limited, stopping.before,
     )  # fmt: skip
-    for owner in (snes, x, residual):
+    for owner in (x, residual):
         owner.destroy()
+    if problem.keeps_solver:
+        problem.solver = _detached(snes)
+    else:
+        snes.destroy()
     failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
     if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{prefix}{key}") for key in LINEAR):
         _log.info("a linear system could not be solved by iteration; a direct solver goes on")
@@ -157,6 +161,18 @@ def run(
             seconds=outcome.seconds + again.seconds,
         )  # fmt: skip
     return outcome
+
+
+def _detached(snes: PETSc.SNES) -> PETSc.SNES:
+    """The SNES without its callbacks. They refer to the problem, which Python could not free as long as they do."""
+    snes.setFunction(lambda *_: None, snes.getFunction()[0])
+    snes.setJacobian(lambda *_: None, snes.getJacobian()[0])
+    snes.setObjective(lambda *_: 0.0)
+    for solver in (snes, snes.ksp):
+        solver.setConvergenceTest(lambda *_: 0)
+    if snes.ksp.pc.getType() == PETSc.PC.Type.PYTHON:
+        snes.ksp.pc.setType(PETSc.PC.Type.NONE)
+    return snes
 
 
 def is_limited(problem: Problem, solver: str) -> bool:
