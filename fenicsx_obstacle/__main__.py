@@ -24,8 +24,8 @@ try:
     import click
 
     from fenicsx_obstacle.cli import commands
+    from fenicsx_obstacle.console import guard_streams, lost_output
     from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
-    from fenicsx_obstacle.outlets import guard_streams, lost_output
 except KeyboardInterrupt:
     if _RANK == 0:
         sys.stderr.write(f"interrupted{_kept()}\n")

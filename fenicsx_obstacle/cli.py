@@ -8,8 +8,8 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
+from fenicsx_obstacle.console import check_places, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.outlets import check_places, tell, tolerance_status, write_json
 
 
 class _Ordered(click.Group):

@@ -22,7 +22,7 @@ from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
-from fenicsx_obstacle.words import counted, nearest
+from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.motion import Moment, Motion

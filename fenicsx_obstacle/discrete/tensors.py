@@ -9,7 +9,7 @@ import numpy as np
 from fenicsx_obstacle.effects.field import Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data

@@ -35,7 +35,7 @@ from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
-from fenicsx_obstacle.words import shown
+from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Estimator

@@ -21,7 +21,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.problems.own_form import facets_of
 from fenicsx_obstacle.problems.solution import Solution
-from fenicsx_obstacle.words import nearest, shown
+from fenicsx_obstacle.text import nearest, shown
 
 NO_FILES = (
     "a vector-valued solution is neither saved nor drawn: write u, pressure and contact with dolfinx.io, as with "

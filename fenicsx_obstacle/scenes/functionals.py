@@ -25,7 +25,7 @@ from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
 from fenicsx_obstacle.scenes.report import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.words import counted, nearest
+from fenicsx_obstacle.text import counted, nearest
 
 EQUAL = 1e-9  # relative difference of values that count as the same extreme
 FEW_POINTS = 12  # of quadrature in a cell

@@ -33,7 +33,7 @@ from fenicsx_obstacle.scenes.tables import DataTable
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
-from fenicsx_obstacle.words import nearest, shown
+from fenicsx_obstacle.text import nearest, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.norms import ExactSolution

@@ -15,7 +15,7 @@ from fenicsx_obstacle.studies import price
 from fenicsx_obstacle.studies.choices import Choice
 from fenicsx_obstacle.studies.cost import Ladder
 from fenicsx_obstacle.studies.price import NORMS, Rows
-from fenicsx_obstacle.words import title_of
+from fenicsx_obstacle.text import title_of
 
 READ = {
     "seconds": """Down is more accurate, right is dearer: the lowest line at a given time is the best buy. A straight

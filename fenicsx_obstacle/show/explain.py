@@ -25,7 +25,7 @@ from fenicsx_obstacle.solvers.choose import (
     nested,
     stepwise,
 )
-from fenicsx_obstacle.words import counted, plain, title_of
+from fenicsx_obstacle.text import counted, plain, title_of
 
 
 def explain(scene: Scene) -> str:

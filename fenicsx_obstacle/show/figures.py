@@ -13,7 +13,7 @@ from textwrap import wrap
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import one_line
+from fenicsx_obstacle.text import one_line
 
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
 BLUE, VERMILION, *_ = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")

@@ -16,7 +16,7 @@ from fenicsx_obstacle.problems.solution import report_in_words
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.words import counted, title_of
+from fenicsx_obstacle.text import counted, title_of
 
 NAME = "report.html"
 _PARTS = {  # of the bound: what makes each smaller

@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.parallel import on_root, write_lines, write_text
 from fenicsx_obstacle.show.figures import save
+from fenicsx_obstacle.text import counted
 from fenicsx_obstacle.verification.hard.cases import cases, named
 from fenicsx_obstacle.verification.hard.figures import RESOLVED, Figures, digits_panels, figures_of, panels
 from fenicsx_obstacle.verification.hard.judge import METHODS
@@ -19,7 +20,6 @@ from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT, Row
 from fenicsx_obstacle.verification.hard.suite import one_rank, run
 from fenicsx_obstacle.verification.show.theory import drawing
 from fenicsx_obstacle.verification.theory.statement import Found, Panel
-from fenicsx_obstacle.words import counted
 
 LINES, TABLES, STEPS, DIGITS = "hard.jsonl", "tables.md", "steps.png", "digits.png"
 HEADS = ("scene", "family", "right", "refused", "FAILED", "VI", "penalty", "(3.4)*", "maximum", "meshes", "s")

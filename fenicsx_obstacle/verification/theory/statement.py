@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 RATE_MARGIN = 0.15  # between rates that count as the same
 CLOSE = 0.05  # between constants that count as the same, relative
