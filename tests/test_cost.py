@@ -11,7 +11,7 @@ from test_cli import CLEAN, run
 from test_rows import kill
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.estimation.truth import contact_truth
+from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.studies import cost, price
@@ -72,10 +72,10 @@ def test_contact_of_exact_solutions():
     """Cells that the free boundary crosses are halved until area and force of the ball, pi a^2 and 2 pi A, are right to
     1e-6; of a string, which leaves its obstacle like d^2, to the root of the round-off of heights."""
     ball, string = catalogue.scene("ball"), catalogue.scene("string_torsion")
-    found, a = contact_truth(ball.model, ball.exact, meshes.coarsest(ball, COMM)), 0.6979651482233736
+    found, a = exact_contact(ball.model, ball.exact, meshes.coarsest(ball, COMM)), 0.6979651482233736
     assert found["area"] == pytest.approx(math.pi * a**2, rel=1e-6)
     assert found["force"] == pytest.approx(2 * math.pi * a**2 / math.sqrt(1 - a**2), rel=1e-6)
-    assert contact_truth(string.model, string.exact, meshes.coarsest(string, COMM))["area"] == pytest.approx(
+    assert exact_contact(string.model, string.exact, meshes.coarsest(string, COMM))["area"] == pytest.approx(
         0.6, abs=2e-7
     )
 

@@ -12,7 +12,7 @@ r having mean zero in each cell and rho being the force that is out of balance. 
 converged or not; nothing is assumed of angles, contact set or regularity. The element gives sigma, the multipliers,
 v_h and r: `element_p1`, `element_p2`.
 
-`words` says what the bound rests on (`standing`). It is certified where nothing rests on sampling: formulas, numbers
+`words` says what the bound rests on (`certification`). It is certified where nothing rests on sampling: formulas, numbers
 and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. Of callables
 nothing is known between their samples: 'certified for the sampled load'. An indicator is what does not bound the error
 for other reasons: effects other than tension and load, data that may be infinite, u given nowhere, forces out of
@@ -31,13 +31,13 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.applicability import check_bound_exists
 from fenicsx_obstacle.estimation.cell_data import other_effects
+from fenicsx_obstacle.estimation.certification import Hypotheses
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
-from fenicsx_obstacle.estimation.scope import refuse_no_bound
-from fenicsx_obstacle.estimation.standing import Hypotheses
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
@@ -89,7 +89,7 @@ class Estimator:
         Raises:
             InputError: If there is no bound for the elements, the effects or the tension.
         """
-        refuse_no_bound(problem)
+        check_bound_exists(problem)
         self.problem, comm = problem, problem.level.comm
         self.element: Element = (ElementP2 if problem.level.pair.has_p1_coarse_space else ElementP1)(problem)
         simplices, tension, load = self.element.simplices, self.element.tension, self.element.equilibration.load
@@ -137,7 +137,7 @@ class Estimator:
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
         violated = self._violated(terms, unbalanced, bound)
-        standing = self._hypotheses.standing(violated, self.element.obstacles)
+        certification = self._hypotheses.certification(violated, self.element.obstacles)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
         between = norm(terms.raised) + eta_p
@@ -145,7 +145,7 @@ class Estimator:
             total=bound, admissible_total=B, relative=bound / energy_norm if energy_norm > 0 else None,
             discretisation=norm(terms.distance), penalty=norm(terms.penetration), algebraic=algebraic,
             data=hypot(norm(terms.oscillation**2), eta_g, between, max(unbalanced - algebraic, 0.0)),
-            guaranteed=standing.guaranteed, words=standing.words, indicator=indicator, admissible=admissible,
+            guaranteed=certification.guaranteed, words=certification.words, indicator=indicator, admissible=admissible,
         )  # fmt: skip
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:

@@ -8,10 +8,10 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.element import Element, Terms
-from fenicsx_obstacle.estimation.flux_fans import FanEquilibration
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
-from fenicsx_obstacle.estimation.peaks import Peaks
+from fenicsx_obstacle.estimation.flux_triangles import TriangleEquilibration
+from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest
 
@@ -22,14 +22,16 @@ class ElementP1(Element):
     """P1 on one mesh: what depends on mesh and data alone is made once."""
 
     equilibration: EquilibrationP1
-    obstacles: list[Peaks]
+    obstacles: list[ObstacleExcess]
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
-        super().__init__(FanEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
+        super().__init__(TriangleEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
         patches, dim = self.equilibration.patches, simplices.dim
-        self.obstacles = [Peaks(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
+        self.obstacles = [
+            ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
+        ]
         x = simplices.x
         self._from_middle = np.ascontiguousarray(np.moveaxis(x - x.mean(axis=1, keepdims=True), 2, 0))
         self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / ((dim + 1) * (dim + 2))
@@ -73,7 +75,7 @@ class ElementP1(Element):
                 crossing = max(crossing, beyond)
         return nodal, v, crossing
 
-    def _gap(self, v: np.ndarray, peaks: Peaks) -> np.ndarray:
+    def _gap(self, v: np.ndarray, peaks: ObstacleExcess) -> np.ndarray:
         """The integral of the distance of v to an obstacle over each cell."""
         corners = self.simplices.dim + 1
         gap = sums((peaks.sign * v - peaks.nodal)[self.simplices.dofs]) / corners - peaks.mean

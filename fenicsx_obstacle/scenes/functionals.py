@@ -19,8 +19,8 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.normal_flux import NormalFlux, outward_flux
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, gauss, rule
-from fenicsx_obstacle.estimation.supports import NormalFlux, outward_flux
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
 from fenicsx_obstacle.scenes.report import JUMP, NORMAL_FLUX

@@ -29,7 +29,7 @@ ROUND_OFF = 1e-14  # of the heights
 LOWEST = -1e300  # a mean of which no bound is known
 
 
-class Peaks:
+class ObstacleExcess:
     """One obstacle between its nodes; heights count away from it: times -1 for an upper one.
 
     Attributes:
