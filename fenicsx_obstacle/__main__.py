@@ -134,7 +134,7 @@ def _catch_signals() -> None:
     """SIGTERM and SIGHUP end a command as Ctrl-C does; after PETSc, which has handlers of its own."""
     if threading.current_thread() is not threading.main_thread():
         return
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # writing to a closed pipe is an error, which `outlets` keeps
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # writing to a closed pipe is an error, which `console` keeps
     signal.signal(signal.SIGALRM, _interrupt)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup and shells in the background leave them

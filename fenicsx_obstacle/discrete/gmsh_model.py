@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.soundness import place, validate_mesh
+from fenicsx_obstacle.discrete.mesh_validation import place, validate_mesh
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import counted
 

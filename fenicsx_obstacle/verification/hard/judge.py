@@ -17,7 +17,7 @@ from fenicsx_obstacle.estimation.solved import EPSILON, ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
-from fenicsx_obstacle.solvers.range import NO_SOLUTION
+from fenicsx_obstacle.solvers.plausibility import NO_SOLUTION
 from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.verification.hard.invariants import Finding, beside_inequality, falling, of_one, same, violated

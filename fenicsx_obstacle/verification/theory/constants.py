@@ -11,7 +11,7 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.own_weights import own_weights
+from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
 from fenicsx_obstacle.estimation import singular_values
 from fenicsx_obstacle.forms.pairs import Pair
 
@@ -126,7 +126,7 @@ class Stability:
         D = _matrix(self._q * ufl.TrialFunction(self.Q) * self.rule.on(ufl.dx))
         if self.pair.own_weights:
             weights = D.getDiagonal()
-            weights.array[:] = own_weights(self.pair, self.V)
+            weights.array[:] = weights_of_cells(self.pair, self.V)
             D.setDiagonal(weights)
         return D
 

@@ -32,7 +32,7 @@ ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class OfForm(Effect):
+class ResidualForm(Effect):
     """The caller's residual F(u; v).
 
     Attributes:

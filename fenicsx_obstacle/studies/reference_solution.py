@@ -32,7 +32,7 @@ GROWTH = 3.0  # of unknowns from one adaptive mesh to the next, about
 Errors = dict[str, float]
 
 
-class ExactTruth:
+class ExactReference:
     """Errors against [exact]; of the contact as far as it is known.
 
     Attributes:
@@ -89,7 +89,7 @@ class Reference:
         self._nearby, self.occupied = None, 0.0
 
 
-Truth = ExactTruth | Reference
+Truth = ExactReference | Reference
 
 
 def contact_of(answer: Answer) -> dict[str, float]:

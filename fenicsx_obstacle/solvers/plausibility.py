@@ -10,13 +10,13 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.afloat import LIMIT
+from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
-from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
 
 NEAR = 1e-8  # of the values of the data: not beyond them
 NO_SOLUTION = "which no solution does"  # words of the rejection
@@ -140,7 +140,7 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     velocity = next((found for effect in effects if (found := effect.velocity) is not None), None)
     if velocity is None or not (problem.affine and level.pair.nodal):
         return None
-    from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed  # only where a model has drift
+    from fenicsx_obstacle.discrete.peclet import depth_of_sources, peclet, speed  # only where a model has drift
 
     if (number := peclet(data, velocity)) <= 1:
         return None
