@@ -1,22 +1,22 @@
-"""A guaranteed bound of the energy error, without constants, for the computed state and an admissible one beside it.
+"""A guaranteed bound of the energy error without unknown constants, for u_h and for an admissible function v_h.
 
     ||mu^(1/2) grad(u - u_h)|| <= total,   ||mu^(1/2) grad(u - v_h)|| <= admissible_total,
 
-u the solution of the variational inequality, u_h any function of P1 or P2 with the boundary values, and v_h one beside
-it which the obstacle allows. With e = u - v_h, tested in the inequality, an equilibrated flux sigma and multipliers
-lambda, nu of the right sign,
+where u is the solution of the variational inequality, u_h any function of P1 or P2 with the boundary values, and v_h a
+function near u_h that satisfies the constraints. With e = u - v_h as test function in the inequality, an equilibrated
+flux sigma, and multipliers lambda, nu of the right sign,
 
     ||e||^2 <= (sigma - mu grad v_h, grad e) + int lambda (v_h - lower) + int nu (upper - v_h) + (r, e) - (rho, e),
 
-r having mean zero in each cell and rho being the force that is out of balance. It holds for any eps, any mesh,
-converged or not; nothing is assumed of angles, contact set or regularity. The element gives sigma, the multipliers,
-v_h and r: `element_p1`, `element_p2`.
+where r has mean zero in each cell and rho is the unbalanced force. The bound holds for any eps and any mesh, whether
+the iteration has converged or not; it assumes nothing of angles, contact set or regularity. The element gives sigma,
+the multipliers, v_h and r: `element_p1`, `element_p2`.
 
-`words` says what the bound rests on (`certification`). It is certified where nothing rests on sampling: formulas, numbers
-and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. Of callables
-nothing is known between their samples: 'certified for the sampled load'. An indicator is what does not bound the error
-for other reasons: effects other than tension and load, data that may be infinite, u given nowhere, forces out of
-balance where Friedrichs' constant is not known.
+`words` says how far the bound is guaranteed (`certification`). It is 'certified' if it uses no samples: numbers,
+formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A
+callable is known at its samples only: 'certified for the sampled load'. It is 'an indicator' where the error may be
+larger for other reasons: effects other than tension and load, data that may be infinite, u given nowhere, or unbalanced
+forces where Friedrichs' constant is not known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).

@@ -92,7 +92,7 @@ class ObstacleExcess:
         nodal = self.nodal[self.simplices.dofs[cells]]
         highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
         for group in pieces.groups:
-            coefficient, room = self._above(group, nodal)
+            coefficient, margin = self._above(group, nodal)
             known = np.isfinite(group.rest)
             top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + np.where(
                 known, group.rest, 0.0
@@ -174,7 +174,7 @@ class ObstacleExcess:
             cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
             above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
             for group in pieces.groups:
-                coefficient, room = self._above(group, linear)
+                coefficient, margin = self._above(group, linear)
                 beyond = group.rest - cones[group.rows]
                 open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > room)
                 rows = group.rows[open_]

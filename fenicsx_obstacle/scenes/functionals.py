@@ -36,7 +36,7 @@ class Report:
     """The [report] of a scene on one level.
 
     Attributes:
-        values: Figures so far, by name.
+        values: Values so far, by name.
         places: Where the extremes are that stand alone in an entry, by its name.
     """
 

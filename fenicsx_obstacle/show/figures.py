@@ -1,4 +1,4 @@
-"""Figures of matplotlib without a display, and how they are written: into files, or as SVG into a page."""
+"""Matplotlib figures without a display, written to files or as SVG into a page."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def write_answer_page(
     Args:
         path: The file.
         scene: What was solved.
-        record: Figures of the answer.
+        record: Values of the answer, as in answer.json.
         picture: PNG file of the answer, or None.
         time_history: PNG file of all moments, or None.
         profiles: SVG elements of the profiles, by name.
@@ -211,7 +211,7 @@ def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[
     report = list(report_in_words(record).items())
     return [
         *([section("Report" + which, facts(report))] if report else []),
-        section("Figures" + which, facts(_figures(record))),
+        section("Output quantities" + which, facts(_figures(record))),
         section("What is assembled, and what is left out", facts(explained(scene))),
         section("Scene" + which, pre(scene.toml())),
     ]

@@ -1,4 +1,4 @@
-"""Figures of a scene against the key that varies: those of its [report], or of the contact without one (one rank)."""
+"""Plots of output quantities over the key that varies: those of [report], or those of the contact (one rank)."""
 
 from __future__ import annotations
 

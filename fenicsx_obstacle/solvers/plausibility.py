@@ -56,8 +56,8 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     u = problem.w.x.array + problem.reference.x.array
     least, most = smallest(comm, u), largest(comm, u)
     beyond = {-1: low - least, 1: most - high}
-    room = NEAR * max(abs(low), abs(high))
-    if low > high or max(beyond.values()) <= room:
+    margin = NEAR * max(abs(low), abs(high))
+    if low > high or max(beyond.values()) <= margin:
         return None
     pushes = [effect.push(problem.data) for effect in problem.model.effects]
     if not pushes or None in pushes or forces_of_data(problem) == 0:  # without forces u is round-off
@@ -65,7 +65,7 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     lowest = sum(smallest(comm, push[0]) for push in pushes if push is not None)
     highest = sum(largest(comm, push[1]) for push in pushes if push is not None)
     for side, applies, allowed in ((-1, lowest >= 0, most - low), (1, highest <= 0, high - least)):
-        if not applies or beyond[side] <= max(room, LIMIT * allowed):
+        if not applies or beyond[side] <= max(margin, LIMIT * allowed):
             continue
         if problem.affine and problem.level.pair.nodal and problem.nodal.pushes(side):
             continue  # by a load that samples miss

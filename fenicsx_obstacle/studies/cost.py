@@ -41,7 +41,7 @@ REFERENCE = "reference.h5"
 EPSILON = float(np.finfo(float).eps)
 
 
-class Ladder:
+class CostStudy:
     """The rows of `cost` for one scene.
 
     Attributes:

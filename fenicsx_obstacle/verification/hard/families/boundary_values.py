@@ -8,7 +8,6 @@ from typing import Any
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import bounds, grids, place
 from fenicsx_obstacle.verification.hard.families.family import (
     ANSWER,
     EITHER,
@@ -17,6 +16,7 @@ from fenicsx_obstacle.verification.hard.families.family import (
     Judgement,
     toml,
 )
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, grids, place
 
 TORN = ("where({s} < {c}, 0, {a})", "{a}*({s} >= {c})", "{a}*sign({s} - {c})", "{a}*floor({s} - {c})",
         "where({s} > {c}, {a}*{s}, {a}*({s} + 0.1))", "{a}*(({s} + 1 - {c}) % 1)")  # fmt: skip
