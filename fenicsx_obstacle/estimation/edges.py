@@ -101,7 +101,7 @@ class Jumps:
         margin = np.maximum(high - low, near[which])
         close, far = (
             (self._values(field, edges, which, low - r), self._values(field, edges, which, high + r))
-            for r in (room, WIDER * room)
+            for r in (margin, WIDER * margin)
         )
         self._judge(field, close, far, edges.at(which, (low + high) / 2))
 

@@ -99,7 +99,7 @@ class ObstacleExcess:
             )
             side = group.upper if self.sign > 0 else -group.lower
             top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
-            group.raise_to(highest, np.where(top <= room, 0.0, top + room))
+            group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
             share = np.where(known, group.share * (coefficient.mean(axis=1) - group.rest), LOWEST)
             mean += np.bincount(group.rows, share, len(mean))
         self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
@@ -176,7 +176,7 @@ class ObstacleExcess:
             for group in pieces.groups:
                 coefficient, margin = self._above(group, linear)
                 beyond = group.rest - cones[group.rows]
-                open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > room)
+                open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > margin)
                 rows = group.rows[open_]
                 above[rows] = True
                 if last:

@@ -416,7 +416,7 @@ class _Near:
     ) -> None:  # fmt: skip
         """Let polynomials stand for the datum on some parts."""
         self.rest[chosen], self.steep[chosen] = rest, steep
-        margin = rest + margin
+        room = rest + margin
         self.lower[chosen] = np.maximum(self.lower[chosen], polynomials.row_min(coefficients) - room)
         self.upper[chosen] = np.minimum(self.upper[chosen], polynomials.row_max(coefficients) + room)
         self._found.append((degree, chosen, coefficients))

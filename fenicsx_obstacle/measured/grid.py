@@ -33,7 +33,7 @@ class Grid(Surface):
         cells, shares, outside = [], [], np.zeros(len(points), dtype=bool)
         for axis, p in zip(self.axes, points.T, strict=True):
             margin = EDGE * (axis[-1] - axis[0])
-            outside |= ~((p >= axis[0] - room) & (p <= axis[-1] + room))
+            outside |= ~((p >= axis[0] - margin) & (p <= axis[-1] + margin))
             cell = np.clip(np.searchsorted(axis, p, "right") - 1, 0, len(axis) - 2)
             cells.append(cell)
             shares.append(np.clip((p - axis[cell]) / (axis[cell + 1] - axis[cell]), 0.0, 1.0))
@@ -50,7 +50,7 @@ class Grid(Surface):
         first, last = self._lines(corners)
         whole = np.all(last - first == 1, axis=1)
         margin = EDGE * (self.high - self.low)
-        covered = np.all((corners >= self.low - room) & (corners <= self.high + room), axis=(1, 2))
+        covered = np.all((corners >= self.low - margin) & (corners <= self.high + margin), axis=(1, 2))
         return bounds_of(low, high, 1 if self._one_axis else 2, whole, covered, steepest)
 
     def beside(

@@ -93,7 +93,7 @@ def bounds_of(
 ) -> SurfaceBounds:
     """Bounds with room for round-off."""
     margin = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
-    lower, upper = np.where(covered, low - room, -np.inf), np.where(covered, high + room, np.inf)
+    lower, upper = np.where(covered, low - margin, -np.inf), np.where(covered, high + margin, np.inf)
     whole = whole & covered
     return SurfaceBounds(lower, upper, np.where(whole, degree, NO_POLYNOMIAL), whole, covered, steepest * MARGIN)
 

@@ -78,7 +78,7 @@ class Triangulated(Surface):
         box = self._box(points)
         number = box[:, 0] * self._boxes[1] + box[:, 1]
         counts = (self._starts[number + 1] - self._starts[number]) * np.all(
-            (points >= self.low - room) & (points <= self.high + room), axis=1
+            (points >= self.low - margin) & (points <= self.high + margin), axis=1
         )
         found = np.full(len(points), -np.inf)
         for block in parts(counts):

@@ -265,9 +265,9 @@ class TreeWalk:
             part = formula.part(node)
             for d in np.unique(degree[open_]):
                 cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
-                values, least, most, margin = self._sharp(part, int(d), cells)
+                values, least, most, room = self._sharp(part, int(d), cells)
                 low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
-                margin = np.maximum(room, TOUCHING * scale[cells])
+                room = np.maximum(room, TOUCHING * scale[cells])
                 # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
                 inside = (least < -room) & (most > room)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere

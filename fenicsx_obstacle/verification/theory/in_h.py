@@ -107,8 +107,8 @@ def pressures(comm: MPI.Comm) -> Found:
 @statement("4.3", "p_h tends to p with order 1 in the dual norm", "5.8")
 def duals(comm: MPI.Comm) -> Found:
     """From a smooth pressure to a measure, and where the lumped mass is not consistent (collective)."""
-    ladders = (CEILING, TORSION, HALFPLANE, SMOOTH, CONE, RING, CEILING_Q2)
-    seen = [errors(one, [VI], comm, dual=True) for one in ladders]
+    sequences = (CEILING, TORSION, HALFPLANE, SMOOTH, CONE, RING, CEILING_Q2)
+    seen = [errors(one, [VI], comm, dual=True) for one in sequences]
     bent = errors(replace(BENT, cells=(64, 128)), [VI], comm, dual=True)
     findings = []
     for one in seen:
