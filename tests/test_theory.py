@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 from conftest import COMM, slow_except
 
+from fenicsx_obstacle.verification.show.theory import conclusion, split, table
 from fenicsx_obstacle.verification.theory import in_eps, in_h, totals
 from fenicsx_obstacle.verification.theory.mesh_sequences import JUMP, VI, MeshSequence, errors, gap
-from fenicsx_obstacle.verification.theory.statement import find
+from fenicsx_obstacle.verification.theory.statement import Finding, find
 
 HALFPLANE = MeshSequence("halfplane", "halfplane", JUMP, cells=(16, 32, 64))
 
@@ -32,6 +33,21 @@ def all_hold(findings):
 )
 def test_numbers(number, of):
     assert find(number).number == of
+
+
+def test_rows_are_grouped_by_scene():
+    """The conclusion counts all rows; each scene or pair heads its rows, in the order of their first ones."""
+    quantities = ["e in h, N = 8, disk_flat, Q1", "e in h, cone", "d in h, N = 8, disk_flat, Q1", "e, the most"]
+    found = [Finding("Thm 3.3", quantity, "order 1", 1.0, 1.0, "sharp") for quantity in quantities]
+    assert split(quantities[0]) == ("e in h, N = 8", "disk_flat, Q1")
+    assert split(quantities[3]) == (quantities[3], "")
+    lines = [line.split("  ")[1:] for line in table(found).splitlines()[1:]]
+    assert [line[0] or line[1] for line in lines] == [
+        "disk_flat, Q1", "e in h, N = 8", "d in h, N = 8", "cone", "e in h", "e, the most",
+    ]  # fmt: skip
+    assert conclusion(found).startswith("Conclusion: no value contradicts the theory (4 rows): 4 with exactly")
+    failed = Finding("Thm 3.3", "e", "order 1", 1.0, 0.0, "FAILS")
+    assert conclusion([*found, failed]) == "Conclusion: FAILS in 1 of 5 rows."
 
 
 @pytest.mark.parametrize("name, s", [("disk_flat", 1 / 2), ("smooth_square", 3 / 2), ("ring_wedge", -1 / 2)])
