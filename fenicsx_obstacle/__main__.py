@@ -24,8 +24,8 @@ try:
     import click
 
     from fenicsx_obstacle.cli import commands
+    from fenicsx_obstacle.console import guard_streams, lost_output
     from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
-    from fenicsx_obstacle.outlets import guard_streams, lost_output
 except KeyboardInterrupt:
     if _RANK == 0:
         sys.stderr.write(f"interrupted{_kept()}\n")
@@ -134,7 +134,7 @@ def _catch_signals() -> None:
     """SIGTERM and SIGHUP end a command as Ctrl-C does; after PETSc, which has handlers of its own."""
     if threading.current_thread() is not threading.main_thread():
         return
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # writing to a closed pipe is an error, which `outlets` keeps
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # writing to a closed pipe is an error, which `console` keeps
     signal.signal(signal.SIGALRM, _interrupt)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup and shells in the background leave them

@@ -8,8 +8,8 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
+from fenicsx_obstacle.console import check_places, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.outlets import check_places, tell, tolerance_status, write_json
 
 
 class _Ordered(click.Group):
@@ -316,9 +316,9 @@ def hard(
     """
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.verification.show.broken import show_broken
-    from fenicsx_obstacle.verification.show.chance import show_random
     from fenicsx_obstacle.verification.show.faults import show_faults
     from fenicsx_obstacle.verification.show.hard import show_hard
+    from fenicsx_obstacle.verification.show.random_scenes import show_random
 
     if (name is not None) + broken + faults + (count is not None) > 1 or (
         count is None and (truths or seed is not None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 LOST_OUTPUT = 1
 """Exit status where standard output could not be written: the disk is full, or the reader has closed its pipe."""

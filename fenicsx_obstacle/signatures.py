@@ -13,7 +13,7 @@ from typing import Any, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import nearest, shown
+from fenicsx_obstacle.text import nearest, shown
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -12,7 +12,7 @@ from test_bound import distance
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.standing import Standing
+from fenicsx_obstacle.estimation.certification import Certification
 
 SQUARE = {"shape": "rectangle", "cells": 8}
 AROUND = {"shape": "rectangle", "x": [-1, 1], "y": [-1, 1], "cells": 8}
@@ -180,7 +180,7 @@ def test_polygons():
     record["bound"] = {**record["bound"], "effectivity": 0.579}
     text = exact.__class__(**{**vars(exact), "record": record}).summary()
     assert "0.579 times the true one, which includes the curved boundary: the bound does not" in text
-    both = Standing((), ("load", "obstacle", "boundary value"), True)
+    both = Certification((), ("load", "obstacle", "boundary value"), True)
     assert both.words == "certified on the polygon of the mesh for the sampled load, obstacle and boundary value"
 
 

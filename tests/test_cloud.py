@@ -14,7 +14,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.studies.truth import ExactTruth
+from fenicsx_obstacle.studies.reference_solution import ExactReference
 
 PRESSED = {"load": 4, "upper": 0.05}
 SCENES = {
@@ -61,7 +61,7 @@ def fine():
     adaptive = scene.change({"exact": None, "solve.element": "P2"})
     with closing(Refinement(adaptive, COMM).meshes()) as meshes:
         context, answer = next((context, answer) for context, answer in meshes if answer.record["dofs"] > 12_000)
-        own = ExactTruth(scene, COMM).errors(context, answer)
+        own = ExactReference(scene, COMM).errors(context, answer)
         return scene, Cloud.of(answer), own, answer.bound.total
 
 
@@ -72,7 +72,7 @@ def test_errors_without_an_exact_solution_are_those_with_one(fine, element):
     points near kinks of slopes; so far less than what its linear interpolant on cut cells adds to the error of P2."""
     scene, cloud, own, bound = fine
     assert own["energy"] <= bound
-    truth = ExactTruth(scene, COMM)
+    truth = ExactReference(scene, COMM)
     for cells in (16, 32):
         here = scene.change({"mesh.cells": cells, "solve.element": element})
         with closing(SolverContext(here.change({"exact": None}), COMM)) as context:

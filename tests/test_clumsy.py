@@ -15,15 +15,15 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.answers.changes import read
+from fenicsx_obstacle.console import tolerance_status
 from fenicsx_obstacle.errors import NOT_REACHED
-from fenicsx_obstacle.outlets import tolerance_status
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.show.figures import heading
 from fenicsx_obstacle.show.report import report_answer
+from fenicsx_obstacle.text import one_line
 from fenicsx_obstacle.verification.faults.kill import _session
 from fenicsx_obstacle.verification.hard.suite import reason
 from fenicsx_obstacle.verification.processes import DEFAULTS, FIXED, OF_ROOT, clean
-from fenicsx_obstacle.words import one_line
 
 LAUNCHER = DEMOS.parent / "obstacle"
 HELD = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "boundary": []}

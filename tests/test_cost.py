@@ -11,11 +11,11 @@ from test_cli import CLEAN, run
 from test_rows import kill
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.estimation.truth import contact_truth
+from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.studies import cost, price
-from fenicsx_obstacle.studies.cost import Ladder
+from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
 
 SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
@@ -72,15 +72,15 @@ def test_contact_of_exact_solutions():
     """Cells that the free boundary crosses are halved until area and force of the ball, pi a^2 and 2 pi A, are right to
     1e-6; of a string, which leaves its obstacle like d^2, to the root of the round-off of heights."""
     ball, string = catalogue.scene("ball"), catalogue.scene("string_torsion")
-    found, a = contact_truth(ball.model, ball.exact, meshes.coarsest(ball, COMM)), 0.6979651482233736
+    found, a = exact_contact(ball.model, ball.exact, meshes.coarsest(ball, COMM)), 0.6979651482233736
     assert found["area"] == pytest.approx(math.pi * a**2, rel=1e-6)
     assert found["force"] == pytest.approx(2 * math.pi * a**2 / math.sqrt(1 - a**2), rel=1e-6)
-    assert contact_truth(string.model, string.exact, meshes.coarsest(string, COMM))["area"] == pytest.approx(
+    assert exact_contact(string.model, string.exact, meshes.coarsest(string, COMM))["area"] == pytest.approx(
         0.6, abs=2e-7
     )
 
 
-def ladder(scene, folder, budget=SMALL, stop=None):
+def study(scene, folder, budget=SMALL, stop=None):
     """All rows; or those before `stop` of them are there, as if the run were interrupted."""
     stores = []
     on_root(COMM, lambda: stores.append(RowStore(folder)))
@@ -92,7 +92,7 @@ def ladder(scene, folder, budget=SMALL, stop=None):
             raise KeyboardInterrupt
 
     try:
-        one = Ladder(scene, {}, budget, folder, COMM)
+        one = CostStudy(scene, {}, budget, folder, COMM)
         try:
             return one, one.run(on_row, stores[0] if stores else None)
         except KeyboardInterrupt:
@@ -108,8 +108,8 @@ def test_ladder_of_a_string(folder):
     """Every choice has rows or a reason; parts and errors fit; the best eps goes with h^2 for heights, h^(4/3) for
     slopes (THEORY of the map); what was interrupted is not computed again."""
     scene = catalogue.scene("string_parabola")
-    _, begun = ladder(scene, folder, stop=7)
-    one, rows = ladder(scene, folder)
+    _, begun = study(scene, folder, stop=7)
+    one, rows = study(scene, folder)
     assert [row["run"] for row in rows[1:8]] == [1] * 7 == [row["run"] for row in begun]
     solved = {row["choice"] for row in price.solved(rows)}
     assert solved >= {"P1 VI", "P1 VI cold", "P1 eps = h^2", "P1 auto", "P1 adaptive"}
@@ -133,14 +133,14 @@ def test_without_an_exact_solution(folder, monkeypatch):
     from fenicsx_obstacle.show.cost_tables import against
 
     monkeypatch.setattr(cost, "MAP_MESHES", 0)
-    _, rows = ladder(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")
+    _, rows = study(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")
     first = price.truth(rows)
     assert not first["exact"] and first["bound"]["words"] == "certified"
     assert "finest solution" in against(rows) and "at most" in against(rows)
     for name in ("P1 auto", "P1 adaptive"):
         part = [row["errors"]["energy"] for row in price.solved(rows) if row["choice"] == name]
         assert len(part) > 1 and part[-1] < part[0] / 1.5
-    again = ladder(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")[1]
+    again = study(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")[1]
     assert [row["key"] for row in again] == [row["key"] for row in rows]
 
 
@@ -151,7 +151,7 @@ def test_budget_of_nothing(folder, monkeypatch):
     from fenicsx_obstacle.show.cost_plots import drawings
 
     monkeypatch.setattr(cost, "MAP_MESHES", 1)
-    _, rows = ladder(Scene.read(DEMOS / "soap.toml"), folder, budget="0.001s")
+    _, rows = study(Scene.read(DEMOS / "soap.toml"), folder, budget="0.001s")
     first = price.truth(rows)
     assert "bound" not in first and all(change > 0 for change in first["changed"].values())
     monkeypatch.setattr(price, "TRUSTED", 1e9)

@@ -656,7 +656,7 @@ effects = eval(sys.argv[1])
 solve(Scene(mesh={"shape": "rectangle", "cells": 4}, tension=1, lower=-1, **effects))
 found = [name for name in sys.modules if name.startswith("fenicsx_obstacle.effects.")]
 found += [name for name in ("fenicsx_obstacle.discrete.parts", "fenicsx_obstacle.discrete.tensors",
-          "fenicsx_obstacle.discrete.flow", "pyvista", "matplotlib", "slepc4py", "gmsh") if name in sys.modules]
+          "fenicsx_obstacle.discrete.peclet", "pyvista", "matplotlib", "slepc4py", "gmsh") if name in sys.modules]
 print(*sorted(name.removeprefix("fenicsx_obstacle.") for name in found))
 """
     for effects, wanted in (

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fenicsx_obstacle import Scene, polynomials
-from fenicsx_obstacle.scenes.centred import linear
+from fenicsx_obstacle.scenes.derivative_bounds import ORDER
 from fenicsx_obstacle.scenes.enclosures import Cells
-from fenicsx_obstacle.scenes.slopes import ORDER
+from fenicsx_obstacle.scenes.mean_value_forms import linear
 
 SCENE = membrane(load=1).change({"mesh.cells": 1})
 NUMBERS = st.sampled_from(["0", "1", "2", "0.25", "-1.5", "1e-3", "pi"])

@@ -41,7 +41,7 @@ def test_statement():
     """(3.4)*: the step is linear, sets are nested, the example cycles."""
     findings = [*linear_step(COMM), *nesting(COMM), *cycle()]
     verdicts = [finding.verdict for finding in findings]
-    assert verdicts == ["holds", "misprint", "holds", "holds with room", "holds", "needs hypothesis", "holds"]
+    assert verdicts == ["holds", "misprint", "holds", "not sharp", "holds", "needs hypothesis", "holds"]
 
 
 @pytest.mark.slow

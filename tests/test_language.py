@@ -60,7 +60,7 @@ EVERYWHERE = [
 ]
 IN_PAGES = [
     *EVERYWHERE,
-    Word(r"\brooms?\b", "modules, layers", {"theory.md": "the verdict 'holds with room' of the command theory"}),
+    Word(r"\brooms?\b", "modules, layers; a margin"),
     Word(
         r"\bfigures?\b(?! \d)",
         "value, output quantity; a figure is a plot",

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, compare, penalty, releases, solve
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.problems.own_form import OfForm
+from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.releases import NEW, vec
 
 TRIANGLE, QUADRILATERAL = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
@@ -216,9 +216,9 @@ def test_what_is_linear_is_found_out():
         a + ufl.sign(u) * v * dx, a + ufl.conditional(ufl.gt(u, 0), 1.0, 0.0) * v * dx,
         a + ufl.max_value(u, 0) * v * dx,
     ]  # fmt: skip
-    assert all(OfForm(F=F, u=u).affine and OfForm(F=F, u=u).symmetric for F in linear)
-    assert not any(OfForm(F=F, u=u).affine for F in bent)
-    skew = OfForm(F=a + u.dx(0) * v * dx, u=u)
+    assert all(ResidualForm(F=F, u=u).affine and ResidualForm(F=F, u=u).symmetric for F in linear)
+    assert not any(ResidualForm(F=F, u=u).affine for F in bent)
+    skew = ResidualForm(F=a + u.dx(0) * v * dx, u=u)
     assert skew.affine and not skew.symmetric
 
 

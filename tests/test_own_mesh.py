@@ -46,7 +46,7 @@ class Own:
 
 
 def numbers(scene, **options):
-    """Figures that say whether two solutions are the same."""
+    """Values that show whether two solutions are the same."""
     record = solve(scene, eps=1e-6, **options).record
     return [record["energy"], record["contact"]["area"], record["contact"]["lower"]["force"]]
 

@@ -139,7 +139,7 @@ def test_no_picture_is_better_than_an_earlier_one(folder):
     assert said == f"./obstacle plot {folder / 'out'} draws it"
     # the scene's own figures have a table of their own
     text = " ".join("".join(page.texts).split())
-    assert re.search(r"Report mean ?0\.03\d+ none ?not finite Figures cells, unknowns", text), text
+    assert re.search(r"Report mean ?0\.03\d+ none ?not finite Output quantities cells, unknowns", text), text
 
 
 @pytest.mark.slow

@@ -9,12 +9,12 @@ from conftest import COMM
 
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.verification.hard.draw import SEED, judged, shares, try_all
+from fenicsx_obstacle.verification.hard.families.all_families import TRUTHS
 from fenicsx_obstacle.verification.hard.families.drifts import Strip
-from fenicsx_obstacle.verification.hard.families.every import TRUTHS
 from fenicsx_obstacle.verification.hard.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION, Family, Judgement
 from fenicsx_obstacle.verification.hard.families.films import Film
 from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT
-from fenicsx_obstacle.verification.show.chance import HEADS, table
+from fenicsx_obstacle.verification.show.random_scenes import HEADS, table
 
 COUNT = {1: 50, 2: 20}  # on three ranks 10
 OF_EACH = {1: 3}  # on more ranks 1

@@ -17,13 +17,13 @@ from fenicsx_obstacle.verification.hard.families.curves import CIRCLES, Inclusio
 from fenicsx_obstacle.verification.hard.families.discs import Rings
 from fenicsx_obstacle.verification.hard.families.drifts import Radial, Strip
 from fenicsx_obstacle.verification.hard.families.elements import Field
+from fenicsx_obstacle.verification.hard.families.equilibria import Feeble
 from fenicsx_obstacle.verification.hard.families.files import torsion
 from fenicsx_obstacle.verification.hard.families.films import Film
 from fenicsx_obstacle.verification.hard.families.integrals import Circle, Pieces, energy_error
 from fenicsx_obstacle.verification.hard.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
 from fenicsx_obstacle.verification.hard.families.sectors import Corner, Sectors
 from fenicsx_obstacle.verification.hard.families.smooth import Polynomial
-from fenicsx_obstacle.verification.hard.families.support import Feeble
 from fenicsx_obstacle.verification.hard.families.touching import KINDS as CONTACTS
 from fenicsx_obstacle.verification.hard.families.touching import Touching
 from fenicsx_obstacle.verification.hard.families.varying import Varying

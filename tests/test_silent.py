@@ -10,21 +10,21 @@ from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import smallest
-from fenicsx_obstacle.verification.hard.silent import Trap, spring, traps
+from fenicsx_obstacle.verification.hard.unsolvable import Unsolvable, attempt, problems
 
-TRAPS = {trap.name: trap for trap in traps()}
+PROBLEMS = {problem.name: problem for problem in problems()}
 
 
-@pytest.mark.parametrize("name", TRAPS)
-def test_trap(name):
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_unsolvable(name):
     """All methods, one step; not a number at one place, on one rank; no matrix, no minimum."""
-    held, said = spring(TRAPS[name], COMM)
+    held, said = attempt(PROBLEMS[name], COMM)
     assert held, said
 
 
-def test_what_is_no_trap_is_not_held():
+def test_a_solved_problem_is_found():
     """An answer is not an error."""
-    held, said = spring(Trap("none", lambda comm: None, {}), COMM)
+    held, said = attempt(Unsolvable("none", lambda comm: None, {}), COMM)
     assert not held
     assert said == "an answer"
 
@@ -32,7 +32,7 @@ def test_what_is_no_trap_is_not_held():
 def test_not_a_number_ends_at_once():
     """It cannot become one again: no step is taken, where there were a thousand; F is not a number at that node."""
     with pytest.raises(InputError, match=r"F at the start.* is not a finite number: it is nan at") as error:
-        TRAPS["form, penalty: load not a number at one node of the last rank"].spring(COMM)
+        PROBLEMS["form, penalty: load not a number at one node of the last rank"].solve(COMM)
     assert isinstance(error.value.__context__, NotConverged) and error.value.__context__.iterations == 0
 
 

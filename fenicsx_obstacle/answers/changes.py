@@ -9,7 +9,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import Tables
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 SCENE = "a Scene, a file with one, or a name of the catalogue"
 _SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.inside import values, values_and_slopes
+from fenicsx_obstacle.discrete.lagrange import values, values_and_slopes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate
 from fenicsx_obstacle.errors import InputError
@@ -157,7 +157,7 @@ def _data(answer: Answer) -> Data:
     moments = answer.scene.time
     if moments is None:
         return Data(answer.scene.model, answer.level)
-    from fenicsx_obstacle.discrete.motion import Moment  # only where a scene has time
+    from fenicsx_obstacle.discrete.time_differences import Moment  # only where a scene has time
 
     moment = Moment.at_start(moments)
     moment.t = answer.record["time"]["t"]

@@ -16,7 +16,7 @@ from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.problems.solution import Profile
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.words import counted, nearest
+from fenicsx_obstacle.text import counted, nearest
 
 _SAME = 1e-9  # of the extent of a curve: ends of facets so near are one point
 

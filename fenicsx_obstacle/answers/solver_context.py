@@ -21,7 +21,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.parallel import largest, return_freed_memory
-from fenicsx_obstacle.problems.figures import course_of, figures_of
+from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
 from fenicsx_obstacle.problems.solution import Seconds
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.scenes import meshes
@@ -307,7 +307,7 @@ class SolverContext:
         problem, level, scene, eps = self.problem, self.problem.level, self.scene, method.eps
         seconds += self.setup_seconds
         tables = scene.tables
-        figures = figures_of(
+        figures = output_quantities(
             problem, options.method, eps, state, name=scene.name, title=tables.title, refine=tables.mesh.refine
         )
         spent = Seconds(time.perf_counter() - self.started, self.mesh_seconds, seconds)

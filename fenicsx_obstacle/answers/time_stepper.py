@@ -24,7 +24,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.problems.state import State
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.steps import Steps
-from fenicsx_obstacle.words import one_line
+from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
 EVERY = 20.0  # seconds between states on the disk

@@ -18,8 +18,8 @@ from petsc4py import PETSc
 from ufl.algorithms import expand_derivatives
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.own_weights import own_weights
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
 from fenicsx_obstacle.parallel import largest, total
@@ -213,7 +213,7 @@ class Nodal(Forms):
         self._load()
         self._D = self._point_weights()
         if data.level.pair.own_weights:
-            self._lump(own_weights(data.level.pair, data.level.V))
+            self._lump(weights_of_cells(data.level.pair, data.level.V))
 
     def _assembled(self) -> PETSc.Mat:
         """The stiffness."""

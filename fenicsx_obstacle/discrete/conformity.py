@@ -21,11 +21,11 @@ from fenicsx_obstacle.discrete.cells import (
     own_cells,
 )
 from fenicsx_obstacle.discrete.components import Components, components
-from fenicsx_obstacle.discrete.soundness import FLAT, place, sizes
+from fenicsx_obstacle.discrete.mesh_validation import FLAT, place, sizes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import TENSORS
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 # of the local length: what is nearer touches; at least what six digits of coordinates resolve, where cells are larger
 NEAR, FEW_DIGITS, LARGEST = 1e-5, 1e-6, 1e-2

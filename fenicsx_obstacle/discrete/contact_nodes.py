@@ -32,7 +32,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
 from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
 from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.words import shown
+from fenicsx_obstacle.text import shown
 
 KINK = 0.8  # length of the mean of unit normals, below which a node has no normal: two facets at more than 74 degrees
 HELD = 1e-6  # part of a unit normal in free directions, below which contact moves nothing

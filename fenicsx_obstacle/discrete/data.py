@@ -22,11 +22,11 @@ from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
-from fenicsx_obstacle.words import counted, nearest
+from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.motion import Moment, Motion
     from fenicsx_obstacle.discrete.parts import Facets, Parts
+    from fenicsx_obstacle.discrete.time_differences import Moment, Motion
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
 
@@ -79,7 +79,7 @@ class Data:
         """
         self.model, self.level = model, level
         if model.time is not None and moment is None:
-            from fenicsx_obstacle.discrete.motion import Moment  # only where a model has time
+            from fenicsx_obstacle.discrete.time_differences import Moment  # only where a model has time
 
             moment = Moment.at_start(model.time)
         self.moment, self.thin = moment, model.thin
@@ -276,7 +276,7 @@ class Data:
 
     def peclet(self, velocity: tuple[Field, ...]) -> float:
         """The largest |velocity| h/(2 tension) of all cells (collective)."""
-        from fenicsx_obstacle.discrete.flow import peclet  # only where a model has drift
+        from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
 
         return peclet(self, velocity)
 
@@ -309,7 +309,7 @@ class Data:
     @cached_property
     def motion(self) -> Motion:
         """Derivatives in time."""
-        from fenicsx_obstacle.discrete.motion import Motion  # only where a model names one
+        from fenicsx_obstacle.discrete.time_differences import Motion  # only where a model names one
 
         assert self.moment is not None
         return Motion(self.level, self.moment)
@@ -491,7 +491,7 @@ class Data:
         if positive:
             self._refuse(field, made, array_of(made) <= 0, "must be positive; it is")
             if isinstance(made, fem.Function):
-                from fenicsx_obstacle.discrete.jumps import average  # only where data are not numbers
+                from fenicsx_obstacle.discrete.cell_means import average  # only where data are not numbers
 
                 average(self, field, made)
         if least is not None:
@@ -507,7 +507,7 @@ class Data:
         for material, part in parts.items():
             if part.uniform:
                 continue
-            from fenicsx_obstacle.discrete.between import inadmissible  # only where data are not numbers
+            from fenicsx_obstacle.discrete.sampling_check import inadmissible  # only where data are not numbers
 
             found = inadmissible(self, [part], partial(self.at, part), bound, material)
             if found is not None:

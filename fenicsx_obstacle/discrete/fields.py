@@ -20,7 +20,7 @@ from fenicsx_obstacle.effects.field import ByCells, Enclosed, Field, Names, Trut
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.parallel import agree
-from fenicsx_obstacle.words import plain, shown
+from fenicsx_obstacle.text import plain, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.levels import Level

@@ -18,8 +18,8 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.gmsh_model import Arrays
+from fenicsx_obstacle.discrete.mesh_validation import validate_mesh
 from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
-from fenicsx_obstacle.discrete.soundness import validate_mesh
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 

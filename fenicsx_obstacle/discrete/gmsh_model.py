@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.soundness import place, validate_mesh
+from fenicsx_obstacle.discrete.mesh_validation import place, validate_mesh
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 _LINEAR = {0: 15, 1: 1, 2: 2, 3: 4}  # Gmsh's numbers of points, straight lines, triangles, tetrahedra
 _KINDS = ("point", "curve", "surface", "volume")

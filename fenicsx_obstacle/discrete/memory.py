@@ -23,8 +23,8 @@ def check_memory(unknowns: float, dim: int, comm: MPI.Comm, source: str, remedy:
     """
     if not fits(unknowns, dim, comm):
         needed, free = unknowns * BYTES_PER_VERTEX[dim], _free_memory(comm)
-        room = f"{needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free"
-        raise InputError(f"{source}: [mesh] needs about {room}; {remedy}")
+        margin = f"{needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free"
+        raise InputError(f"{source}: [mesh] needs about {margin}; {remedy}")
 
 
 def _free_memory(comm: MPI.Comm) -> float:

@@ -13,7 +13,7 @@ from fenicsx_obstacle.discrete.cells import corners, duals
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 ROUND_OFF = 1e-9  # of the size of a cell: how far outside a point may lie
 OFF_SURFACE = 0.1  # of the size of a cell, for surfaces in space: points of the true surface lie beside the flat cells

@@ -16,12 +16,12 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.admissible import check_admissible
-from fenicsx_obstacle.discrete.afloat import check_support, forces_at_work
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import in_q, point_cells
 from fenicsx_obstacle.discrete.limit_load import check_limit_load
-from fenicsx_obstacle.discrete.signs import is_m_matrix
+from fenicsx_obstacle.discrete.m_matrix import is_m_matrix
+from fenicsx_obstacle.discrete.solvability import check_support, forces_at_work
 from fenicsx_obstacle.discrete.transfer import Transfer, to_parents
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total

@@ -9,7 +9,7 @@ import numpy as np
 from fenicsx_obstacle.effects.field import Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
@@ -51,7 +51,7 @@ def check_between(data: Data, rows: Rows) -> None:
     entries = [entry for row in rows for entry in row if not entry.uniform]
     if not entries:
         return
-    from fenicsx_obstacle.discrete.between import inadmissible  # only where data are not numbers
+    from fenicsx_obstacle.discrete.sampling_check import inadmissible  # only where data are not numbers
 
     def least(x: np.ndarray) -> np.ndarray:
         values = np.stack([data.at(entry, x) for row in rows for entry in row], axis=1)

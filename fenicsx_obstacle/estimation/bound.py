@@ -1,22 +1,22 @@
-"""A guaranteed bound of the energy error, without constants, for the computed state and an admissible one beside it.
+"""A guaranteed bound of the energy error without unknown constants, for u_h and for an admissible function v_h.
 
     ||mu^(1/2) grad(u - u_h)|| <= total,   ||mu^(1/2) grad(u - v_h)|| <= admissible_total,
 
-u the solution of the variational inequality, u_h any function of P1 or P2 with the boundary values, and v_h one beside
-it which the obstacle allows. With e = u - v_h, tested in the inequality, an equilibrated flux sigma and multipliers
-lambda, nu of the right sign,
+where u is the solution of the variational inequality, u_h any function of P1 or P2 with the boundary values, and v_h a
+function near u_h that satisfies the constraints. With e = u - v_h as test function in the inequality, an equilibrated
+flux sigma, and multipliers lambda, nu of the right sign,
 
     ||e||^2 <= (sigma - mu grad v_h, grad e) + int lambda (v_h - lower) + int nu (upper - v_h) + (r, e) - (rho, e),
 
-r having mean zero in each cell and rho being the force that is out of balance. It holds for any eps, any mesh,
-converged or not; nothing is assumed of angles, contact set or regularity. The element gives sigma, the multipliers,
-v_h and r: `element_p1`, `element_p2`.
+where r has mean zero in each cell and rho is the unbalanced force. The bound holds for any eps and any mesh, whether
+the iteration has converged or not; it assumes nothing of angles, contact set or regularity. The element gives sigma,
+the multipliers, v_h and r: `element_p1`, `element_p2`.
 
-`words` says what the bound rests on (`standing`). It is certified where nothing rests on sampling: formulas, numbers
-and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. Of callables
-nothing is known between their samples: 'certified for the sampled load'. An indicator is what does not bound the error
-for other reasons: effects other than tension and load, data that may be infinite, u given nowhere, forces out of
-balance where Friedrichs' constant is not known.
+`words` says how far the bound is guaranteed (`certification`). It is 'certified' if it uses no samples: numbers,
+formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A
+callable is known at its samples only: 'certified for the sampled load'. It is 'an indicator' where the error may be
+larger for other reasons: effects other than tension and load, data that may be infinite, u given nowhere, or unbalanced
+forces where Friedrichs' constant is not known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
@@ -33,13 +33,13 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.applicability import check_bound_exists
 from fenicsx_obstacle.estimation.cell_data import other_effects
+from fenicsx_obstacle.estimation.certification import Hypotheses
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
-from fenicsx_obstacle.estimation.scope import refuse_no_bound
-from fenicsx_obstacle.estimation.standing import Hypotheses
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
@@ -101,7 +101,7 @@ class Estimator:
         Raises:
             InputError: If there is no bound for the elements, the effects or the tension.
         """
-        refuse_no_bound(problem)
+        check_bound_exists(problem)
         self.problem, comm = problem, problem.level.comm
         self.element: Element = (ElementP2 if problem.level.pair.has_p1_coarse_space else ElementP1)(problem)
         simplices, tension, load = self.element.simplices, self.element.tension, self.element.equilibration.load
@@ -149,7 +149,7 @@ class Estimator:
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
         violated = self._violated(terms, unbalanced, bound)
-        standing = self._hypotheses.standing(violated, self.element.obstacles)
+        certification = self._hypotheses.certification(violated, self.element.obstacles)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
         between = norm(terms.raised) + eta_p
@@ -157,7 +157,7 @@ class Estimator:
             total=bound, admissible_total=B, relative=bound / energy_norm if energy_norm > 0 else None,
             discretisation=norm(terms.distance), penalty=norm(terms.penetration), algebraic=algebraic,
             data=hypot(norm(terms.oscillation**2), eta_g, between, max(unbalanced - algebraic, 0.0)),
-            guaranteed=standing.guaranteed, words=standing.words, indicator=indicator, admissible=admissible,
+            guaranteed=certification.guaranteed, words=certification.words, indicator=indicator, admissible=admissible,
         )  # fmt: skip
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:

@@ -98,10 +98,10 @@ class Jumps:
             places = edges.at(every, np.full(count, k))
             self._judge(field, (inside[0], ends[:, k]), (inside[1], ends[:, k]), places)
         which, low, high = self._changes(field, edges, near)
-        room = np.maximum(high - low, near[which])
+        margin = np.maximum(high - low, near[which])
         close, far = (
             (self._values(field, edges, which, low - r), self._values(field, edges, which, high + r))
-            for r in (room, WIDER * room)
+            for r in (margin, WIDER * margin)
         )
         self._judge(field, close, far, edges.at(which, (low + high) / 2))
 

@@ -11,15 +11,15 @@ import numpy as np
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, obstacles_of, other_effects
+from fenicsx_obstacle.estimation.certification import Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
+from fenicsx_obstacle.estimation.dirichlet_boundary import dirichlet_boundary
 from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
-from fenicsx_obstacle.estimation.held_boundary import held_boundary
 from fenicsx_obstacle.estimation.oscillation import Oscillation
 from fenicsx_obstacle.estimation.pieces import Range, range_of
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.estimation.standing import Obstacle
 from fenicsx_obstacle.estimation.surface_data import SurfaceData
 from fenicsx_obstacle.parallel import largest, smallest
 
@@ -95,7 +95,7 @@ class Element(ABC):
         self.dirichlet = _boundary_values(self.simplices, middles)
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
-        self.held = held_boundary(self.simplices, equilibration.patches.held)
+        self.held = dirichlet_boundary(self.simplices, equilibration.patches.held)
         self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.simplices.data)}
         self.reach = self._reach()
 

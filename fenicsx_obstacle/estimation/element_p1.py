@@ -8,10 +8,10 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.element import Element, Terms
-from fenicsx_obstacle.estimation.flux_fans import FanEquilibration
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
-from fenicsx_obstacle.estimation.peaks import Peaks
+from fenicsx_obstacle.estimation.flux_triangles import TriangleEquilibration
+from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest
 
@@ -22,14 +22,16 @@ class ElementP1(Element):
     """P1 on one mesh: what depends on mesh and data alone is made once."""
 
     equilibration: EquilibrationP1
-    obstacles: list[Peaks]
+    obstacles: list[ObstacleExcess]
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
-        super().__init__(FanEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
+        super().__init__(TriangleEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
         patches, dim = self.equilibration.patches, simplices.dim
-        self.obstacles = [Peaks(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
+        self.obstacles = [
+            ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
+        ]
         x = simplices.x
         self._from_middle = np.ascontiguousarray(np.moveaxis(x - x.mean(axis=1, keepdims=True), 2, 0))
         self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / ((dim + 1) * (dim + 2))
@@ -37,13 +39,13 @@ class ElementP1(Element):
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
         nodal, v, crossing = self._admissible(u)
-        gaps = {peaks.sign: self._gap(v, peaks) for peaks in self.obstacles}
+        gaps = {excess.sign: self._gap(v, excess) for excess in self.obstacles}
         mean = {sign: gap / self.simplices.area for sign, gap in gaps.items()}
         flux = self.equilibration.flux(u, touches_lower, touches_upper, (mean.get(1.0), mean.get(-1.0)))
         contact = np.zeros(len(self.simplices.area))
         for sign, gap in gaps.items():
             contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
-        cover = sum((peaks.cover_energy for peaks in self.obstacles), np.zeros(len(self.simplices.area)))
+        cover = sum((excess.cover_energy for excess in self.obstacles), np.zeros(len(self.simplices.area)))
         distance, balanced = self._distance(u, flux)
         return Terms(
             flux=flux, distance=distance, balanced=balanced, admissible_balanced=self._distance(v, flux)[1],
@@ -60,28 +62,28 @@ class ElementP1(Element):
         data, nodal, v = self.simplices.data, u.copy(), u.copy()
         given = data.fixed[0]
         lifted = []
-        for peaks in self.obstacles:
-            lifted.append(peaks.lift(peaks.sign * v))
-            for state, obstacle in ((nodal, peaks.nodal), (v, lifted[-1])):
-                inside = peaks.sign * np.maximum(peaks.sign * state, obstacle)
+        for excess in self.obstacles:
+            lifted.append(excess.lift(excess.sign * v))
+            for state, obstacle in ((nodal, excess.nodal), (v, lifted[-1])):
+                inside = excess.sign * np.maximum(excess.sign * state, obstacle)
                 inside[given] = state[given]
                 state[:] = inside
         comm, crossing = data.level.comm, 0.0
-        for peaks, lift in zip(self.obstacles, lifted, strict=True):
-            beyond = largest(comm, lift - peaks.sign * v)
+        for excess, lift in zip(self.obstacles, lifted, strict=True):
+            beyond = largest(comm, lift - excess.sign * v)
             if beyond > ROUND_OFF * largest(comm, np.abs(lift)):
                 crossing = max(crossing, beyond)
         return nodal, v, crossing
 
-    def _gap(self, v: np.ndarray, peaks: Peaks) -> np.ndarray:
+    def _gap(self, v: np.ndarray, excess: ObstacleExcess) -> np.ndarray:
         """The integral of the distance of v to an obstacle over each cell."""
         corners = self.simplices.dim + 1
-        gap = sums((peaks.sign * v - peaks.nodal)[self.simplices.dofs]) / corners - peaks.mean
+        gap = sums((excess.sign * v - excess.nodal)[self.simplices.dofs]) / corners - excess.mean
         gap = (
             gap * self.simplices.area
-            + peaks.sign * self.dirichlet.volume
+            + excess.sign * self.dirichlet.volume
             + self.dirichlet.volume_rest
-            + peaks.cover_volume
+            + excess.cover_volume
         )
         return np.maximum(gap, 0.0)
 

@@ -7,8 +7,8 @@ rho come from its residual alone, eps-free, and a flux sigma in RT0 with continu
 
 is found vertex by vertex as a sum of fluxes on the patches, each the nearest (in the norm of mu^(-1/2)) to the broken
 RT0 interpolant of phi_i mu grad u_h. (Braess and Schoeberl 2008 for equations; the interpolant in place of phi_i mu
-grad u_h itself keeps the flux near on irregular meshes.) How a patch is solved depends on the dimension: `flux_fans` is
-for triangles, `flux_trees` for intervals and tetrahedra.
+grad u_h itself keeps the flux near on irregular meshes.) `flux_triangles` solves
+the patches of triangles, `flux_trees` those of intervals and tetrahedra.
 
 Of the contact force at a vertex only its sum over the patch is needed. Where the obstacle falls off steeply the force
 is put into those cells of the patch in which u is near it: the error bound has force times distance.

@@ -21,7 +21,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import Load
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.shapes import longest_edges
+from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
 

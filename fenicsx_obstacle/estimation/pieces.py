@@ -20,7 +20,7 @@ from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.shapes import inward, least_heights, longest_edges, sizes
+from fenicsx_obstacle.estimation.simplex_geometry import inward, least_heights, longest_edges, sizes
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import basix
 import numpy as np
 
-from fenicsx_obstacle.discrete.inside import CELLS
+from fenicsx_obstacle.discrete.lagrange import CELLS
 
 DEGREE = 6  # exact solutions have kinks in their second derivatives
 AT_ONCE = 50_000  # cells in memory

@@ -13,7 +13,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.parents import EDGES
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.shapes import inward, signed_sizes
+from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
 
 
 class Simplices:

@@ -27,9 +27,9 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.afloat import ROUND_OFF
+from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.discrete.solvability import ROUND_OFF
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total

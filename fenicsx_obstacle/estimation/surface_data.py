@@ -30,7 +30,7 @@ from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.edges import Edges, Jumps
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.estimation.shapes import least_heights, longest_edges, sizes
+from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges, sizes
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import Rule, facet_of, nodal_rule
 from fenicsx_obstacle.releases import called
-from fenicsx_obstacle.words import shown
+from fenicsx_obstacle.text import shown
 
 
 def positive_part(t: Any) -> Any:

@@ -32,8 +32,8 @@ class Grid(Surface):
     def at(self, points: np.ndarray) -> np.ndarray:
         cells, shares, outside = [], [], np.zeros(len(points), dtype=bool)
         for axis, p in zip(self.axes, points.T, strict=True):
-            room = EDGE * (axis[-1] - axis[0])
-            outside |= ~((p >= axis[0] - room) & (p <= axis[-1] + room))
+            margin = EDGE * (axis[-1] - axis[0])
+            outside |= ~((p >= axis[0] - margin) & (p <= axis[-1] + margin))
             cell = np.clip(np.searchsorted(axis, p, "right") - 1, 0, len(axis) - 2)
             cells.append(cell)
             shares.append(np.clip((p - axis[cell]) / (axis[cell + 1] - axis[cell]), 0.0, 1.0))
@@ -49,8 +49,8 @@ class Grid(Surface):
         low, high, steepest = self.beside(corners, np.zeros(corners.shape[:2]), flat=True)
         first, last = self._lines(corners)
         whole = np.all(last - first == 1, axis=1)
-        room = EDGE * (self.high - self.low)
-        covered = np.all((corners >= self.low - room) & (corners <= self.high + room), axis=(1, 2))
+        margin = EDGE * (self.high - self.low)
+        covered = np.all((corners >= self.low - margin) & (corners <= self.high + margin), axis=(1, 2))
         return bounds_of(low, high, 1 if self._one_axis else 2, whole, covered, steepest)
 
     def beside(

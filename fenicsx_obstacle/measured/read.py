@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 COLUMNS = (".csv", ".txt", ".dat", ".xyz")
 ENDINGS = (*COLUMNS, ".npy", ".npz", ".png", ".stl")

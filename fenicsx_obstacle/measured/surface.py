@@ -92,8 +92,8 @@ def bounds_of(
     low: np.ndarray, high: np.ndarray, degree: int, whole: np.ndarray, covered: np.ndarray, steepest: np.ndarray
 ) -> SurfaceBounds:
     """Bounds with room for round-off."""
-    room = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
-    lower, upper = np.where(covered, low - room, -np.inf), np.where(covered, high + room, np.inf)
+    margin = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
+    lower, upper = np.where(covered, low - margin, -np.inf), np.where(covered, high + margin, np.inf)
     whole = whole & covered
     return SurfaceBounds(lower, upper, np.where(whole, degree, NO_POLYNOMIAL), whole, covered, steepest * MARGIN)
 

@@ -16,7 +16,7 @@ from fenicsx_obstacle.measured.grid import Grid
 from fenicsx_obstacle.measured.read import Heights, of_arrays, read
 from fenicsx_obstacle.measured.surface import OnSurface, Surface
 from fenicsx_obstacle.measured.triangulated import Triangulated
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 KEYS = ("file", "x", "y", "range", "scale", "rotate", "shift", "smooth")
 _NOTHING = {"scale": 1.0, "rotate": 0.0, "smooth": 0.0}  # what changes no table

@@ -74,11 +74,11 @@ class Triangulated(Surface):
         return np.stack([1 - second - third, second, third], axis=-1)
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        room = EDGE * (self.high - self.low)
+        margin = EDGE * (self.high - self.low)
         box = self._box(points)
         number = box[:, 0] * self._boxes[1] + box[:, 1]
         counts = (self._starts[number + 1] - self._starts[number]) * np.all(
-            (points >= self.low - room) & (points <= self.high + room), axis=1
+            (points >= self.low - margin) & (points <= self.high + margin), axis=1
         )
         found = np.full(len(points), -np.inf)
         for block in parts(counts):

@@ -23,8 +23,8 @@ from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
-from fenicsx_obstacle.problems.figures import course_of, figures_of
-from fenicsx_obstacle.problems.own_form import OfForm, check_form, conditions, facets_of, number_of, obstacle
+from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
+from fenicsx_obstacle.problems.residual_form import ResidualForm, check_form, conditions, facets_of, number_of, obstacle
 from fenicsx_obstacle.problems.solution import Seconds, Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.solvers import multigrid
@@ -35,7 +35,7 @@ from fenicsx_obstacle.solvers.nested import solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
-from fenicsx_obstacle.words import shown
+from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Estimator
@@ -156,7 +156,7 @@ class ObstacleProblem:
                 for name, g in (("lower", lower), ("upper", upper))
             }
             held = conditions(bcs, V, self.name)
-        form = OfForm(F=F, u=u, functional=energy, J=J)
+        form = ResidualForm(F=F, u=u, functional=energy, J=J)
         data: Data
         if vector_valued:
             data = self._vector_data(form, sides, held, of, measure)
@@ -171,7 +171,7 @@ class ObstacleProblem:
             with releases.compiled_with(*compiled):
                 self._refuse_other_energy(F, energy)
 
-    def _vector_data(self, form: OfForm, sides: dict[str, Any], bcs: list[Any], of: Any, measure: Any) -> Data:
+    def _vector_data(self, form: ResidualForm, sides: dict[str, Any], bcs: list[Any], of: Any, measure: Any) -> Data:
         """The data of a vector-valued problem (collective)."""
         # only here: a scalar problem does not load it
         from fenicsx_obstacle.discrete.contact_nodes import VectorData, of_vector_space
@@ -218,7 +218,7 @@ class ObstacleProblem:
         self,
         data: Data,
         u: fem.Function,
-        form: OfForm | None,
+        form: ResidualForm | None,
         prefix: str,
         options: Mapping[str, Any] | None,
         compiled: tuple[Mapping[str, Any] | None, Mapping[str, Any] | None],
@@ -300,7 +300,7 @@ class ObstacleProblem:
             self._estimator = self._bounds()
         found = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
-        figures = figures_of(problem, method, found.method.eps, found.state, name=self.name)
+        figures = output_quantities(problem, method, found.method.eps, found.state, name=self.name)
         spent = time.perf_counter() - started + self._setup_seconds
         record = {**figures, **course_of(found.outcome, Seconds(spent, 0.0, spent), level.comm)}
         certified = self._estimator.bound() if bound and self._estimator is not None else None

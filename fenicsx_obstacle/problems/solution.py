@@ -20,7 +20,7 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.solvers.stopping import Step
-from fenicsx_obstacle.words import counted, nearest, shown, title_of
+from fenicsx_obstacle.text import counted, nearest, shown, title_of
 
 if TYPE_CHECKING:
     from typing import Self

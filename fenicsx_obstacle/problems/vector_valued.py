@@ -19,9 +19,9 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.problems.own_form import facets_of
+from fenicsx_obstacle.problems.residual_form import facets_of
 from fenicsx_obstacle.problems.solution import Solution
-from fenicsx_obstacle.words import nearest, shown
+from fenicsx_obstacle.text import nearest, shown
 
 NO_FILES = (
     "a vector-valued solution is neither saved nor drawn: write u, pressure and contact with dolfinx.io, as with "

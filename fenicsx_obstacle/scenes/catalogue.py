@@ -8,7 +8,7 @@ from typing import Any
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 _FOLDER = Path(__file__).parent.parent / "catalogue"
 

@@ -84,12 +84,12 @@ class OnCells:
         return self.cells.truth(self.formula)
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        from fenicsx_obstacle.scenes.centred import linear  # only where conditions cut cells
+        from fenicsx_obstacle.scenes.mean_value_forms import linear  # only where conditions cut cells
 
         return linear(self.cells.of(cells), self.formula)
 
     def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from fenicsx_obstacle.scenes.centred import lines  # likewise
+        from fenicsx_obstacle.scenes.mean_value_forms import lines  # likewise
 
         return lines(self.cells.of(cells), self.formula)
 

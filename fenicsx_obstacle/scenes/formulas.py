@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import counted, nearest, plain
+from fenicsx_obstacle.text import counted, nearest, plain
 
 MAX_LENGTH = 2000  # characters; the parser of Python itself runs out of memory at 1e5 signs
 MAX_DEPTH = 150  # nested operations

@@ -14,7 +14,7 @@ from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.words import shown
+from fenicsx_obstacle.text import shown
 
 Objects = dict[str, Any]  # by the names that stand for them in the tables
 _BEFORE, _AFTER = "<data from Python: ", ">"

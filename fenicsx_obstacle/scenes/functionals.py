@@ -19,13 +19,13 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.normal_flux import NormalFlux, outward_flux
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, gauss, rule
-from fenicsx_obstacle.estimation.supports import NormalFlux, outward_flux
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
 from fenicsx_obstacle.scenes.report import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.words import counted, nearest
+from fenicsx_obstacle.text import counted, nearest
 
 EQUAL = 1e-9  # relative difference of values that count as the same extreme
 FEW_POINTS = 12  # of quadrature in a cell
@@ -36,7 +36,7 @@ class Report:
     """The [report] of a scene on one level.
 
     Attributes:
-        values: Figures so far, by name.
+        values: Values so far, by name.
         places: Where the extremes are that stand alone in an entry, by its name.
     """
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.scenes import slopes
-from fenicsx_obstacle.scenes.slopes import NONE, Slopes
+from fenicsx_obstacle.scenes import derivative_bounds
+from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes
 
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 MOST = 2.0**50  # of integers whose quotients are rounded across no integer
@@ -141,7 +141,7 @@ def negative(a: Enclosure) -> Enclosure:
 
 
 def add(a: Enclosure, b: Enclosure) -> Enclosure:
-    both = slopes.plus(a.slopes, b.slopes)
+    both = derivative_bounds.plus(a.slopes, b.slopes)
     return _made(a.lower + b.lower, a.upper + b.upper, np.maximum(a.degree, b.degree), a, b, slopes=both)
 
 
@@ -154,7 +154,7 @@ def multiply(a: Enclosure, b: Enclosure) -> Enclosure:
     else:
         ends = [_product(x, y) for x in (a.lower, a.upper) for y in (b.lower, b.upper)]
         low, high = (of(of(ends[0], ends[1]), of(ends[2], ends[3])) for of in (np.minimum, np.maximum))
-    both = slopes.product(lambda: _largest(a), a.slopes, lambda: _largest(b), b.slopes)
+    both = derivative_bounds.product(lambda: _largest(a), a.slopes, lambda: _largest(b), b.slopes)
     return _made(low, high, a.degree + b.degree, a, b, slopes=both)
 
 
@@ -168,9 +168,9 @@ def _smallest(a: Enclosure) -> np.ndarray:
     return np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
 
 
-def _through(a: Enclosure, outer: slopes.Series) -> Slopes:
+def _through(a: Enclosure, outer: derivative_bounds.Series) -> Slopes:
     """Bounds of derivatives of a function of a."""
-    return slopes.composed(a.slopes, outer)
+    return derivative_bounds.composed(a.slopes, outer)
 
 
 def _inverse(b: Enclosure) -> Enclosure:
@@ -180,7 +180,7 @@ def _inverse(b: Enclosure) -> Enclosure:
     zero = (b.lower == 0) & (b.upper == 0)
     lower = np.where(within | zero | (b.upper == 0), -np.inf, lower)
     upper = np.where(within | zero | (b.lower == 0), np.inf, upper)
-    outer = _through(b, slopes.of_inverse(b.lower, b.upper))
+    outer = _through(b, derivative_bounds.of_inverse(b.lower, b.upper))
     return _made(lower, upper, _degree(b), b, slopes=outer, defined=~zero)
 
 
@@ -201,7 +201,9 @@ def power(a: Enclosure, n: int) -> Enclosure:
     if n % 2 == 0:
         low, high = np.minimum(low, high), np.maximum(low, high)
         low = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, low)
-    return _made(low, high, a.degree * n, a, slopes=_through(a, slopes.of_whole_power(n, lambda: _largest(a))))
+    return _made(
+        low, high, a.degree * n, a, slopes=_through(a, derivative_bounds.of_whole_power(n, lambda: _largest(a)))
+    )
 
 
 def raised(a: Enclosure, b: Enclosure) -> Enclosure:
@@ -215,7 +217,7 @@ def raised(a: Enclosure, b: Enclosure) -> Enclosure:
     defined = a.lower >= _least(a)
     low, high = (np.maximum(end, 0.0) ** abs(exponent) for end in (a.lower, a.upper))
     found = _made(low, high, _degree(a), a, slopes=NONE, defined=defined)
-    outer = _through(a, slopes.of_power(exponent, a.lower, a.upper))
+    outer = _through(a, derivative_bounds.of_power(exponent, a.lower, a.upper))
     return replace(found if exponent > 0 else _inverse(found), slopes=outer)
 
 
@@ -226,7 +228,7 @@ def _least(a: Enclosure) -> np.ndarray:
 
 def _outer(name: str, a: Enclosure) -> Slopes:
     """Bounds of derivatives of a function of a, by its name."""
-    return _through(a, slopes.BOUNDS[name](a.lower, a.upper))
+    return _through(a, derivative_bounds.BOUNDS[name](a.lower, a.upper))
 
 
 def _monotone(name: str, f: Callable[[np.ndarray], np.ndarray]) -> Callable[[Enclosure], Enclosure]:
@@ -290,7 +292,7 @@ def tan(a: Enclosure) -> Enclosure:
     lower, upper = np.where(regular, np.tan(a.lower), -np.inf), np.where(regular, np.tan(a.upper), np.inf)
 
     def outer(k: int) -> np.ndarray:
-        return np.where(regular, slopes.BOUNDS["tan"](a.lower, a.upper)(k), np.inf)
+        return np.where(regular, derivative_bounds.BOUNDS["tan"](a.lower, a.upper)(k), np.inf)
 
     return _made(lower, upper, _degree(a), a, slopes=_through(a, outer))
 
@@ -319,7 +321,7 @@ def distance(root: Enclosure) -> Enclosure:
     """The root of a sum of squares that is the distance from a point: its derivatives are known better."""
     assert root.square is not None
     square = replace(root.square, slopes=Slopes(lambda k: 2 * root.upper if k == 1 else float(k == 2)))
-    return replace(root, slopes=slopes.radius(np.maximum(root.lower, 0.0)), square=square)
+    return replace(root, slopes=derivative_bounds.radius(np.maximum(root.lower, 0.0)), square=square)
 
 
 def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
@@ -339,7 +341,7 @@ def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     low, high = np.minimum.reduce(angles), np.maximum.reduce(angles)
     low = np.where(across | origin, np.where(y.lower >= -margin, 0.0, -pi), low)
     high = np.where(across | origin, np.where((y.upper <= margin) & (y.lower < -margin), 0.0, pi), high)
-    turning = slopes.angle(np.hypot(_smallest(x), _smallest(y)), x.slopes, y.slopes)
+    turning = derivative_bounds.angle(np.hypot(_smallest(x), _smallest(y)), x.slopes, y.slopes)
     through = origin & ((y.lower == y.upper) | (x.lower == x.upper))  # along an axis it jumps at the origin
     nowhere = (y.lower == y.upper) & (x.lower == x.upper) & origin  # the origin alone: no angle
     return _made(low, high, _degree(y, x), y, x, slopes=turning, defined=~nowhere).cut(across | through)
@@ -379,7 +381,7 @@ def chosen(may_hold: np.ndarray, may_fail: np.ndarray, yes: Enclosure, no: Enclo
     shared = [np.where(may_hold, a, b) for a, b in zip(yes.parts, no.parts, strict=True)]
     lower = np.where(both, np.minimum(yes.lower, no.lower), shared[0])
     upper = np.where(both, np.maximum(yes.upper, no.upper), shared[1])
-    either = slopes.either(may_hold, may_fail, yes.slopes, no.slopes)
+    either = derivative_bounds.either(may_hold, may_fail, yes.slopes, no.slopes)
     # a condition that is undecided guards its branches against roots of negative numbers
     return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, shared[4].astype(bool) | both, either)
 

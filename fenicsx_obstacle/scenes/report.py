@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, parse
-from fenicsx_obstacle.words import counted, nearest
+from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.scene import Scene

@@ -21,19 +21,19 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
 from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.scenes import formulas, tables
+from fenicsx_obstacle.scenes.boundary_table import check_parts, part_place
 from fenicsx_obstacle.scenes.data_files import DataFiles
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, field_of, plain, stands_for_an_object
-from fenicsx_obstacle.scenes.moments import moments
-from fenicsx_obstacle.scenes.parts import check_parts, part_place
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.scenes.tables import DataTable
+from fenicsx_obstacle.scenes.time_table import moments
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
-from fenicsx_obstacle.words import nearest, shown
+from fenicsx_obstacle.text import nearest, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.norms import ExactSolution
@@ -65,7 +65,7 @@ class Scene(Vocabulary):
         model: What is to be solved, as the core takes it.
         effects: One object per effect that the scene names.
         pair: V_h, the rule I and Q_h.
-        report: Figures of the solution, in order.
+        report: Output quantities, in order.
         options: The table [solve], without the element.
         own_mesh: A DOLFINx mesh of the caller's own, or None.
         objects: Data that are no numbers or formulas, by the names that stand for them in the tables.

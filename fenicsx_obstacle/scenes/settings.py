@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 
 def set_values(raw: dict[str, Any], changes: Mapping[str, Any], source: str) -> None:

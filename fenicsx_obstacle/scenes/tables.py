@@ -15,7 +15,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import in_words
 from fenicsx_obstacle.scenes.formulas import SHOWN
 from fenicsx_obstacle.solvers.options import MethodName, StartName
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 Value = float | str  # a number or a formula
 Numbers = tuple[Value, ...]

@@ -18,7 +18,7 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Truth
-from fenicsx_obstacle.scenes import intervals, slopes
+from fenicsx_obstacle.scenes import derivative_bounds, intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES
@@ -68,13 +68,13 @@ class TreeWalk:
                 return intervals.constant(0.0)
             x = corners[:, :, axis]
             low, high = polynomials.row_min(x), polynomials.row_max(x)
-            return intervals.of_bounds(low, high, np.where(low == high, 0, 1), slopes.COORDINATE)
+            return intervals.of_bounds(low, high, np.where(low == high, 0, 1), derivative_bounds.COORDINATE)
         if name == "r":
             squares = [intervals.power(self.name(axis), 2) for axis in "xyz"]
             return intervals.distance(intervals.sqrt(intervals.add(intervals.add(*squares[:2]), squares[2])))
         if name == "theta":
             least = np.maximum(intervals.hypot(self.name("x"), self.name("y")).lower, 0.0)
-            return replace(intervals.atan2(self.name("y"), self.name("x")), slopes=slopes.turn(least))
+            return replace(intervals.atan2(self.name("y"), self.name("x")), slopes=derivative_bounds.turn(least))
         if name == "distance":
             assert self.cells.distance is not None
             middle = np.zeros((len(corners), 3))
@@ -82,7 +82,7 @@ class TreeWalk:
             reach = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
             far = self.cells.distance(middle)
             bounds = np.maximum(far - reach, 0.0), far + reach
-            found = intervals.of_bounds(*bounds, NO_POLYNOMIAL, slopes.COORDINATE)
+            found = intervals.of_bounds(*bounds, NO_POLYNOMIAL, derivative_bounds.COORDINATE)
             return found.cut(np.ones(len(corners), dtype=bool))
         defined = self.cells.vocabulary.define[name]
         return self.number(defined, defined.tree)
@@ -173,7 +173,7 @@ class TreeWalk:
 
     def _axis(self, formula: Formula, node: ast.expr) -> str:
         """The coordinate that a node is, up to its sign and a number; otherwise empty."""
-        if self.number(formula, node).slopes is not slopes.COORDINATE:  # nor shifted
+        if self.number(formula, node).slopes is not derivative_bounds.COORDINATE:  # nor shifted
             return ""
         needs = self.cells.vocabulary.needs(formula.part(node)) & set(COORDINATES)
         return needs.pop() if len(needs) == 1 and needs <= set("xyz") else ""
@@ -287,7 +287,7 @@ class TreeWalk:
             values, corners = self.cells.values(part, degree, cells), self.cells.corners.shape[1]
             least, most = polynomials.bounds(values, corners, degree)
             return values, least, most, 2 * polynomials.round_off(values, corners, degree)
-        from fenicsx_obstacle.scenes.centred import nearest  # only where intervals do not decide
+        from fenicsx_obstacle.scenes.mean_value_forms import nearest  # only where intervals do not decide
 
         at_corners, rest = nearest(self.cells.of(cells), part)
         values = self.cells.values(part, 1, cells)

@@ -15,7 +15,7 @@ from fenicsx_obstacle.show import cost_tables as tables
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.report import Say
 from fenicsx_obstacle.studies import price
-from fenicsx_obstacle.studies.cost import Ladder, Row
+from fenicsx_obstacle.studies.cost import CostStudy, Row
 from fenicsx_obstacle.studies.price import NORMS, Rows
 from fenicsx_obstacle.studies.rows import RowStore
 
@@ -25,7 +25,7 @@ LINE = "{:14} {:>9} {:>8} {:>8} {:>7}  " + " ".join(["{:>8}"] * len(NORMS)) + " 
 def report_cost(
     scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path, say: Say, *, fresh: bool = False
 ) -> list[Row]:
-    """Run the ladder, or go on with an interrupted one; print, save and draw it (collective).
+    """Run the study, or go on with an interrupted one; print, save and draw it (collective).
 
     Args:
         scene: What to solve.
@@ -39,18 +39,18 @@ def report_cost(
         InputError: For bad data or a folder that cannot be written.
     """
     comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
-    ladder = Ladder(scene, options, budget, folder, comm)
+    study = CostStudy(scene, options, budget, folder, comm)
     stores: list[RowStore] = []  # on rank 0 alone: it holds a lock
     on_root(comm, lambda: stores.append(RowStore(folder, fresh=fresh)))
     try:
         say(LINE.format(*tables.HEADS).rstrip())
-        rows = ladder.run(lambda row: _say_row(row, say), stores[0] if stores else None)
+        rows = study.run(lambda row: _say_row(row, say), stores[0] if stores else None)
         say("")
-        for line in summary(rows, ladder):
+        for line in summary(rows, study):
             say(line)
         if comm.rank == 0:
             stores[0].write_table([row for row in rows if row["choice"] not in ("", "map")])
-        names = on_root(comm, _draw, folder, ladder, rows)
+        names = on_root(comm, _draw, folder, study, rows)
         say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', *names, page.NAME])}")
         return rows
     finally:
@@ -67,7 +67,7 @@ def _say_row(row: Row, say: Say) -> None:
     say(LINE.format(*tables.cells(row)).rstrip())
 
 
-def summary(rows: Rows, ladder: Ladder) -> Iterator[str]:
+def summary(rows: Rows, study: CostStudy) -> Iterator[str]:
     """The tables after the rows: the next digit, the cheapest choices, where choices end, what errors are against."""
     yield from _lines(tables.NEXT, tables.next_digit(rows))
     yield ""
@@ -79,7 +79,7 @@ def summary(rows: Rows, ladder: Ladder) -> Iterator[str]:
         yield from _lines(tables.BEST, best)
         yield ""
     yield fill(tables.against(rows), 110)
-    for name, why in tables.ended(rows, ladder):
+    for name, why in tables.ended(rows, study):
         yield fill(f"{name}: {why}", 110, subsequent_indent="  ")
 
 
@@ -89,7 +89,7 @@ def _lines(heads: Sequence[str], table: Sequence[Sequence[str]]) -> list[str]:
             for row in [heads, *table]]  # fmt: skip
 
 
-def _draw(folder: Path, ladder: Ladder, rows: Rows) -> list[str]:
+def _draw(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
     from fenicsx_obstacle.show.cost_page import write_page  # with matplotlib: only once all rows are there
 
-    return write_page(folder, ladder, rows)
+    return write_page(folder, study, rows)

@@ -13,9 +13,9 @@ from fenicsx_obstacle.show.cost_plots import drawings
 from fenicsx_obstacle.show.figures import save, svg
 from fenicsx_obstacle.studies import price
 from fenicsx_obstacle.studies.choices import Choice
-from fenicsx_obstacle.studies.cost import Ladder
+from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.price import NORMS, Rows
-from fenicsx_obstacle.words import title_of
+from fenicsx_obstacle.text import title_of
 
 READ = {
     "seconds": """Down is more accurate, right is dearer: the lowest line at a given time is the best buy. A straight
@@ -50,7 +50,7 @@ CHEAPEST = """The fastest choice for each relative error, and its time; in brack
 rows."""
 
 
-def write_page(folder: Path, ladder: Ladder, rows: Rows) -> list[str]:
+def write_page(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
     """Draw the plots and write the page.
 
     Returns:
@@ -60,8 +60,8 @@ def write_page(folder: Path, ladder: Ladder, rows: Rows) -> list[str]:
     for name, words, figure in drawings(rows):
         save(figure, folder / f"{name}.png")
         drawn[name] = words, svg(figure, name)
-    page.write_cost_page(folder / page.NAME, ladder.full, headline(rows), parts(rows, ladder, drawn), versions(),
-                         command(ladder.comm.size))  # fmt: skip
+    page.write_cost_page(folder / page.NAME, study.full, headline(rows), parts(rows, study, drawn), versions(),
+                         command(study.comm.size))  # fmt: skip
     return [f"{name}.png" for name in drawn]
 
 
@@ -76,21 +76,21 @@ def headline(rows: Rows) -> str:
     return f"What accuracy costs: an energy error of {p.error:.1e} in {tables.duration(p.seconds)} by {p.choice}{far}."
 
 
-def parts(rows: Rows, ladder: Ladder, drawn: Mapping[str, tuple[str, str]]) -> list[str]:
+def parts(rows: Rows, study: CostStudy, drawn: Mapping[str, tuple[str, str]]) -> list[str]:
     """The sections of the page."""
     heads = ["relative error", *(NORMS[norm] for norm in price.norms(rows))]
     found = [
-        page.section("What this page is about", _about(ladder.full, rows)),
+        page.section("What this page is about", _about(study.full, rows)),
         page.section("The price of the next digit", _lead(NEXT) + page.table(tables.NEXT, tables.next_digit(rows))),
         page.section("The cheapest way to an error", _lead(CHEAPEST) + page.table(heads, tables.by_tolerance(rows))),
-        page.section("The ways that are compared", _ways(ladder.choices)),
+        page.section("The ways that are compared", _ways(study.choices)),
     ]
     for name, (words, element) in drawn.items():
         body = _lead(READ[name]) + page.plots({words: element}, wide=True)
         if name == "map" and (best := tables.best_eps(rows)):
             body += page.table(tables.BEST, best)
         found.append(page.section(words, body))
-    found.append(page.section("What is not there, and why", page.facts(tables.ended(rows, ladder))))
+    found.append(page.section("What is not there, and why", page.facts(tables.ended(rows, study))))
     measured = page.table(tables.HEADS, [tables.cells(row) for row in price.solved(rows)])
     found.append(page.section("All rows", measured + f'<p class="note">{tables.TAS}</p>'))
     return found

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fenicsx_obstacle.studies import price
-from fenicsx_obstacle.studies.cost import Ladder
+from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.price import NORMS, TOLERANCES, Rows
 
 HEADS = ("choice", "unknowns", "eps", "seconds", "MB", *NORMS, "DoA", "DoS", "DoE")
@@ -100,13 +100,13 @@ def against(rows: Rows) -> str:
     )
 
 
-def ended(rows: Rows, ladder: Ladder) -> list[tuple[str, str]]:
+def ended(rows: Rows, study: CostStudy) -> list[tuple[str, str]]:
     """Why each choice has no further row."""
     failed = {row["choice"] for row in price.failures(rows)}
     return [
-        (choice.name, ("did not do it: " if choice.name in failed else "ends: ") + ladder.ends[choice.name])
-        for choice in ladder.choices
-        if choice.name in ladder.ends
+        (choice.name, ("did not do it: " if choice.name in failed else "ends: ") + study.ends[choice.name])
+        for choice in study.choices
+        if choice.name in study.ends
     ]
 
 

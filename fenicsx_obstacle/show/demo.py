@@ -9,7 +9,7 @@ from fenicsx_obstacle.answers.adapt import solve
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.report import Say, report_answer, report_study
-from fenicsx_obstacle.words import title_of
+from fenicsx_obstacle.text import title_of
 
 DEMOS = Path(__file__).parent.parent.parent / "demos"
 

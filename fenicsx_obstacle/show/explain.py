@@ -8,8 +8,8 @@ from fenicsx_obstacle.discrete.galerkin import SMALLEST
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
+from fenicsx_obstacle.scenes.boundary_table import part_place
 from fenicsx_obstacle.scenes.meshes import shape_of
-from fenicsx_obstacle.scenes.parts import part_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import BoundaryTable
 from fenicsx_obstacle.show.steps import steps_of
@@ -25,7 +25,7 @@ from fenicsx_obstacle.solvers.choose import (
     nested,
     stepwise,
 )
-from fenicsx_obstacle.words import counted, plain, title_of
+from fenicsx_obstacle.text import counted, plain, title_of
 
 
 def explain(scene: Scene) -> str:

@@ -1,4 +1,4 @@
-"""Figures of matplotlib without a display, and how they are written: into files, or as SVG into a page."""
+"""Matplotlib figures without a display, written to files or as SVG into a page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from textwrap import wrap
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import one_line
+from fenicsx_obstacle.text import one_line
 
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
 BLUE, VERMILION, *_ = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")

@@ -79,8 +79,8 @@ def draw_domain(axis: Any, patch: Patch) -> None:
     edges = patch.points[:, :2][rim(patch.cells)]
     axis.add_collection(LineCollection(edges, colors="0.2", linewidths=0.9, zorder=3, capstyle="round"))
     low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
-    room = 0.01 * max(high - low)  # for the line around the domain
-    axis.set(aspect="equal", xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+    margin = 0.01 * max(high - low)  # for the line around the domain
+    axis.set(aspect="equal", xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
 
 
 def draw_lines(axis: Any, lines: Sequence[Patch]) -> None:

@@ -17,7 +17,7 @@ from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of, with_levels
 from fenicsx_obstacle.show.figures import BLUE, figure, heading, legend_below, write_gif
 from fenicsx_obstacle.show.maps import draw_domain, draw_lines, triangles
-from fenicsx_obstacle.words import counted, title_of
+from fenicsx_obstacle.text import counted, title_of
 
 PER_SECOND = 2  # steps
 REST = 4  # frames that the end stays

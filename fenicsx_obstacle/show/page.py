@@ -16,7 +16,7 @@ from fenicsx_obstacle.problems.solution import report_in_words
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.words import counted, title_of
+from fenicsx_obstacle.text import counted, title_of
 
 NAME = "report.html"
 _PARTS = {  # of the bound: what makes each smaller
@@ -65,7 +65,7 @@ def write_answer_page(
     Args:
         path: The file.
         scene: What was solved.
-        record: Figures of the answer.
+        record: Values of the answer, as in answer.json.
         picture: PNG file of the answer, or None.
         time_history: PNG file of all moments, or None.
         profiles: SVG elements of the profiles, by name.
@@ -211,7 +211,7 @@ def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[
     report = list(report_in_words(record).items())
     return [
         *([section("Report" + which, facts(report))] if report else []),
-        section("Figures" + which, facts(_figures(record))),
+        section("Output quantities" + which, facts(_figures(record))),
         section("What is assembled, and what is left out", facts(explained(scene))),
         section("Scene" + which, pre(scene.toml())),
     ]

@@ -14,7 +14,7 @@ from fenicsx_obstacle.show.figures import DASHES, figure, heading, plain, style
 from fenicsx_obstacle.show.sweep import sweep
 from fenicsx_obstacle.studies.grid import Vary, along, lines_of
 from fenicsx_obstacle.studies.orders import Quantity, lookup, parameter, quantities
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 Rows = Sequence[Mapping[str, Any]]
 

@@ -25,7 +25,7 @@ from fenicsx_obstacle.show.figures import (
     save,
     svg,
 )
-from fenicsx_obstacle.words import counted, short
+from fenicsx_obstacle.text import counted, short
 
 TOUCHING = 1e-6  # of the largest pressure: where it is less there is no contact
 LISTED = 8  # curves with a name each; of more the first and the last are named

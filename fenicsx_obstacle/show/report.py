@@ -21,7 +21,7 @@ from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.find import Find
 from fenicsx_obstacle.studies.rows import RowStore
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 PICTURE = "answer.png"
 Say = Callable[[str], None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.words import counted
+from fenicsx_obstacle.text import counted
 
 
 def steps_of(scene: Scene) -> list[str]:

@@ -1,4 +1,4 @@
-"""Figures of a scene against the key that varies: those of its [report], or of the contact without one (one rank)."""
+"""Plots of output quantities over the key that varies: those of [report], or those of the contact (one rank)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from fenicsx_obstacle.show.figures import COLOURS, figure, heading, plain, style
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, lines_of
 from fenicsx_obstacle.studies.orders import lookup
-from fenicsx_obstacle.words import short
+from fenicsx_obstacle.text import short
 
 DECADES = 1.5  # values of a key that spread farther stand on a logarithmic axis
 

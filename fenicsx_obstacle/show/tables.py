@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
 from fenicsx_obstacle.studies.orders import lookup, order, parameter, quantities
-from fenicsx_obstacle.words import counted, short
+from fenicsx_obstacle.text import counted, short
 
 _COST = (
     ("newton_iterations", "Newton", "d"),

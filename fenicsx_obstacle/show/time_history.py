@@ -13,7 +13,7 @@ from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
 from fenicsx_obstacle.show.boundary import Patch
 from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, blank, figure, heading, plain, save, write_gif
 from fenicsx_obstacle.show.maps import hatch_obstacles, triangles
-from fenicsx_obstacle.words import title_of
+from fenicsx_obstacle.text import title_of
 
 HISTORY, ANIMATION = "history.png", "answer.gif"
 COUNTS = ("step", "t", "dt", "newton", "krylov")

@@ -15,8 +15,8 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.linear import user_has_set
+from fenicsx_obstacle.solvers.monotone_sets import Shrinking
 from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.shrinking import Shrinking
 from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.solvers.stopping import ACTIVE_SET_GREW, TOLERANCE, TOO_MANY, StepMonitor, Stopping
 

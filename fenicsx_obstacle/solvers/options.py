@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import plain
+from fenicsx_obstacle.text import plain
 
 MethodName = Literal["penalty", "successive", "vi"]
 StartName = Literal["nested", "cold"]

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.errors import NotConverged
-from fenicsx_obstacle.solvers.inexact import Inexact
+from fenicsx_obstacle.solvers.data_scales import determined, stiffness_of
+from fenicsx_obstacle.solvers.inexact_newton import Inexact
 from fenicsx_obstacle.solvers.linear import (
     DIRECT,
     GENERAL,
@@ -26,9 +27,8 @@ from fenicsx_obstacle.solvers.linear import (
     direct_first,
     user_has_set,
 )
-from fenicsx_obstacle.solvers.meaning import determined, stiffness_of
 from fenicsx_obstacle.solvers.multigrid import HeldRows, Holding, Multigrid, OnInactive, renew
-from fenicsx_obstacle.solvers.range import violation
+from fenicsx_obstacle.solvers.plausibility import violation
 from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
 
 _log = logging.getLogger(__name__)

@@ -17,11 +17,11 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.meaning import EPSILON, ROUNDOFF_MARGIN, determined, stiffness_of
-from fenicsx_obstacle.solvers.shrinking import Shrinking
+from fenicsx_obstacle.solvers.data_scales import EPSILON, ROUNDOFF_MARGIN, determined, stiffness_of
+from fenicsx_obstacle.solvers.monotone_sets import Shrinking
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces

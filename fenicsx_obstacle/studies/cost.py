@@ -27,9 +27,9 @@ from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_m
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
-from fenicsx_obstacle.studies.measured import Bench, ending, floor_of, place, too_many, without_name
+from fenicsx_obstacle.studies.cost_mesh import CostMesh, ending, floor_of, place, too_many, without_name
+from fenicsx_obstacle.studies.reference_solution import ExactReference, Truth, make_reference, read_reference, sizes_of
 from fenicsx_obstacle.studies.rows import RowStore, row_key
-from fenicsx_obstacle.studies.truth import ExactTruth, Truth, make_reference, read_reference, sizes_of
 
 _log = logging.getLogger(__name__)
 Row = dict[str, Any]
@@ -41,7 +41,7 @@ REFERENCE = "reference.h5"
 EPSILON = float(np.finfo(float).eps)
 
 
-class Ladder:
+class CostStudy:
     """The rows of `cost` for one scene.
 
     Attributes:
@@ -106,7 +106,7 @@ class Ladder:
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
         row = on_root(self.comm, self._find, key)
         if self.full.tables.exact is not None:
-            self.truth = ExactTruth(self.full, self.comm)
+            self.truth = ExactReference(self.full, self.comm)
         else:
             if row is not None:
                 try:
@@ -128,7 +128,7 @@ class Ladder:
             going = [choice for choice in members if choice.name not in self.ends]
             if not going:
                 return
-            context: Bench | str | None = None
+            context: CostMesh | str | None = None
             try:
                 for choice in going:
                     scene = self._scene_of(choice, size)
@@ -143,11 +143,11 @@ class Ladder:
                     yield row
                     self._end(choice, found[choice.name], scene)
             finally:
-                if isinstance(context, Bench):
+                if isinstance(context, CostMesh):
                     context.close()
                     self.truth.forget()
 
-    def _bench(self, scene: Scene) -> Bench | str:
+    def _bench(self, scene: Scene) -> CostMesh | str:
         """A solver context whose forms are compiled already, or why there is none (collective)."""
         try:
             key = scene.pair.name, scene.options.start
@@ -156,11 +156,11 @@ class Ladder:
                 for method in ("penalty", "vi"):
                     with closing(SolverContext(scene, self.comm)) as context, suppress(NotConverged, InputError):
                         context.answer(replace(context.options, method=method, eps="auto"))
-            return Bench(scene, self.comm)
+            return CostMesh(scene, self.comm)
         except InputError as error:
             return without_name(error, self.full)
 
-    def _row_of(self, choice: Choice, context: Bench | str, scene: Scene) -> Row:
+    def _row_of(self, choice: Choice, context: CostMesh | str, scene: Scene) -> Row:
         """A row, or why there is none (collective)."""
         row: Row = {"choice": choice.name, "adaptive": False, "element": scene.pair.name}
         if isinstance(context, str):

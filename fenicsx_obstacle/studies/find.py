@@ -19,7 +19,7 @@ from fenicsx_obstacle.studies.convergence import OnRow, Row, Study
 from fenicsx_obstacle.studies.grid import last_part
 from fenicsx_obstacle.studies.orders import lookup
 from fenicsx_obstacle.studies.rows import RowStore, flat
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 _log = logging.getLogger(__name__)
 WITHIN = 1e-4  # of the interval: accuracy of the value that is found

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fenicsx_obstacle.studies.orders import lookup, parameter
-from fenicsx_obstacle.words import short
+from fenicsx_obstacle.text import short
 
 Row = Mapping[str, Any]
 Vary = Mapping[str, Sequence[Any]]  # values of each key

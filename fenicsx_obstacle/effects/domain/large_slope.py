@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from fenicsx_obstacle.effects.effect import Sampler, register
-from fenicsx_obstacle.effects.slopes import OfSlope
+from fenicsx_obstacle.effects.gradient_dependent import GradientDependent
 
 if TYPE_CHECKING:
     import ufl
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @register
 @dataclass(frozen=True)
-class LargeSlope(OfSlope):
+class LargeSlope(GradientDependent):
     """-div(s grad u/sqrt(1 + |grad u|^2)), s the surface tension: int s grad u . grad v/sqrt(1 + |grad u|^2).
 
     The tension of a film whose slopes are no longer small; its energy s times the area is convex. Without load it is a

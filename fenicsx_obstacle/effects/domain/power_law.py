@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from fenicsx_obstacle.effects.effect import Reader, Sampler, Units, keys_of, register
-from fenicsx_obstacle.effects.slopes import OfSlope
+from fenicsx_obstacle.effects.gradient_dependent import GradientDependent
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ FLAT = 1e-6  # slope below which a power law is that of a linear membrane
 
 @register
 @dataclass(frozen=True)
-class PowerLaw(OfSlope):
+class PowerLaw(GradientDependent):
     """-div(k |grad u|^(n-2) grad u), 1 < n < 4: int k (|grad u|^2 + d^2)^((n-2)/2) grad u . grad v.
 
     The n-Laplacian (Glowinski and Marrocco 1975): fluids, ice and torsion that creep by power laws. Where u is flat it

@@ -13,7 +13,7 @@ from msgspec import Struct
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 FOLDER = Path(__file__).parent / "scenes"
 LIST = "suite.toml"

@@ -40,8 +40,8 @@ def shares(count: int, *, truths: bool = False) -> dict[str, int]:
     for module, name in (("hypothesis", "Hypothesis"), ("sympy", "SymPy")):
         if find_spec(module) is None:
             raise InputError(f"random scenes are drawn with {name}, which is not there: pip install {module}")
-    from fenicsx_obstacle.verification.hard.chance import FAMILIES
-    from fenicsx_obstacle.verification.hard.families.every import TRUTHS
+    from fenicsx_obstacle.verification.hard.families.all_families import TRUTHS
+    from fenicsx_obstacle.verification.hard.random_scenes import FAMILIES
 
     if truths:
         return _alike(count, list(TRUTHS))
@@ -88,7 +88,7 @@ def _draw(name: str, count: int, seed: int, use: Callable[[Family], None]) -> No
     """Draw so many different scenes of a family, and use each."""
     import hypothesis
 
-    from fenicsx_obstacle.verification.hard.chance import FAMILIES
+    from fenicsx_obstacle.verification.hard.random_scenes import FAMILIES
 
     drawn: set[str] = set()
 

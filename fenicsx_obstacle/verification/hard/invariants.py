@@ -145,22 +145,22 @@ def beside_inequality(s: Solved, vi: Solved) -> list[Finding]:
     """
     assert s.eps is not None
     g, monotone = s.ground, s.ground.monotone
-    e, room = vi.minus(s), s.z + vi.z
+    e, margin = vi.minus(s), s.z + vi.z
     apart, known = s.apart(vi)
     sizes = s.norm(s.p), vi.norm(vi.p)
     low, high = s.penetration("lower"), s.penetration("upper")
-    room_p = s.norm(s.q) + vi.norm(vi.q)
+    margin_p = s.norm(s.q) + vi.norm(vi.q)
     most = max(largest(g.comm, np.abs(vi.p[g.touchable])) + largest(g.comm, (s.q + vi.q)[g.touchable]), 0.0)
     return [
         Finding("penalty and inequality: energy norm", "Thm 3.3", apart,
                 np.sqrt(s.eps) / 2 * sizes[1] + s.R + vi.R + known, g.held),
-        Finding("penalty and inequality: size of the pressure", "Thm 3.2", sizes[0], sizes[1] + room_p,
+        Finding("penalty and inequality: size of the pressure", "Thm 3.2", sizes[0], sizes[1] + margin_p,
                 g.held or g.symmetric),
         Finding("penetration", "eps max|p_h|", max(low, high), s.eps * most, monotone),
         Finding("the inequality's u is farther from the lower obstacle", "0 <= u_h - u_eps",
-                largest(g.comm, -e - high - room), 0.0, monotone),
+                largest(g.comm, -e - high - margin), 0.0, monotone),
         Finding("but by no more than the penetration", "u_h - u_eps <= penetration",
-                largest(g.comm, e - low - room), 0.0, monotone),
+                largest(g.comm, e - low - margin), 0.0, monotone),
         *_energies(s, vi, "energy below the inequality's"),
     ]  # fmt: skip
 

@@ -17,7 +17,7 @@ from fenicsx_obstacle.estimation.solved import EPSILON, ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
-from fenicsx_obstacle.solvers.range import NO_SOLUTION
+from fenicsx_obstacle.solvers.plausibility import NO_SOLUTION
 from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.verification.hard.invariants import Finding, beside_inequality, falling, of_one, same, violated
@@ -212,8 +212,8 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
     # the data too are rounded where they are shifted: obstacles and boundary values bound what that does to u
     rounded = 2 * EPSILON * abs(units.shift)
     stiff = np.where(g.touchable, old.diagonal / np.maximum(g.D, 1e-300), 0.0)
-    room = solved.z / units.height + old.z + rounded
-    room_p = solved.q / units.pressure + old.q + 4 * stiff * rounded
+    margin = solved.z / units.height + old.z + rounded
+    margin_p = solved.q / units.pressure + old.q + 4 * stiff * rounded
     R = solved.R / (units.height * np.sqrt(scale)) + rounded * np.sqrt(total(g.comm, old.diagonal))
     size = max(largest(g.comm, np.abs(old.p)), 1e-300)
     moved = largest(g.comm, d[g.touchable]) / size
@@ -225,8 +225,8 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
         Finding("other units: steps", "equations scale", more if units.shift else abs(more), 1,
                 units.exact(g.problem.model)),
         Finding("other units: the same u in the energy norm", "equations scale", distance, R + old.R + known, g.held),
-        Finding("other units: the same u at every node", "equations scale", largest(g.comm, np.abs(e) - room), 0.0,
+        Finding("other units: the same u at every node", "equations scale", largest(g.comm, np.abs(e) - margin), 0.0,
                 g.monotone),
-        Finding("other units: the same pressure", "equations scale", largest(g.comm, (d - room_p)[g.touchable]), 0.0,
+        Finding("other units: the same pressure", "equations scale", largest(g.comm, (d - margin_p)[g.touchable]), 0.0,
                 g.monotone),
     ]  # fmt: skip

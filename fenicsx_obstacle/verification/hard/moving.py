@@ -71,8 +71,8 @@ def _energies(answer: Answer) -> list[Finding]:
     if not falls:
         return []
     # a step leaves forces unbalanced up to the solvers' tolerance, which do work
-    room = TOLERANCE * len(energy) * float(np.ptp(energy) + np.abs(energy).max())
-    return [Finding("energy never grows", "each step minimises", float(np.diff(energy).max()), room)]
+    margin = TOLERANCE * len(energy) * float(np.ptp(energy) + np.abs(energy).max())
+    return [Finding("energy never grows", "each step minimises", float(np.diff(energy).max()), margin)]
 
 
 def _beside_inequality(answer: Answer, solved: Solved, exact: Answer, vi: Solved) -> list[Finding]:
@@ -87,9 +87,9 @@ def _beside_inequality(answer: Answer, solved: Solved, exact: Answer, vi: Solved
     deepest = float(np.nanmax(answer.time_history.column("penetration")))
     off = answer.u.x.array - exact.u.x.array
     steps = len(answer.time_history.rows)
-    room = steps * max(largest(g.comm, solved.z + vi.z), 0.0)
+    margin = steps * max(largest(g.comm, solved.z + vi.z), 0.0)
     claimed = solved.ground.monotone and answer.scene.time.scheme in ("euler", "equilibria")
     return [
         Finding("all steps: no farther from the inequality's u than the penetration", "maximum principle",
-                largest(g.comm, np.abs(off)), deepest + room, claimed and answer.scene.time.order < INERTIA),
+                largest(g.comm, np.abs(off)), deepest + margin, claimed and answer.scene.time.order < INERTIA),
     ]  # fmt: skip

@@ -68,7 +68,7 @@ def _by_place(points: np.ndarray) -> np.ndarray:
 def agree_on(one: Fields, other: Fields, method: str) -> list[Finding]:
     """Findings of one method on one rank and on another number of ranks."""
     apart = {name: np.abs(one[f"{method}.{name}"] - other[f"{method}.{name}"]) for name in "up"}
-    room = {name: one[f"{method}.{name}"] + other[f"{method}.{name}"] for name in "zq"}
+    margin = {name: one[f"{method}.{name}"] + other[f"{method}.{name}"] for name in "zq"}
     energies = one[f"{method}.energy"], other[f"{method}.energy"]
     claimed, held = bool(one["monotone"]), bool(one["held"])
     e = one[f"{method}.u"] - other[f"{method}.u"]
@@ -78,8 +78,8 @@ def agree_on(one: Fields, other: Fields, method: str) -> list[Finding]:
                 GRID * float(np.ptp(one["points"]))),
         Finding("ranks: the same u in the energy norm", "unique", max(squared, 0.0) ** 0.5,
                 float(one[f"{method}.R"] + other[f"{method}.R"]), held),
-        Finding("ranks: the same u at every node", "unique", float((apart["u"] - room["z"]).max()), 0.0, claimed),
-        Finding("ranks: the same pressure", "unique", float((apart["p"] - room["q"]).max()), 0.0, claimed),
+        Finding("ranks: the same u at every node", "unique", float((apart["u"] - margin["z"]).max()), 0.0, claimed),
+        Finding("ranks: the same pressure", "unique", float((apart["p"] - margin["q"]).max()), 0.0, claimed),
         Finding("ranks: the same energy", "unique", float(abs(energies[0][0] - energies[1][0])),
                 float(energies[0][1] + energies[1][1])),
     ]  # fmt: skip

@@ -48,7 +48,7 @@ def rows_of(one: Case) -> list[Row]:
     """The rows of a case: those its process wrote, and one for each number of ranks."""
     with tempfile.TemporaryDirectory(prefix="obstacle-") as folder:
         file = Path(folder) / "1.npz"
-        text, trouble = _process(launch(1, "-m", f"{MODULES}.one", one.name, str(file)))
+        text, trouble = _process(launch(1, "-m", f"{MODULES}.run_case", one.name, str(file)))
         rows = [json.loads(line) for line in text.splitlines() if line.startswith("{")]
         if trouble:
             return [*rows, _lost(one, trouble)]

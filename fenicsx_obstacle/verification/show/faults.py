@@ -62,7 +62,7 @@ def _families(root: Path) -> Iterator[tuple[str, Iterator[Fault]]]:
 def _silent() -> Iterator[Fault]:
     """Traps for solvers, on one rank and on three."""
     for ranks in (1, 3):
-        command = launch(ranks, "-m", "fenicsx_obstacle.verification.hard.silent")
+        command = launch(ranks, "-m", "fenicsx_obstacle.verification.hard.unsolvable")
         last = time.perf_counter()
         for record in records(command, clean(), 60.0):
             wrong = "" if record["held"] else record["said"]

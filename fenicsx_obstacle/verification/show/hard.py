@@ -12,14 +12,14 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.parallel import on_root, write_lines, write_text
 from fenicsx_obstacle.show.figures import save
+from fenicsx_obstacle.text import counted
 from fenicsx_obstacle.verification.hard.cases import cases, named
-from fenicsx_obstacle.verification.hard.figures import RESOLVED, Figures, digits_panels, figures_of, panels
 from fenicsx_obstacle.verification.hard.judge import METHODS
 from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT, Row
 from fenicsx_obstacle.verification.hard.suite import one_rank, run
+from fenicsx_obstacle.verification.hard.summary import RESOLVED, Summary, digits_panels, figures_of, panels
 from fenicsx_obstacle.verification.show.theory import drawing
 from fenicsx_obstacle.verification.theory.statement import Found, Panel
-from fenicsx_obstacle.words import counted
 
 LINES, TABLES, STEPS, DIGITS = "hard.jsonl", "tables.md", "steps.png", "digits.png"
 HEADS = ("scene", "family", "right", "refused", "FAILED", "VI", "penalty", "(3.4)*", "maximum", "meshes", "s")
@@ -47,7 +47,7 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
     """
     one_rank()
     start, comm = time.perf_counter(), MPI.COMM_WORLD
-    found: list[tuple[Figures, list[Row]]] = []
+    found: list[tuple[Summary, list[Row]]] = []
     wanted = cases() if name is None else named(name)
     widths = [max(len(getattr(one, key)) for one in wanted) for key in ("name", "family")]
     say(_line(HEADS, widths))
@@ -69,7 +69,7 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
     return rows
 
 
-def summary(all_figures: Sequence[Figures], seconds: float) -> str:
+def summary(all_figures: Sequence[Summary], seconds: float) -> str:
     """The verdicts, counted, what waits, and what the meshes do not resolve."""
     count: Counter[str] = Counter()
     for figures in all_figures:
@@ -85,7 +85,7 @@ def summary(all_figures: Sequence[Figures], seconds: float) -> str:
     return "\n".join(lines)
 
 
-def markdown(all_figures: Sequence[Figures]) -> str:
+def markdown(all_figures: Sequence[Summary]) -> str:
     """One table for each family, as docs/hard_scenes.md has them."""
     lines = []
     for family in dict.fromkeys(figures.case.family for figures in all_figures):
@@ -94,7 +94,7 @@ def markdown(all_figures: Sequence[Figures]) -> str:
     return "\n".join(lines[1:]) + "\n"
 
 
-def _described(figures: Figures) -> list[str]:
+def _described(figures: Summary) -> list[str]:
     one = figures.case
     verdicts = _verdicts(figures)
     if figures.unknowns is None:
@@ -105,7 +105,7 @@ def _described(figures: Figures) -> list[str]:
             _share(figures.moved), verdicts]  # fmt: skip
 
 
-def _verdicts(figures: Figures) -> str:
+def _verdicts(figures: Summary) -> str:
     """All alike, or how many were refused or have failed."""
     count = figures.verdicts
     few = [f"{count[verdict]} {verdict}" for verdict in (REFUSED, FAILED) if count[verdict]]
@@ -114,7 +114,7 @@ def _verdicts(figures: Figures) -> str:
     return ", ".join(["right", *few])
 
 
-def _cells(figures: Figures) -> tuple[Any, ...]:
+def _cells(figures: Summary) -> tuple[Any, ...]:
     one, count = figures.case, figures.verdicts
     steps = [figures.steps[method] or "" for method in ("vi", *METHODS)]
     maximum = {True: "yes", False: "no", None: ""}[figures.monotone]

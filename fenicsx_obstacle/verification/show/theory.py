@@ -1,4 +1,4 @@
-"""What `theory` shows: a table of claims and observations, a picture for each statement, JSON lines."""
+"""Output of `theory`: a conclusion, a table of claims and observations, a picture for each statement, JSON lines."""
 
 from __future__ import annotations
 
@@ -6,17 +6,26 @@ import math
 import re
 import textwrap
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
+from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.parallel import on_root, write_lines
+from fenicsx_obstacle.scenes.catalogue import names
 from fenicsx_obstacle.show.figures import figure, save, style
+from fenicsx_obstacle.text import counted
 from fenicsx_obstacle.verification.theory.statement import Curve, Finding, Found, Panel, find, statements
 
-HEADS = ("statement", "quantity", "claimed", "expected", "observed", "verdict")
+HEADS = ("quantity", "statement", "claimed", "expected", "observed", "verdict")
+CONCLUSIONS = {  # by verdict
+    "holds": "as stated", "sharp": "with exactly the claimed order or constant (sharp)",
+    "not sharp": "better than claimed (not sharp)", "needs hypothesis": "only under a further hypothesis",
+    "misprint": "after the correction of a misprint",
+}  # fmt: skip
 LINES = "theory.jsonl"
 CROWDED = 6  # curves that leave no room for a legend
 
@@ -42,7 +51,7 @@ def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) ->
         rows += [{"number": one.number, **finding.record} for finding in found.findings]
         lines = folder / (LINES if number is None else f"{slug(one.number)}.jsonl")
         on_root(comm, write_lines, lines, rows)
-        say(f"\n{one.number}  {one.title}\n\n{table(found.findings)}")
+        say(f"\n{one.number}  {one.title}\n\n  {conclusion(found.findings)}\n\n{table(found.findings)}")
         told = f"{time.perf_counter() - start:.0f} s"
         if found.panels:
             picture = folder / f"{slug(one.number)}.png"
@@ -52,14 +61,42 @@ def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) ->
     return rows
 
 
+def conclusion(findings: Sequence[Finding]) -> str:
+    """One sentence: how many rows of a table fail, or how many have each verdict."""
+    verdicts = Counter(finding.verdict for finding in findings)
+    if failed := verdicts.pop("FAILS", 0):
+        return f"Conclusion: FAILS in {failed} of {counted(len(findings), 'row')}."
+    parts = [f"{verdicts[verdict]} {words}" for verdict, words in CONCLUSIONS.items() if verdict in verdicts]
+    return f"Conclusion: no value contradicts the theory ({counted(len(findings), 'row')}): {', '.join(parts)}."
+
+
 def table(findings: Sequence[Finding]) -> str:
-    """Claims beside observations, as lines of text."""
-    rows = [HEADS, *((f.statement, f.quantity, f.claimed, _number(f.expected), _number(f.observed), f.verdict)
-                     for f in findings)]  # fmt: skip
+    """Claims beside observations, as lines of text: a group of rows for each scene or pair."""
+    groups: dict[str, list[tuple[str, ...]]] = {}
+    for one in findings:
+        quantity, scene = split(one.quantity)
+        row = (quantity, one.statement, one.claimed, _number(one.expected), _number(one.observed), one.verdict)
+        groups.setdefault(scene, []).append(row)
+    rows = [HEADS, *(row for group in groups.values() for row in group)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEADS))]
     sides = [str.rjust if head in ("expected", "observed") else str.ljust for head in HEADS]
-    lines = ("  ".join(put(cell, width) for put, cell, width in zip(sides, row, widths, strict=True)) for row in rows)
-    return "\n".join("  " + line.rstrip() for line in lines)
+
+    def line(row: Sequence[str]) -> str:
+        cells = (put(cell, width) for put, cell, width in zip(sides, row, widths, strict=True))
+        return "    " + "  ".join(cells).rstrip()
+
+    lines = [line(HEADS)]
+    for scene, group in groups.items():
+        lines += [f"  {scene}"] if scene else []
+        lines += [line(row) for row in group]
+    return "\n".join(lines)
+
+
+def split(quantity: str) -> tuple[str, str]:
+    """What is measured, and the scene of the catalogue, or the pair, on which it is measured; "" if it names none."""
+    known = "|".join(map(re.escape, sorted([*names(), *pairs()], key=len, reverse=True)))
+    found = re.search(rf", ((?:{known})(?:,.*)?)$", quantity)
+    return (quantity[: found.start()], found[1]) if found else (quantity, "")
 
 
 def slug(number: str) -> str:

@@ -11,8 +11,8 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.own_weights import own_weights
-from fenicsx_obstacle.estimation import singular
+from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
+from fenicsx_obstacle.estimation import singular_values
 from fenicsx_obstacle.forms.pairs import Pair
 
 RICHER = 2  # degrees above V_h of the space that stands for H^1_0
@@ -47,11 +47,11 @@ class Stability:
 
         Unit: length, or dimensionless on a domain of size 1.
         """
-        return singular.smallest(self._seen(self._I), self._H, self._norm, dense)
+        return singular_values.smallest(self._seen(self._I), self._H, self._norm, dense)
 
     def alpha_hat(self, dense: bool | None = None) -> float:
         """The same with (q, v) in place of I(q, v), as (4.7) has it."""
-        return singular.smallest(self._seen(self._duality), self._H, self._norm, dense)
+        return singular_values.smallest(self._seen(self._duality), self._H, self._norm, dense)
 
     def beta(self, dense: bool | None = None, *, rich: bool = False) -> float:
         """The constant of the dual norm, sup_v I(q, v)/||v||_1 >= beta_h ||q||_1*, for the same q; dimensionless.
@@ -66,18 +66,18 @@ class Stability:
             W = releases.functionspace(self.mesh, "Lagrange", self.pair.degree + RICHER)
             free = _interior(W)
             dual = (self._seen(_part(_matrix(self._q * ufl.TrialFunction(W) * ufl.dx), None, free)), _gram(W, free))
-        return singular.smallest(self._seen(self._I), self._H, dual, dense)
+        return singular_values.smallest(self._seen(self._I), self._H, dual, dense)
 
     def equivalence(self, dense: bool | None = None) -> tuple[float, float]:
         """Range of I(q, q)/||q||_0^2 over all of Q_h, (3.21) and (3.28)."""
-        return singular.ratios(self._lumped, self._M, dense)
+        return singular_values.ratios(self._lumped, self._M, dense)
 
     def spectrum(self) -> np.ndarray:
         """Singular values of I between V_h and all of Q_h, ascending, one for each pressure, by LAPACK.
 
         The first is alpha_h of (3.18) to the letter, for all of Q_h.
         """
-        return singular.spectrum(self._I, self._H, self._M)
+        return singular_values.spectrum(self._I, self._H, self._M)
 
     def kernel(self) -> tuple[int, float]:
         """Dimension of {q in Q_h: I(q, v) = 0 for all v}, and the smallest singular value that is not zero."""
@@ -126,7 +126,7 @@ class Stability:
         D = _matrix(self._q * ufl.TrialFunction(self.Q) * self.rule.on(ufl.dx))
         if self.pair.own_weights:
             weights = D.getDiagonal()
-            weights.array[:] = own_weights(self.pair, self.V)
+            weights.array[:] = weights_of_cells(self.pair, self.V)
             D.setDiagonal(weights)
         return D
 

@@ -114,7 +114,7 @@ def nesting(comm: MPI.Comm) -> list[Finding]:
         all(answer.record["m_matrix"] and entered(answer.history) == 0 for answer in runs),
     )]  # fmt: skip
     most = max(answer.record["newton_iterations"] / (answer.record["free"] + 1) for answer in runs)
-    found.append(check(WHERE, "steps over free nodes + 1, the most", "finite", most, most <= 1, "holds with room"))
+    found.append(check(WHERE, "steps over free nodes + 1, the most", "finite", most, most <= 1, "not sharp"))
     bent = _runs(_sheared(comm), comm)
     most = max(answer.record["newton_iterations"] for answer in bent)
     found.append(check(WHERE, "steps on obtuse triangles, no M-matrix", "finite", most,

@@ -121,7 +121,7 @@ def _bounds(all_seen: list[Approach]) -> list[Finding]:
         check("Thm 3.2", "|p_eps|_I over |p_h|_I, the most: without LBB", "1 at most",
               *_at_most_one([a.size for a in all_seen], 1e-9)),
         check("Thm 3.2", "a(e, e) over (eps/4) |p_h|_I^2, the most: without LBB", "1 at most",
-              *_at_most_one([a.work for a in all_seen], 0.0), "holds with room"),
+              *_at_most_one([a.work for a in all_seen], 0.0), "not sharp"),
     ]  # fmt: skip
 
 

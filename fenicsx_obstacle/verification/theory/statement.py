@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.words import nearest
+from fenicsx_obstacle.text import nearest
 
 RATE_MARGIN = 0.15  # between rates that count as the same
 CLOSE = 0.05  # between constants that count as the same, relative
@@ -31,7 +31,7 @@ class Finding:
         claimed: The paper's claim, in a few words or as a number.
         expected: What the theory, sharpened or corrected where it has to be, gives; None where it gives no number.
         observed: What is measured here.
-        verdict: holds, holds with room, sharp, misprint, needs hypothesis, or FAILS.
+        verdict: holds, not sharp, sharp, misprint, needs hypothesis, or FAILS.
     """
 
     statement: str
@@ -161,7 +161,7 @@ def rate(where: str, quantity: str, claimed: float, expected: float, x: Sequence
     if abs(seen - expected) > RATE_MARGIN:
         verdict = "FAILS"
     else:
-        verdict = "sharp" if abs(expected - claimed) <= RATE_MARGIN / 2 else "holds with room"
+        verdict = "sharp" if abs(expected - claimed) <= RATE_MARGIN / 2 else "not sharp"
         verdict = verdict if expected >= claimed - RATE_MARGIN / 2 else "needs hypothesis"
     return Finding(where, quantity, f"order {claimed:.3g}", expected, seen, verdict)
 

@@ -21,8 +21,8 @@ from fenicsx_obstacle.verification.hard.families.closed import (
     load_of,
     square,
 )
-from fenicsx_obstacle.verification.hard.families.draws import bounds, place, power
 from fenicsx_obstacle.verification.hard.families.meshes import meshes
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, place, power
 from fenicsx_obstacle.verification.hard.families.varying import SMOOTH
 
 REACH = 2.5  # no point of a mesh is farther from the origin

@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import bounds, grids, place, power
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import Family, Judgement, toml
 from fenicsx_obstacle.verification.hard.families.integrals import Circle, Pieces, energy_error
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, grids, place, power
 
 CIRCLES = ("where(r < {a}, {k}, 1)", "where(x^2 + y^2 < {aa}, {k}, 1)", "({k})*(r < {a}) + (r >= {a})",
            "where(hypot(x, y) >= {a}, 1, {k})")  # fmt: skip

@@ -10,8 +10,8 @@ from hypothesis import assume
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.verification.hard.families.closed import Circle, ClosedForm, Piecewise, Side, square
-from fenicsx_obstacle.verification.hard.families.draws import bounds, place, power
 from fenicsx_obstacle.verification.hard.families.meshes import meshes
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, place, power
 
 
 @dataclass(frozen=True)

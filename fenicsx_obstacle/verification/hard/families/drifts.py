@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.special import expi
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import power
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import ANSWER, EITHER, Family, Judgement, toml
+from fenicsx_obstacle.verification.hard.families.strategies import power
 
 MILD, PLAIN = 1.0, 1e4  # growth of u over that without drift up to which it must be answered: on any mesh, if resolved
 POINTS = 20001  # of the quadrature
@@ -76,8 +76,8 @@ class Strip(Family):
         if answer is None:
             return
         low, high = Field(answer.u).ends()
-        room = 1e-9 if self.shape == "interval" else 0.01
-        judgement.check(low >= -room * max(abs(low), high),
+        margin = 1e-9 if self.shape == "interval" else 0.01
+        judgement.check(low >= -margin * max(abs(low), high),
                         f"u from {low:.6g} to {high:.6g}; true: from 0 to {true.max():.6g}")  # fmt: skip
         if peclet <= RESOLVED:
             # the drift's potential is off by Peclet^2/3 of itself at most

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import place
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import ANSWER, EITHER, Family, Judgement
+from fenicsx_obstacle.verification.hard.families.strategies import place
 
 TELLING = ("connect", "component", "duplicate", "coincid", "on top of", "separate", "fragment", "pieces", "bodies")
 

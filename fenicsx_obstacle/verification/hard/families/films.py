@@ -10,9 +10,9 @@ import numpy as np
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import power
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import ANSWER, EITHER, REJECTION, Family, Judgement, toml
+from fenicsx_obstacle.verification.hard.families.strategies import power
 
 SQUARE = 2 + sqrt(np.pi)  # perimeter over area, the least of all parts of the unit square (Cheeger's constant)
 
@@ -81,8 +81,8 @@ class Film(Family):
         else:
             reach = self.size if self.kind == "cap" else self.size / 2
             least = most = self.height(reach, arc=self.kind != "cap")
-        room = 0.05 + 4 / self.cells if self.ratio <= 0.9 else 1.0
-        right = least * (1 - room) <= top <= most * (1 + room)
+        margin = 0.05 + 4 / self.cells if self.ratio <= 0.9 else 1.0
+        right = least * (1 - margin) <= top <= most * (1 + margin)
         judgement.check(right, f"largest |u| {top:.6g}; true: {least:.6g} to {most:.6g}")
 
     def height(self, reach: float, *, arc: bool = False) -> float:

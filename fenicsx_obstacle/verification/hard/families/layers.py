@@ -10,10 +10,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import bounds, grids, place, power
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import Family, Judgement, toml
 from fenicsx_obstacle.verification.hard.families.integrals import Pieces, energy_error
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, grids, place, power
 
 SPELLINGS = ("where({s} < {c}, {a}, {b})", "({a})*({s} < {c}) + ({b})*({s} >= {c})",
              "where(sign({s} - {c}) < 0, {a}, {b})", "where(not {s} < {c}, {b}, {a})")  # fmt: skip

@@ -10,8 +10,8 @@ import sympy
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.verification.hard.families.closed import ClosedForm, Line, Piecewise, everywhere, line_at, x, y
-from fenicsx_obstacle.verification.hard.families.draws import bounds, place, power
 from fenicsx_obstacle.verification.hard.families.meshes import DIAGONALS, meshes
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, place, power
 
 R = sympy.sqrt(x**2 + y**2)
 

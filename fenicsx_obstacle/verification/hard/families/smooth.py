@@ -13,10 +13,10 @@ from numpy.polynomial import polynomial
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import bounds, grids
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import EITHER, Family, Judgement, toml
 from fenicsx_obstacle.verification.hard.families.integrals import Pieces, energy_error
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, grids
 
 SIZE = 4  # of coefficients: degree 3 at most
 Coefficients = tuple[tuple[float, ...], ...]

@@ -27,8 +27,8 @@ from fenicsx_obstacle.verification.hard.families.closed import (
     load_of,
     square,
 )
-from fenicsx_obstacle.verification.hard.families.draws import bounds, place
 from fenicsx_obstacle.verification.hard.families.meshes import meshes
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, place
 from fenicsx_obstacle.verification.hard.families.varying import SMOOTH, TENSIONS
 
 KINDS = ("half", "strip", "band", "disc", "hole", "wedge", "tent", "cone", "two")

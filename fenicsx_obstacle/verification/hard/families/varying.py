@@ -8,8 +8,8 @@ from typing import Any
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.verification.hard.families.closed import ClosedForm, Piecewise, everywhere, expression, load_of
-from fenicsx_obstacle.verification.hard.families.draws import bounds, power
 from fenicsx_obstacle.verification.hard.families.meshes import meshes
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, power
 
 POLYNOMIALS = ("x**2 - x*y", "x**3*y - y**2", "x*(1 - x)*y", "x + 2*y", "x**4 - y**3")
 SMOOTH = (*POLYNOMIALS, "exp(x)*sin(2*y)", "sin(3*x + y)", "log(3 + x + y)", "sqrt(2 + x*y)", "exp(-2*(x**2 + y**2))",

@@ -10,9 +10,9 @@ import numpy as np
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import power
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import ANSWER, EITHER, REJECTION, Family, Judgement, toml
+from fenicsx_obstacle.verification.hard.families.strategies import power
 
 SHAPES = (
     {"shape": "interval", "cells": 40}, {"shape": "rectangle", "cells": 9}, {"shape": "rectangle", "cells": 12},
@@ -69,8 +69,8 @@ class Unheld(Family):
             if answer is not None and "foundation" in self.feeble:
                 low, high = Field(answer.u).ends()
                 true = (-1 if self.upper else 1) * self.load / self.feeble["foundation"]
-                room = AT_THE_LIMIT if self.feeble["foundation"] < FEEBLE * self.tension else 1e-4
-                judgement.check(max(abs(low - true), abs(high - true)) <= room * abs(true),
+                margin = AT_THE_LIMIT if self.feeble["foundation"] < FEEBLE * self.tension else 1e-4
+                judgement.check(max(abs(low - true), abs(high - true)) <= margin * abs(true),
                                 f"u from {low:.6g} to {high:.6g}; true: {true:.6g} everywhere")  # fmt: skip
             return
         answer = judgement.solve(self.scene, ANSWER, **self.options)
@@ -154,9 +154,9 @@ class Feeble(Family):
         if answer is None:
             return
         low, high = Field(answer.u).ends()
-        least, most, room = self.truth()
+        least, most, margin = self.truth()
         words = f"u from {low:.6g} to {high:.6g}; true: from {least:.6g} to {most:.6g}"
-        right = max(abs(low - least), abs(high - most)) <= room * max(abs(least), abs(most))
+        right = max(abs(low - least), abs(high - most)) <= margin * max(abs(least), abs(most))
         if self.kind == "strip":  # a mesh may not see its width: whole cells may bear
             most_borne = 1 + 4 / (self.cells * self.width)
             right = 1 / most_borne / 1.5 <= high / most <= 1.5 * most_borne

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.afloat import LIMIT
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EPSILON = float(np.finfo(float).eps)

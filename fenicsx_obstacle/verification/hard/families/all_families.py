@@ -5,18 +5,18 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.verification.hard.families import (
+    boundary_values,
     conditions,
     curves,
     discs,
     drifts,
+    equilibria,
     files,
     films,
     layers,
     residuals,
-    rims,
     sectors,
     smooth,
-    support,
     touching,
     varying,
 )
@@ -39,11 +39,11 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
     **TRUTHS,
-    "boundary values": rims.rims(),
-    "ends of boundary parts": rims.ends(),
-    "obstacle alone": support.unheld(),
-    "feeble support": support.feebles(),
-    "soft obstacle alone": support.softs(),
+    "boundary values": boundary_values.jumps(),
+    "ends of boundary parts": boundary_values.ends(),
+    "obstacle alone": equilibria.unheld(),
+    "feeble support": equilibria.feebles(),
+    "soft obstacle alone": equilibria.softs(),
     "residual of one's own": residuals.forms(),
     "drift along x": drifts.strips(),
     "drift from a point": drifts.radial(),

@@ -25,14 +25,14 @@ from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.words import shown
+from fenicsx_obstacle.text import shown
 
 _NOT_SMOOTH = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
 ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class OfForm(Effect):
+class ResidualForm(Effect):
     """The caller's residual F(u; v).
 
     Attributes:

@@ -24,12 +24,12 @@ from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.solvers.newton import smallest_eps
 from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
-from fenicsx_obstacle.studies.truth import Truth, sizes_of
+from fenicsx_obstacle.studies.reference_solution import Truth, sizes_of
 
 EPSILON = float(np.finfo(float).eps)
 
 
-class Bench:
+class CostMesh:
     """A solver context, the solution of the inequality on its mesh, and what a Poisson solve takes there."""
 
     def __init__(self, scene: Scene, comm: MPI.Comm):
@@ -116,7 +116,7 @@ def too_many(budget: Budget) -> str:
     return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"
 
 
-def place(context: Bench, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
+def place(context: CostMesh, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
     """One place of the map over h and eps: k powers of ten below 1/mu L^2 (collective)."""
     problem = context.work.problem
     h = problem.level.h

@@ -9,7 +9,7 @@ from fenicsx_obstacle.estimation.cell_data import other_effects
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 
 
-def refuse_no_bound(problem: Problem) -> None:
+def check_bound_exists(problem: Problem) -> None:
     """Check that there is a bound for a problem.
 
     Raises:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.every import KNOWN
+from fenicsx_obstacle.verification.hard.families.all_families import KNOWN
 from fenicsx_obstacle.verification.hard.families.family import Family, Judgement, toml
 from fenicsx_obstacle.verification.hard.families.meshes import skewed
 from fenicsx_obstacle.verification.hard.judge import judge
@@ -71,7 +71,7 @@ class Drawn(Family):
         asked = f"SNES VI, penalty and (3.4)* with eps = {', '.join(self.epsilons())}"
         if self.skew is None:
             return toml(self.scene(), asked)
-        return f"from fenicsx_obstacle.verification.hard.chance import Drawn\n{self!r}.scene()  # {asked}"
+        return f"from fenicsx_obstacle.verification.hard.random_scenes import Drawn\n{self!r}.scene()  # {asked}"
 
 
 def _power(low: int, high: int) -> st.SearchStrategy[float]:

@@ -10,13 +10,13 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.afloat import LIMIT
+from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.signs import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
-from fenicsx_obstacle.solvers.meaning import EPSILON, forces_of_data, range_of_data
 
 NEAR = 1e-8  # of the values of the data: not beyond them
 NO_SOLUTION = "which no solution does"  # words of the rejection
@@ -56,8 +56,8 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     u = problem.w.x.array + problem.reference.x.array
     least, most = smallest(comm, u), largest(comm, u)
     beyond = {-1: low - least, 1: most - high}
-    room = NEAR * max(abs(low), abs(high))
-    if low > high or max(beyond.values()) <= room:
+    margin = NEAR * max(abs(low), abs(high))
+    if low > high or max(beyond.values()) <= margin:
         return None
     pushes = [effect.push(problem.data) for effect in problem.model.effects]
     if not pushes or None in pushes or forces_of_data(problem) == 0:  # without forces u is round-off
@@ -65,7 +65,7 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
     lowest = sum(smallest(comm, push[0]) for push in pushes if push is not None)
     highest = sum(largest(comm, push[1]) for push in pushes if push is not None)
     for side, applies, allowed in ((-1, lowest >= 0, most - low), (1, highest <= 0, high - least)):
-        if not applies or beyond[side] <= max(room, LIMIT * allowed):
+        if not applies or beyond[side] <= max(margin, LIMIT * allowed):
             continue
         if problem.affine and problem.level.pair.nodal and problem.nodal.pushes(side):
             continue  # by a load that samples miss
@@ -140,7 +140,7 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     velocity = next((found for effect in effects if (found := effect.velocity) is not None), None)
     if velocity is None or not (problem.affine and level.pair.nodal):
         return None
-    from fenicsx_obstacle.discrete.flow import depth_of_sources, peclet, speed  # only where a model has drift
+    from fenicsx_obstacle.discrete.peclet import depth_of_sources, peclet, speed  # only where a model has drift
 
     if (number := peclet(data, velocity)) <= 1:
         return None

@@ -1,6 +1,6 @@
 """Problems that a solver cannot solve: it must say so, in the same words on every rank, and never return an answer.
 
-`[mpirun -n N] python -m fenicsx_obstacle.verification.hard.silent` sets each trap once and prints JSON lines.
+`[mpirun -n N] python -m fenicsx_obstacle.verification.hard.unsolvable` tries each problem once and prints JSON lines.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ from fenicsx_obstacle.verification.processes import tell
 
 
 @dataclass(frozen=True)
-class Trap:
+class Unsolvable:
     """A problem without an answer.
 
     Attributes:
         name: What is wrong.
-        spring: Solves it (collective).
+        solve: Solves it (collective).
         options: PETSc's options meanwhile.
     """
 
     name: str
-    spring: Callable[[MPI.Comm], object]
+    solve: Callable[[MPI.Comm], object]
     options: Mapping[str, Any]
 
 
-def spring(trap: Trap, comm: MPI.Comm) -> tuple[bool, str]:
-    """Set off a trap (collective).
+def attempt(problem: Unsolvable, comm: MPI.Comm) -> tuple[bool, str]:
+    """Try to solve a problem (collective).
 
     Returns:
         Whether all ranks had the same error of ours, and what it says, or what was wrong.
     """
     try:
-        with defaults("", trap.options):
-            trap.spring(comm)
+        with defaults("", problem.options):
+            problem.solve(comm)
         mine = "an answer"
     except ObstacleError as error:
         mine = f"{type(error).__name__}: {error}"
@@ -59,14 +59,14 @@ def spring(trap: Trap, comm: MPI.Comm) -> tuple[bool, str]:
     return same and mine != "an answer", mine if same else f"ranks differ: {' | '.join(said)}"
 
 
-def traps() -> Iterator[Trap]:
+def problems() -> Iterator[Unsolvable]:
     """All of them."""
     yield from _limits()
     yield from _scenes()
     yield from _forms()
 
 
-def _limits() -> Iterator[Trap]:
+def _limits() -> Iterator[Unsolvable]:
     """One step where more are needed."""
     ball = {"cells": 16, "eps": 1e-8}
     for method in ("penalty", "successive", "vi"):
@@ -74,19 +74,19 @@ def _limits() -> Iterator[Trap]:
             if (method, start) != ("successive", "nested"):  # which (3.4)* never is
                 one = {f"{'vi' if method == 'vi' else 'penalty'}_snes_max_it": 1}
                 given = {"method": method, "start": start, **({} if method == "vi" else ball), "cells": 16}
-                yield Trap(f"{method}, {start}: one step", _catalogued("ball", **given), one)
+                yield Unsolvable(f"{method}, {start}: one step", _catalogued("ball", **given), one)
     one = {"penalty_snes_max_it": 1}
-    yield Trap("vi by multipliers: one step", _catalogued("ball", method="vi", element="Q1-gauss", cells=16), one)
-    yield Trap("with a bound: one step", _catalogued("ball", **ball, start="cold", bound=True), one)
-    yield Trap("to a tolerance: one step", _catalogued("ball", tol=0.1, cells=16, start="cold"), one)
+    yield Unsolvable("vi by multipliers: one step", _catalogued("ball", method="vi", element="Q1-gauss", cells=16), one)
+    yield Unsolvable("with a bound: one step", _catalogued("ball", **ball, start="cold", bound=True), one)
+    yield Unsolvable("to a tolerance: one step", _catalogued("ball", tol=0.1, cells=16, start="cold"), one)
     for prefix, method in (("penalty", "penalty"), ("penalty", "successive"), ("vi", "vi")):
         given = {"method": method, "cells": 16, "start": "cold", **({} if method == "vi" else {"eps": 1e-8})}
         none = {f"{prefix}_ksp_type": "preonly", f"{prefix}_pc_type": "none", f"{prefix}_ksp_norm_type": "none",
                 f"{prefix}_snes_max_it": 60}  # fmt: skip
-        yield Trap(f"{method}: no linear solver at all", _catalogued("ball", **given), none)
+        yield Unsolvable(f"{method}: no linear solver at all", _catalogued("ball", **given), none)
 
 
-def _scenes() -> Iterator[Trap]:
+def _scenes() -> Iterator[Unsolvable]:
     """Data with a hole at one place."""
     hole = "where(abs(x - 0.53125) < 0.04, where(abs(y - 0.53125) < 0.04, 0/0, -1), -1)"
     rim = "where(x > 0.99, where(abs(y - 1/2) < 0.04, 0/0, 0), 0)"
@@ -100,10 +100,10 @@ def _scenes() -> Iterator[Trap]:
     ]
     for what, given in cases:
         for method in ("penalty", "vi"):
-            yield Trap(f"{method}: {what}", _squared(method, given), {})
+            yield Unsolvable(f"{method}: {what}", _squared(method, given), {})
 
 
-def _forms() -> Iterator[Trap]:
+def _forms() -> Iterator[Unsolvable]:
     """Somebody else's residual, which nothing is known of."""
     for eps in (1e-6, None):
         way = "SNES VI" if eps is None else "penalty"
@@ -112,12 +112,12 @@ def _forms() -> Iterator[Trap]:
             for field in ("load", "upper", "value", "start"):
                 if field == "start" and eps is None:
                     continue
-                yield Trap(f"form, {way}: {field} not a number at one node of the {where} rank",
+                yield Unsolvable(f"form, {way}: {field} not a number at one node of the {where} rank",
                            _form(eps, spoilt=field, rank=rank), {})  # fmt: skip
-        yield Trap(f"form, {way}: an energy without minimum", _form(eps, stiffness=-1.0, energy=True), {})
-        yield Trap(f"form, {way}: held nowhere, pulled away", _form(eps, held=False, pull=-1.0), {})
-        yield Trap(f"form, {way}: no matrix", _form(eps, stiffness=0.0), {})
-        yield Trap(f"form, {way}: one step", _form(eps, pull=3.0),
+        yield Unsolvable(f"form, {way}: an energy without minimum", _form(eps, stiffness=-1.0, energy=True), {})
+        yield Unsolvable(f"form, {way}: held nowhere, pulled away", _form(eps, held=False, pull=-1.0), {})
+        yield Unsolvable(f"form, {way}: no matrix", _form(eps, stiffness=0.0), {})
+        yield Unsolvable(f"form, {way}: one step", _form(eps, pull=3.0),
                    {f"{'vi' if eps is None else 'penalty'}_snes_max_it": 1})  # fmt: skip
 
 
@@ -165,15 +165,15 @@ def _form(
 
 
 def main() -> None:
-    """All traps, a JSON line each."""
+    """All problems, a JSON line each."""
     comm = MPI.COMM_WORLD
     abort_on_uncaught_errors(comm)
-    everything = list(traps())
-    for trap in everything:
-        held, said = spring(trap, comm)
+    everything = list(problems())
+    for problem in everything:
+        held, said = attempt(problem, comm)
         if comm.rank == 0:
-            last = trap is everything[-1]
-            tell({"name": trap.name, "held": held, "said": said, "last": last})
+            last = problem is everything[-1]
+            tell({"name": problem.name, "held": held, "said": said, "last": last})
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 
 
 @dataclass(frozen=True)
-class HeldBoundary:
+class DirichletBoundary:
     """The part of the boundary where u is given, and the box around the domain.
 
     Attributes:
@@ -70,7 +70,7 @@ class HeldBoundary:
         return load * self.area / (c * least_tension) if c > 0 else np.inf
 
 
-def held_boundary(simplices: Simplices, held_sides: np.ndarray) -> HeldBoundary:
+def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> DirichletBoundary:
     """Where u is given (collective).
 
     Args:
@@ -98,4 +98,4 @@ def held_boundary(simplices: Simplices, held_sides: np.ndarray) -> HeldBoundary:
         for at in (lower[axis], upper[axis]):
             on = held & np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1)
             faces[axis] += is_box and total(comm, size[on]) >= np.prod(np.delete(sides, axis)) * (1 - 1e-9)
-    return HeldBoundary(sides, area, bool(everywhere), faces)
+    return DirichletBoundary(sides, area, bool(everywhere), faces)

@@ -19,8 +19,8 @@ from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.estimation.norms import Distance, Exact
-from fenicsx_obstacle.estimation.truth import contact_truth
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
@@ -32,7 +32,7 @@ GROWTH = 3.0  # of unknowns from one adaptive mesh to the next, about
 Errors = dict[str, float]
 
 
-class ExactTruth:
+class ExactReference:
     """Errors against [exact]; of the contact as far as it is known.
 
     Attributes:
@@ -44,7 +44,7 @@ class ExactTruth:
         """Find contact area and force of the exact solution (collective)."""
         assert scene.exact is not None
         self.solution = scene.exact
-        self._contact = contact_truth(scene.model, scene.exact, meshes.coarsest(scene, comm))
+        self._contact = exact_contact(scene.model, scene.exact, meshes.coarsest(scene, comm))
         self.record: dict[str, Any] = {"exact": True, **self._contact}
         self._exact: tuple[SolverContext, Exact] | None = None
         self.occupied = 0.0
@@ -89,7 +89,7 @@ class Reference:
         self._nearby, self.occupied = None, 0.0
 
 
-Truth = ExactTruth | Reference
+Truth = ExactReference | Reference
 
 
 def contact_of(answer: Answer) -> dict[str, float]:

@@ -16,14 +16,14 @@ from fenicsx_obstacle.parallel import total
 
 
 class Obstacle(Protocol):
-    """One obstacle between the nodes: `peaks.Peaks` of P1, `element_p2.LatticeObstacle` of P2."""
+    """One obstacle between the nodes: `obstacle_excess.ObstacleExcess` of P1, `element_p2.LatticeObstacle` of P2."""
 
     sampled: bool
     unbounded: np.ndarray
 
 
 @dataclass(frozen=True)
-class Standing:
+class Certification:
     """What a bound rests on.
 
     Attributes:
@@ -85,7 +85,7 @@ class Hypotheses:
         if place := self._first(dirichlet.unbounded):
             self._reasons.append(f"the boundary value may be infinite or undefined near {place}")
 
-    def standing(self, reasons: Iterable[str], obstacles: Iterable[Obstacle]) -> Standing:
+    def certification(self, reasons: Iterable[str], obstacles: Iterable[Obstacle]) -> Certification:
         """What a bound rests on (collective).
 
         Args:
@@ -99,7 +99,7 @@ class Hypotheses:
         sampled = list(self._sampled)
         sampled += ["obstacle"] if any(side.sampled for side in obstacles) else []
         sampled += ["boundary value"] if self._rim.sampled else []
-        return Standing(tuple(found), tuple(sampled), level.polygonal is not True)
+        return Certification(tuple(found), tuple(sampled), level.polygonal is not True)
 
     def _near(self, cells: np.ndarray) -> str:
         """The first of some cells, in words; empty if there is none (collective)."""

@@ -19,7 +19,7 @@ import click
 from fenicsx_obstacle.errors import NOT_REACHED
 
 
-class _Outlet(io.FileIO):
+class _GuardedStream(io.FileIO):
     """A standard stream that keeps the first error of writing instead of raising it."""
 
     lost: OSError | None = None
@@ -35,7 +35,7 @@ class _Outlet(io.FileIO):
         return memoryview(data).nbytes
 
 
-_outlets: dict[str, _Outlet] = {}
+_streams: dict[str, _GuardedStream] = {}
 
 
 def guard_streams() -> None:
@@ -51,8 +51,8 @@ def guard_streams() -> None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  (libraries ask it whether it is a terminal)
         if stream is not getattr(sys, f"__{name}__") or not isinstance(stream, io.TextIOWrapper):
             continue
-        _outlets[name] = _Outlet(number, "w", closefd=False)
-        text = io.TextIOWrapper(io.BufferedWriter(_outlets[name]), encoding=stream.encoding, errors="backslashreplace",
+        _streams[name] = _GuardedStream(number, "w", closefd=False)
+        text = io.TextIOWrapper(io.BufferedWriter(_streams[name]), encoding=stream.encoding, errors="backslashreplace",
                                 line_buffering=name == "stderr" or stream.isatty())  # fmt: skip
         setattr(sys, name, text)
 
@@ -61,7 +61,7 @@ def lost_output() -> str | None:
     """Why standard output was not written; None if it was."""
     if sys.stdout is not None:
         sys.stdout.flush()
-    error = _outlets["stdout"].lost if "stdout" in _outlets else None
+    error = _streams["stdout"].lost if "stdout" in _streams else None
     return None if error is None else "closed by its reader" if isinstance(error, BrokenPipeError) else error.strerror
 
 

@@ -29,7 +29,7 @@ ROUND_OFF = 1e-14  # of the heights
 LOWEST = -1e300  # a mean of which no bound is known
 
 
-class Peaks:
+class ObstacleExcess:
     """One obstacle between its nodes; heights count away from it: times -1 for an upper one.
 
     Attributes:
@@ -92,14 +92,14 @@ class Peaks:
         nodal = self.nodal[self.simplices.dofs[cells]]
         highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
         for group in pieces.groups:
-            coefficient, room = self._above(group, nodal)
+            coefficient, margin = self._above(group, nodal)
             known = np.isfinite(group.rest)
             top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + np.where(
                 known, group.rest, 0.0
             )
             side = group.upper if self.sign > 0 else -group.lower
             top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
-            group.raise_to(highest, np.where(top <= room, 0.0, top + room))
+            group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
             share = np.where(known, group.share * (coefficient.mean(axis=1) - group.rest), LOWEST)
             mean += np.bincount(group.rows, share, len(mean))
         self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
@@ -174,9 +174,9 @@ class Peaks:
             cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
             above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
             for group in pieces.groups:
-                coefficient, room = self._above(group, linear)
+                coefficient, margin = self._above(group, linear)
                 beyond = group.rest - cones[group.rows]
-                open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > room)
+                open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > margin)
                 rows = group.rows[open_]
                 above[rows] = True
                 if last:

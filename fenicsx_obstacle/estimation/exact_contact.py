@@ -20,7 +20,7 @@ DEPTH = {1: 40, 2: 12}  # how often cells are halved; in solids, where contact i
 _CHILDREN = {1: [(0, 2), (2, 1)], 2: [(0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5)]}
 
 
-def contact_truth(model: Model, exact: ExactSolution | None, level: Level) -> dict[str, float]:
+def exact_contact(model: Model, exact: ExactSolution | None, level: Level) -> dict[str, float]:
     """`area` where u touches, and `force`, the integral of |p| where p is known (collective).
 
     Empty without an exact solution, in solids, and where contact is on the boundary or weighted by a radius.

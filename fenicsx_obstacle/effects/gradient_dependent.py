@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class OfSlope(Effect):
+class GradientDependent(Effect):
     """An elastic effect whose tension depends on |grad u|: not affine, but its energy is convex."""
 
     left = True

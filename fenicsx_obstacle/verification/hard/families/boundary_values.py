@@ -8,7 +8,6 @@ from typing import Any
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.draws import bounds, grids, place
 from fenicsx_obstacle.verification.hard.families.family import (
     ANSWER,
     EITHER,
@@ -17,10 +16,11 @@ from fenicsx_obstacle.verification.hard.families.family import (
     Judgement,
     toml,
 )
+from fenicsx_obstacle.verification.hard.families.strategies import bounds, grids, place
 
-TORN = ("where({s} < {c}, 0, {a})", "{a}*({s} >= {c})", "{a}*sign({s} - {c})", "{a}*floor({s} - {c})",
+JUMPS = ("where({s} < {c}, 0, {a})", "{a}*({s} >= {c})", "{a}*sign({s} - {c})", "{a}*floor({s} - {c})",
         "where({s} > {c}, {a}*{s}, {a}*({s} + 0.1))", "{a}*(({s} + 1 - {c}) % 1)")  # fmt: skip
-BENT = ("where({s} < {c}, {a}*{s}, {a}*{c})", "{a}*abs({s} - {c})", "{a}*min({s}, {c})", "{a}*max({s} - {c}, 0)",
+KINKS = ("where({s} < {c}, {a}*{s}, {a}*{c})", "{a}*abs({s} - {c})", "{a}*min({s}, {c})", "{a}*max({s} - {c}, 0)",
         "where({s} < {c}, 0, {a}*({s} - {c})^2)")  # fmt: skip
 FREE_ENDS = ("x == 0 and y < {c}", "y == 1 and x > {c}", "x == 0 and y < {c} or y == 0",
              "x == 1 and abs(y - 0.5) < {d}")  # fmt: skip
@@ -61,20 +61,20 @@ class DirichletData(Family):
 
 
 @st.composite
-def rims(draw: st.DrawFn) -> DirichletData:
+def jumps(draw: st.DrawFn) -> DirichletData:
     """Jumps inside edges and at corners, and values that bend only."""
-    kind = draw(st.sampled_from(["torn", "torn", "bent", "corner"]))
+    kind = draw(st.sampled_from(["jump", "jump", "kink", "corner"]))
     size = draw(st.sampled_from([1.0, -2.0, 1e-4, 1e5]))
     if kind == "corner":
         boundary = [{"on": "left", "value": 0}, {"on": draw(st.sampled_from(["bottom", "top"])), "value": size}]
     else:
-        spelling = draw(st.sampled_from(TORN if kind == "torn" else BENT))
+        spelling = draw(st.sampled_from(JUMPS if kind == "jump" else KINKS))
         s = draw(st.sampled_from(["x", "y", "(0.6*x + 0.8*y)"]))
         value = spelling.format(s=s, c=repr(draw(place(0.1, 0.9))), a=repr(size))
         boundary = [{"value": value}]
         if s != "(0.6*x + 0.8*y)" and draw(st.booleans()):
             boundary = [{"on": "bottom" if s == "x" else "left", "value": value}]
-    return DirichletData(draw(grids()), draw(bounds()), tuple(boundary), kind != "bent", kind == "corner")
+    return DirichletData(draw(grids()), draw(bounds()), tuple(boundary), kind != "kink", kind == "corner")
 
 
 @dataclass(frozen=True)

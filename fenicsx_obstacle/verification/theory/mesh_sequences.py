@@ -1,4 +1,4 @@
-"""Ladders of meshes: a scene of the catalogue, solved on each by SNES VI and by (3.4) with several eps."""
+"""Sequences of meshes: a scene of the catalogue, solved on each by SNES VI and by (3.4) with several eps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CURVE, SINGULAR, JUMP, KINK = -1 / 2, 0.0, 1 / 2, 3 / 2  # s of a pressure on a 
 
 
 @dataclass(frozen=True)
-class Ladder:
+class MeshSequence:
     """A scene on a family of meshes.
 
     Attributes:
@@ -41,7 +41,7 @@ class Ladder:
     changes: Mapping[str, Any] = field(default_factory=dict)
     cells: Sequence[int] = (32, 64, 128)
 
-    def benches(self, comm: MPI.Comm) -> Iterator[SolverContext]:
+    def contexts(self, comm: MPI.Comm) -> Iterator[SolverContext]:
         """A solver context for each mesh, the coarsest first (collective)."""
         for n in self.cells:
             with closing(SolverContext(scene(self.name).change({"mesh.cells": n, **self.changes}), comm)) as context:
@@ -53,7 +53,7 @@ class Gap:
     """How far (3.4) is from the variational inequality of the same mesh, for each eps: a value per mesh.
 
     Attributes:
-        ladder: What is solved.
+        on: What is solved.
         h: Of each mesh.
         eps: As numbers.
         e: ||u_eps - u_h||_1.
@@ -62,7 +62,7 @@ class Gap:
         size: ||p_h||_0.
     """
 
-    ladder: Ladder
+    on: MeshSequence
     h: list[float] = field(default_factory=list)
     eps: dict[Eps, list[float]] = field(default_factory=dict)
     e: dict[Eps, list[float]] = field(default_factory=dict)
@@ -72,13 +72,13 @@ class Gap:
 
     def at(self, cells: int) -> int:
         """Place of a mesh in the lists."""
-        return list(self.ladder.cells).index(cells)
+        return list(self.on.cells).index(cells)
 
 
-def gap(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm) -> Gap:
+def gap(sequence: MeshSequence, epsilons: Sequence[Eps], comm: MPI.Comm) -> Gap:
     """Solve on each mesh for each eps (collective)."""
-    found = Gap(ladder)
-    for context in ladder.benches(comm):
+    found = Gap(sequence)
+    for context in sequence.contexts(comm):
         problem = context.problem
         distance, reference = Distance(problem), context.answer(solved_with(context.scene, VI))
         found.h.append(problem.level.h)
@@ -100,12 +100,12 @@ class Errors:
     """Distances to the exact solution, for each eps: a value per mesh.
 
     Attributes:
-        ladder: What is solved.
+        on: What is solved.
         h: Of each mesh.
         errors: By the names of the record, for each eps; and `dual`, ||p - p_h||_1*, `close`, |u_h - I_h u|_a.
     """
 
-    ladder: Ladder
+    on: MeshSequence
     h: list[float] = field(default_factory=list)
     errors: dict[Eps, dict[str, list[float]]] = field(default_factory=dict)
 
@@ -113,10 +113,10 @@ class Errors:
         return self.errors[key[0]][key[1]]
 
 
-def errors(ladder: Ladder, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: bool = False) -> Errors:
+def errors(sequence: MeshSequence, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: bool = False) -> Errors:
     """Solve on each mesh for each eps, or `VI` (collective); the dual norm costs another linear solve."""
-    found = Errors(ladder)
-    for context in ladder.benches(comm):
+    found = Errors(sequence)
+    for context in sequence.contexts(comm):
         assert context.exact is not None
         found.h.append(context.problem.level.h)
         distance = Distance(context.problem)

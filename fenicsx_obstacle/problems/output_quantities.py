@@ -21,7 +21,7 @@ from fenicsx_obstacle.solvers.snes import Outcome
 COARSE = 1.5  # distance of nodes over that of measured data from which on the mesh is said to be too coarse
 
 
-def figures_of(
+def output_quantities(
     problem: Problem, method: str, eps: float | None, state: State, *, name: str = "", title: str = "", refine: int = 0
 ) -> dict[str, Any]:
     """What was solved, and what came out (collective).

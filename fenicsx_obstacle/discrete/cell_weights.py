@@ -12,7 +12,7 @@ from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.parallel import smallest
 
 
-def own_weights(pair: Pair, V: fem.FunctionSpace) -> np.ndarray:
+def weights_of_cells(pair: Pair, V: fem.FunctionSpace) -> np.ndarray:
     """D_i at owned dofs of V_h (collective).
 
     Args:

@@ -16,7 +16,7 @@ RESOLVED = 0.1  # change of the contact force from one mesh to the next
 
 
 @dataclass(frozen=True)
-class Figures:
+class Summary:
     """Of one scene.
 
     Attributes:
@@ -48,7 +48,7 @@ class Figures:
     seconds: float
 
 
-def figures_of(case: Case, rows: Sequence[Row]) -> Figures:
+def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
     """The figures of one scene from its rows."""
     solved = [row for row in rows if row.get("dofs") and not row["trial"]]
     fine = [row for row in solved if row["mesh"] == case.meshes[1]]
@@ -56,7 +56,7 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Figures:
     ratios = {name: _ratios(solved, name) for name in ("penetration", "penalty and inequality: energy norm")}
     work = _most(ratios["penalty and inequality: energy norm"])
     steps = [_limits(row, "other units: steps")[0] for row in rows if "units: steps" in str(row["findings"])]
-    return Figures(
+    return Summary(
         case=case,
         verdicts=Counter(row["verdict"] for row in rows),
         unknowns=fine[0]["dofs"] if fine else None,
@@ -107,7 +107,7 @@ def _moved(case: Case, rows: Sequence[Row]) -> float | None:
     return max(abs(forces[0][side] - forces[1][side]) for side in forces[1]) / size
 
 
-def panels(all_figures: Sequence[tuple[Figures, Sequence[Row]]]) -> list[Panel]:
+def panels(all_figures: Sequence[tuple[Summary, Sequence[Row]]]) -> list[Panel]:
     """Newton steps over eps: the most of each family, on the finer mesh, by method."""
     numbers = [eps for eps in EPS if isinstance(eps, float)]
     families = list(dict.fromkeys(figures.case.family for figures, _ in all_figures if figures.unknowns))

@@ -9,7 +9,7 @@ from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 
 
-class FanEquilibration(EquilibrationP1):
+class TriangleEquilibration(EquilibrationP1):
     """Flux and multipliers on triangles."""
 
     patches: VertexPatches
@@ -25,15 +25,15 @@ class FanEquilibration(EquilibrationP1):
         self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
         self._B = edge_x * previous(to_x) + edge_y * previous(to_y)
         G = scale * (simplices.normal[0] ** 2 + simplices.normal[1] ** 2)
-        self._fan_A, self._fan_B, fan_G = self.patches.gather(self._A, self._B, G)
-        self._fan_G = self.patches.sums(fan_G)
+        self._patch_A, self._patch_B, patch_G = self.patches.gather(self._A, self._B, G)
+        self._patch_G = self.patches.sums(patch_G)
 
     def _on_patches(self, drops: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
         """See `EquilibrationP1._on_patches` (collective)."""
         patches = self.patches
         correction = patches.gather(next_(beta) * self._A + previous(beta) * self._B)[0]
         before, after = patches.walk(drops)
-        shift = -(patches.sums(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
+        shift = -(patches.sums(after * self._patch_A - before * self._patch_B - correction)) / self._patch_G
         # nothing leaves through the free boundary
         open_ = ~patches.closed
         shift[open_ & ~patches.exit_held] = -after[patches.last[open_ & ~patches.exit_held]]
