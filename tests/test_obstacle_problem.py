@@ -279,7 +279,7 @@ def test_options_that_petsc_does_not_know():
     own = Membrane()
     told = r"nothing has asked for: ksp_tpye$" if COMM.rank == 0 else None
     with pytest.warns(UserWarning, match=told) if told else nullcontext():
-        found = own.problem(petsc_options={"ksp_tpye": "cg", "ksp_max_it": 900}).solve(eps=1e-6)
+        found = own.problem(petsc_options={"ksp_tpye": "cg", "snes_max_it": 900}).solve(eps=1e-6)
     assert found.record["converged"]
     with pytest.raises(InputError, match=r"petsc_options = \{'pc_type': 'fast'\}: PETSc: .*fast"):
         own.problem(petsc_options={"pc_type": "fast"}).solve(eps=1e-6)
