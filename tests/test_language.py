@@ -48,7 +48,7 @@ EVERYWHERE = [
         r"\bgives? way\b",
         "penetrates by, moves by",
         {
-            "families/support.py": "scenes of the verification, to be renamed with their module",
+            "families/equilibria.py": "scenes of the verification, to be renamed with their module",
             "cost_page.py": "the page of a study, to be renamed with show",
         },
     ),
