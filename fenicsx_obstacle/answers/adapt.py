@@ -232,7 +232,10 @@ class _Adaptation(Refinement):
         if bound.total <= limit:
             return ""
         if isinstance(self.options.eps, float) and self.given and bound.penalty > limit:
-            return f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; omit eps, so that it is chosen"
+            return (
+                f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; omit eps, so that "
+                "it is chosen"
+            )
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
         now = self.path[-1]["seconds"]
         stop = None

@@ -265,7 +265,8 @@ class OfFunction(Field):
         comm = level.comm
         if MPI.Comm.Compare(self._mesh.comm, comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InputError(
-                f"{self.source} is a Function on a mesh with another communicator; create that mesh with the communicator of the mesh of u"
+                f"{self.source} is a Function on a mesh with another communicator; create that mesh with the "
+                "communicator of the mesh of u"
             )
         parts = comm.allgather(points.T)
         everywhere, start = np.vstack(parts), sum(len(part) for part in parts[: comm.rank])
@@ -296,7 +297,8 @@ class OfExpression(Field):
     def on(self, level: Level) -> Field:
         if foreign(self.ufl, level.mesh.ufl_domain()):
             raise InputError(
-                f"{self.source} is a UFL expression, which is defined on its own mesh only, not on a refined or another "
+                f"{self.source} is a UFL expression, which is defined on its own mesh only, not on a refined or "
+                "another "
                 "one; use a formula, a callable or a Function"
             )
         here = OfExpression(self.ufl, self.source)

@@ -120,7 +120,8 @@ def check_held(problem: VectorProblem) -> bool:
     _, left = nnls(everywhere, load, maxiter=100 * everywhere.shape[1])
     if left > BALANCED * np.linalg.norm(load) or not np.any(load):
         raise InputError(
-            f"{source}: only contact supports the body, and the load does not press it against the obstacles, so that no "
+            f"{source}: only contact supports the body, and the load does not press it against the obstacles, "
+            "so that no "
             "solution exists; prescribe more components of u with bcs"
         )
     return True

@@ -140,8 +140,10 @@ def _refuse(
         )
     if any(effect.holds or effect.gives_way for effect in problem.model.effects):
         raise InputError(
-            f"{source}{where}, and the stiffness of its supports, {max(held[one], 0.0):.3g} in all, is below the round-off of the "
-            "tension, so that round-off would determine u; prescribe u on a part of the boundary, or use a stiffer support"
+            f"{source}{where}, and the stiffness of its supports, {max(held[one], 0.0):.3g} in all, is below "
+            "the round-off of the "
+            "tension, so that round-off would determine u; prescribe u on a part of the boundary, or use a "
+            "stiffer support"
         )
     raise InputError(f"{source}{where}, and no obstacle supports it: prescribe u on a part of the boundary")
 

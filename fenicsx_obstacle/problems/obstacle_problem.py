@@ -422,7 +422,8 @@ class ObstacleProblem:
         """
         if self._form is not None:
             raise InputError(
-                f"{self.name}: bound=True needs tension and load as data, which are not known of a form: use Scene(mesh=...)"
+                f"{self.name}: bound=True needs tension and load as data, which are not known of a form: use "
+                "Scene(mesh=...)"
             )
         from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
 

@@ -207,7 +207,8 @@ def obstacle(g: Any, u: fem.Function, place: str) -> Field:
         raise InputError(f"{place} is u itself, which changes during the solve: pass a copy, u.copy()")
     if isinstance(g, ufl.core.expr.Expr) and u in extract_coefficients(g):
         raise InputError(
-            f"{place} depends on u: an obstacle must not depend on the solution; for a fixed-point iteration use a copy, u.copy()"
+            f"{place} depends on u: an obstacle must not depend on the solution; for a fixed-point iteration "
+            "use a copy, u.copy()"
         )
     return field(g, place)
 

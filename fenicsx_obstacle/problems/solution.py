@@ -401,7 +401,8 @@ class Solution:
         found, lines = self.record.get("round_off", {}), []
         if (found.get("left") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
             lines.append(
-                f"  round-off of the pressure {found['left']:.1g}, because u is large; subtract a constant from u and the "
+                f"  round-off of the pressure {found['left']:.1g}, because u is large; subtract a constant from "
+                "u and the "
                 "obstacle"
             )
         if (found.get("line") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:

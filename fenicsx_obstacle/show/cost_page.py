@@ -18,18 +18,21 @@ from fenicsx_obstacle.studies.price import NORMS, Rows
 from fenicsx_obstacle.text import title_of
 
 READ = {
-    "seconds": """Lower is more accurate, further right is slower: at a given time the lowest line is the best choice. If a
+    "seconds": """Lower is more accurate, further right is slower: at a given time the lowest line is the best choice.
+    If a
 line falls by one digit while the time grows by d digits, each further digit takes 10^d times as long. Solid lines are
 linear elements (P1), dashed lines quadratic ones (P2). The grey dotted line, if it is in the range of the plot, is the
 error due to unbalanced forces and round-off.""",
     "prices": """The same rows against Poisson solves, memory and unknowns. One Poisson solve is the time of one linear
 problem without obstacle on the finest uniform mesh of this page, solved by algebraic multigrid; this unit depends
 little on the machine. Memory is the increase by a row over the memory of the program before it.""",
-    "parts": """The error has two parts. Blue is the error of the mesh: the solution of the variational inequality on the
+    "parts": """The error has two parts. Blue is the error of the mesh: the solution of the variational inequality on
+    the
 same mesh, without penalty, has this error. Red is the error of the penalty: the distance from that solution on the same
 mesh. Black is the total error. Where red is above blue, a smaller eps reduces the error at no cost; where it is far
 below, eps does not matter.""",
-    "map": """Each box is one solve; a darker box has a larger error. eps grows upwards, h to the right. In each column the
+    "map": """Each box is one solve; a darker box has a larger error. eps grows upwards, h to the right. In each
+    column the
 error decreases with eps until the error of the mesh dominates. A star marks the largest eps whose error is at most a
 tenth above that of a very small eps. In the hatched region round-off determines the contact set; the program rejects
 such values of eps.""",
@@ -40,11 +43,11 @@ MEASURES = """Errors are measured in several norms, relative to the size of the 
 gradient, weighted by the tension; it decreases most slowly. L2 norm: the mean error of u. Maximum norm: the largest
 error of u. Contact force: the error of the total force on the obstacle. Contact area: the error of the size of the
 contact set."""
-PENALTY = """A penalty method replaces the constraint by a stiff foundation; eps is its compliance, and a smaller eps is a
-stiffer foundation. The variational inequality (VI) has the constraint itself."""
-NEXT = """For each norm: the smallest error, the fastest method that reaches this error or twice this error, and its time;
-then the time for a tenth of this error with the fastest method, extrapolated from the last three meshes. The last column
-is about the error at which round-off dominates."""
+PENALTY = """A penalty method replaces the constraint by a stiff foundation; eps is its compliance, and a smaller eps
+is a stiffer foundation. The variational inequality (VI) has the constraint itself."""
+NEXT = """For each norm: the smallest error, the fastest method that reaches this error or twice this error, and its
+time; then the time for a tenth of this error with the fastest method, extrapolated from the last three meshes. The last
+column is about the error at which round-off dominates."""
 CHEAPEST = """The fastest method for each relative error, and its time; times in brackets are extrapolated."""
 
 

@@ -105,7 +105,8 @@ def _torn(problem: Problem, active: np.ndarray) -> str | None:
             continue
         if 2 * largest(comm, np.ptp(fallen[cells], axis=1)) > depth:
             return (
-                f"u falls by {depth:.4g} within one cell where it is given: u is discontinuous there, because the load is "
+                f"u falls by {depth:.4g} within one cell where it is given: u is discontinuous there, because "
+                "the load is "
                 "beyond its limit, and no solution reaches the obstacle"
             )
     return None
