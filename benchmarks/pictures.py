@@ -1,12 +1,11 @@
-"""The pictures of docs/gallery.md, from what other commands have measured and from solves of some seconds.
+"""The pictures of the pages. `./obstacle docs` draws all but three, which are kept in docs/gallery:
 
-    ./obstacle cost ball
-    .venv/bin/python benchmarks/ladder.py demos/ball.toml --cells 8..512 --eps h^2,1e-12 --beside --times 1 \\
-        --json out/ladder.jsonl
     ./obstacle hard
-    .venv/bin/python benchmarks/pictures.py            # all of them, or those that are named: ball newton digit ...
+    ./obstacle cost ball
+    .venv/bin/python benchmarks/pictures.py ball digit hard
 
-Verdicts, times and counts are those of the files; nothing is drawn that was not measured.
+Verdicts, times and counts are read from files that other commands have written: `cost` (digit), `benchmarks/ladder.py`
+(steps) and `hard` (hard).
 """
 
 from __future__ import annotations
@@ -14,6 +13,8 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import re
+import tempfile
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -43,36 +44,50 @@ WIDTH, LARGEST = 1500, 300_000  # pixels, bytes
 
 def main() -> None:
     """Draw those that are named."""
-    drawn = {"ball": ball, "newton": newton, "digit": digit, "steps": steps, "map": over, "known": known, "hard": hard}
+    drawn = {
+        "ball": ball, "tarpaulin": tarpaulin, "newton": newton, "digit": digit, "steps": steps, "map": over,
+        "known": known, "hard": hard,
+    }  # fmt: skip
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", choices=[*drawn, []], metavar="NAME", default=[])
     parser.add_argument("--cost", type=Path, default=Path("out/ball/cost/rows.jsonl"))
     parser.add_argument("--ladder", type=Path, default=Path("out/ladder.jsonl"))
     parser.add_argument("--hard", type=Path, default=Path("out/hard/hard.jsonl"))
+    parser.add_argument("--folder", type=Path, default=GALLERY)
     options = parser.parse_args()
-    GALLERY.mkdir(exist_ok=True)
+    options.folder.mkdir(parents=True, exist_ok=True)
     for name in options.names or drawn:
         print(drawn[name](options))
 
 
-def ball(_: Any) -> str:
+def ball(options: Any) -> str:
     """The usual picture of an answer."""
     picture = solve(Scene.read(DEMOS / "ball.toml"), cells=128).plot()
-    return kept("ball", picture.page)
+    return kept(options, "ball", picture.page)
 
 
-def newton(_: Any) -> str:
-    """Active sets of (3.4)* and of Newton from coarse levels, moving."""
+def tarpaulin(options: Any) -> str:
+    """The first scene of docs/start.md."""
+    text = (ROOT / "docs" / "start.md").read_text()
+    scene = next(block for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL) if "tarpaulin" in block)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "mine.toml"
+        file.write_text(scene)
+        return kept(options, "tarpaulin", solve(Scene.read(file)).plot().page)
+
+
+def newton(options: Any) -> str:
+    """Animation of the active sets of (3.4)* and of Newton's method with nested iteration."""
     answer = solve(Scene.read(DEMOS / "ball.toml"), cells=128, eps=1e-6)
-    return animate_newton(answer, GALLERY / "newton.gif")
+    return animate_newton(answer, options.folder / "newton.gif")
 
 
 def steps(options: Any) -> str:
-    """Newton and CG steps over the number of cells: what a cold start takes, and what starts from coarser levels do."""
+    """Newton and CG steps over the number of cells, from a cold start and with nested iteration."""
     rows = lines_of(options.ladder)
     ways = {
         "vi-amg-cold": ("SNES VI and BoomerAMG, cold start", VERMILION),
-        "vi": ("SNES VI, level by level", "#E69F00"),
+        "vi": ("SNES VI, nested iteration", "#E69F00"),
         "eps=1e-12": ("penalty, eps = 1e-12", "#56B4E9"),
         "eps=h^2": ("penalty, eps = h$^2$", BLUE),
     }
@@ -94,12 +109,12 @@ def steps(options: Any) -> str:
         axes.minorticks_off()
         axes.grid(True, color="0.9")
     panels[0].legend(fontsize=9, loc="upper left")
-    page.suptitle("Membrane over a ball: steps from a cold start, and from the next coarser level", fontsize=12)
-    return kept("steps", page)
+    page.suptitle("Membrane over a ball: steps from a cold start and with nested iteration", fontsize=12)
+    return kept(options, "steps", page)
 
 
 def digit(options: Any) -> str:
-    """Error against time, and what each digit takes from whoever is cheapest."""
+    """Error against time, and the time of the fastest method for each digit."""
     rows = lines_of(options.cost)
     page, (left, right) = figure(11.0, 4.6, columns=2, widths=(1.25, 1))
     names = ("P1 VI cold", "P1 eps = h", "P1 auto", "P2 auto", "P1 adaptive", "P2 adaptive")
@@ -117,14 +132,14 @@ def digit(options: Any) -> str:
             right.bar(k, way[1], width=0.36, color=BLUE)
             right.annotate(f"{duration(way[1])}\n{way[0].name}", (k, way[1]), textcoords="offset points",
                            xytext=(0, 3), ha="center", fontsize=8.5)  # fmt: skip
-    right.set(xlabel="digits of accuracy, energy norm", ylabel="seconds of the cheapest way")
+    right.set(xlabel="digits of accuracy, energy norm", ylabel="seconds of the fastest method")
     right.set_xticks(DIGITS, [f"{k:g}" for k in DIGITS])
     right.margins(y=0.15)
-    page.suptitle("Membrane over a ball: what accuracy costs", fontsize=12)
-    return kept("digit", page)
+    page.suptitle("Membrane over a ball: cost of accuracy", fontsize=12)
+    return kept(options, "digit", page)
 
 
-def over(_: Any) -> str:
+def over(options: Any) -> str:
     """The error over h and eps, with the paper's rule and the default."""
     from matplotlib.colors import LogNorm
 
@@ -153,21 +168,21 @@ def over(_: Any) -> str:
         axes.minorticks_off()
         ticks = 10.0 ** np.arange(np.ceil(np.log10(values.min())), np.floor(np.log10(values.max())) + 1)
         page.colorbar(drawn, ax=axes, ticks=ticks).ax.set_yticklabels([f"{tick:g}" for tick in ticks])
-    page.suptitle("Membrane over a ball: where mesh and penalty each decide the error", fontsize=12)
-    return kept("map", page)
+    page.suptitle("Membrane over a ball: error of mesh and penalty", fontsize=12)
+    return kept(options, "map", page)
 
 
-def known(_: Any) -> str:
-    """Three applications whose figures others have found."""
+def known(options: Any) -> str:
+    """Three applications with known values."""
     page, panels = figure(13.5, 4.7, columns=3)
-    for axes, draw in zip(panels, (active_dofs, torsion, put), strict=True):
+    for axes, draw in zip(panels, (bearing, torsion, put), strict=True):
         draw(axes)
         axes.set_box_aspect(1)
-    return kept("known", page)
+    return kept(options, "known", page)
 
 
-def active_dofs(axes: Any) -> None:
-    """The film unrolled: its pressure, and the edge where it tears."""
+def bearing(axes: Any) -> None:
+    """The unrolled film: its pressure, and the edge where it cavitates."""
     answer = solve(Scene.read(DEMOS / "bearing.toml"), refine=1)
     patch = patch_of(gather(answer))
     film = unrolled(patch)
@@ -175,7 +190,7 @@ def active_dofs(axes: Any) -> None:
     drawn = axes.tricontourf(triangles(film), film.fields["u"], levels=levels, cmap="viridis")
     axes.tricontourf(triangles(film), film.fields["level lower"], levels=[-np.inf, 0], colors=["0.85"])
     draw_lines(axes, [unrolled(line) for line in free_boundary(patch)])
-    axes.annotate("torn: no pressure", (282, 0), ha="center", va="center", fontsize=10)
+    axes.annotate("cavitation", (282, 0), ha="center", va="center", fontsize=10)
     axes.set(xlim=(0, 360), ylim=(-1, 1), xlabel="angle from the groove, degrees", ylabel="z / R")
     axes.set_xticks(range(0, 361, 90))
     bar = axes.figure.colorbar(drawn, ax=axes, label="film pressure, dimensionless", shrink=0.75)
@@ -215,7 +230,7 @@ def torsion(axes: Any) -> None:
 
 
 def put(axes: Any) -> None:
-    """What the option is worth a year before it expires."""
+    """The value of the option a year before it expires."""
     answer = solve(Scene.read(DEMOS / "put.toml"))
     arrays = gather(answer)
     order = np.argsort(arrays["points"][:, 0])
@@ -235,7 +250,7 @@ def put(axes: Any) -> None:
 
 def hard(options: Any) -> str:
     """All hard scenes in the plane with their verdicts."""
-    return kept("hard", mosaic(lines_of(options.hard)))
+    return kept(options, "hard", mosaic(lines_of(options.hard)))
 
 
 def lines_of(file: Path) -> Sequence[dict[str, Any]]:
@@ -243,9 +258,9 @@ def lines_of(file: Path) -> Sequence[dict[str, Any]]:
     return [json.loads(line) for line in file.read_text().splitlines()]
 
 
-def kept(name: str, page: Any) -> str:
-    """Write a figure into the gallery, with fewer colours where it would be large."""
-    data, path = io.BytesIO(), GALLERY / f"{name}.png"
+def kept(options: Any, name: str, page: Any) -> str:
+    """Write a figure, with fewer colours where it would be large."""
+    data, path = io.BytesIO(), options.folder / f"{name}.png"
     page.savefig(data, format="png", dpi=WIDTH / page.get_figwidth())
     picture = Image.open(data).convert("RGB")
     picture.save(path, optimize=True)

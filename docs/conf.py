@@ -19,11 +19,12 @@ extensions = [
     "mathml",
     "notebooks",
     "packages",
+    "pictures",
     "plain_docstrings",
 ]
 exclude_patterns = ["_extensions", "out"]
 
-# what is generated here is not kept: every module of the package, with everything that has a docstring
+# generated and not committed: every module of the package, with everything that has a docstring
 apidoc_modules = [
     {
         "path": "../fenicsx_obstacle",
@@ -42,11 +43,11 @@ napoleon_numpy_docstring = False
 napoleon_use_rtype = False
 default_role = "code"
 napoleon_use_ivar = True
-toc_object_entries = False  # one page for each room; its modules are in the contents, its functions are not
+toc_object_entries = False  # one page for each layer; its modules are in the contents, its functions are not
 
 myst_heading_anchors = 3
 myst_enable_extensions = ["dollarmath"]
-nitpicky = True  # what pages name in the code has to be there; types of others are theirs
+nitpicky = True  # names of this package must exist; names of other packages are not checked
 nitpick_ignore_regex = [
     ("py:.*", r"(?!fenicsx_obstacle\.).*"),
     ("py:class", r".*\.(Result|Sampled|T|_PartTable)"),  # type variables, a private base class

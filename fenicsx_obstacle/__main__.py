@@ -17,7 +17,7 @@ _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "
 def _kept() -> str:
     """What to say of the rows of an interrupted command."""
     has_rows = sys.argv[1:2] in (["study"], ["cost"], ["find"])
-    return "; finished rows are kept, the same command goes on from them" if has_rows else ""
+    return "; finished rows are kept, and the same command continues from them" if has_rows else ""
 
 
 try:
@@ -89,7 +89,7 @@ def _name_unread(petsc: list[str]) -> None:
         from fenicsx_obstacle.solvers.linear import unread
 
         if found := unread(names):
-            click.echo(f"PETSc options that nothing has asked for: -{', -'.join(found)}; misspelled?", err=True)
+            click.echo(f"PETSc options that no solver uses: -{', -'.join(found)}; misspelled?", err=True)
 
 
 def _several() -> bool:

@@ -33,7 +33,7 @@ def commands() -> None:
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well; the command plot does it later.")
 @click.option("--newton", is_flag=True, help="Draw newton.gif: contact sets of the Newton steps and of (3.4)*.")
-@click.option("--bound", is_flag=True, help="Compute an upper bound of the energy error, and what it rests on.")
+@click.option("--bound", is_flag=True, help="Compute an upper bound of the energy error.")
 @click.option("--tol", type=float, metavar="R", help="Refine until the relative energy error is below R, or status 4.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--budget", metavar="LIMIT", help="With a tolerance: a limit such as 60s, 8GB or '1e6 unknowns'.")
@@ -77,13 +77,13 @@ def solve(
     if json_file is not None:
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
-        tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} shows it all")
+        tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} has all results")
     return tolerance_status(answer.record, folder)
 
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@click.option("--tol", type=float, metavar="R", help="Also forecast the cost of 'solve --tol R', in a few seconds.")
+@click.option("--tol", type=float, metavar="R", help="Also forecast the cost of 'solve --tol R'; takes a few seconds.")
 @options(*CHANGES, "plugin")
 def explain(scene_file: str, tol: float | None, **given: Any) -> None:
     """Print the equation, the solver, and what is not included."""
@@ -142,8 +142,8 @@ def study(
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--vary", metavar="KEY=A..B", required=True, help="The key, and the interval to search.")
 @click.option("--target", metavar="'NAME = VALUE'", required=True,
-              help="What to reach: energy, area, penetration, force, or a name of [report].")  # fmt: skip
-@click.option("--within", type=float, metavar="R", help="Accuracy of the value, as a share of the interval.  [1e-4]")
+              help="Quantity and value; energy, area, penetration, force, or a name of [report].")  # fmt: skip
+@click.option("--within", type=float, metavar="R", help="Accuracy of the value, relative to the interval.  [1e-4]")
 @click.option("--fresh", is_flag=True, help="Discard saved rows instead of continuing from them.")
 @options(*CHANGES, "plugin", "output", "json", "quiet", "log")
 def find(

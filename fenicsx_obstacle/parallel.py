@@ -133,7 +133,7 @@ def make_folder(folder: Path, option: str = "--output") -> list[Path]:
     except OSError as error:
         remove_empty(missing)
         if isinstance(error, FileExistsError | NotADirectoryError):
-            raise InputError(f"{folder}: is a file, or lies in one; choose another place with {option}") from None
+            raise InputError(f"{folder}: is a file, or lies in a file; choose another place with {option}") from None
         raise InputError(f"{folder}: {error.strerror}; choose another place with {option}") from None
     return missing
 

@@ -141,4 +141,4 @@ def test_picture_of_the_bound(tmp_path):
     answer.save(tmp_path)
     said = report_answer(answer, tmp_path, picture=True)
     assert (tmp_path / "bound.png").stat().st_size > 10_000
-    assert "of the cells carry half of the bound" in said
+    assert "of the cells contribute half of the bound" in said

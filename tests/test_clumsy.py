@@ -268,7 +268,7 @@ def test_signals_end_all_processes(ranks, number, tmp_path):
     os.kill(process.pid, number)
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 128 + number, said
-    assert said.strip() == "terminated; finished rows are kept, the same command goes on from them"
+    assert said.strip() == "terminated; finished rows are kept, and the same command continues from them"
     assert rows.read_text().count("\n") >= 2
     while _session(process.pid) and time.monotonic() < deadline:  # helpers of mpirun end a moment later
         time.sleep(0.05)

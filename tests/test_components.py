@@ -100,7 +100,7 @@ APART = {
 def test_parts_that_are_apart_are_counted(name, scale):
     """Two bodies with a gap, or that meet in less than a facet, are two components, which the answer says."""
     mesh = union(*APART[name], scale=scale)
-    assert level(mesh).remarks == ("2 parts that are not connected: u must be held in each",)
+    assert level(mesh).remarks == ("2 parts that are not connected: u must be supported in each",)
     found = components(mesh)
     assert found.count == 2
     middles = dmesh.compute_midpoints(mesh, mesh.topology.dim, np.arange(len(found.of_cells), dtype=np.int32))
@@ -128,7 +128,7 @@ def test_two_parts_are_solved_and_counted():
     one, two = (solve(Scene(mesh=union(*bodies), tension=1, load=-1)) for bodies in ((LEFT,), APART["a gap"]))
     assert np.isclose(two.record["energy"], 2 * one.record["energy"], rtol=1e-12)
     assert "mesh_remarks" not in one.record
-    assert "\n  mesh: 2 parts that are not connected: u must be held in each" in two.summary()
+    assert "\n  mesh: 2 parts that are not connected: u must be supported in each" in two.summary()
 
 
 def test_many_components_have_the_same_numbers_on_any_number_of_ranks():

@@ -1,4 +1,4 @@
-"""What accuracy costs: prices follow from rows, rows survive, and every choice has its errors or a reason."""
+"""Cost of accuracy: prices follow from rows, rows survive, and every choice has its errors or a reason."""
 
 import json
 import math
@@ -194,7 +194,7 @@ def test_killed_and_page(tmp_path):
     assert keys[: len(kept)] == kept and len(set(keys)) == len(keys) > len(kept)
     assert "next digit of" in done.stdout and "P2 auto: did not do it" in done.stdout
     page = (out / "report.html").read_text()
-    assert page.count("<svg") == 4 and "The price of the next digit" in page
+    assert page.count("<svg") == 4 and "Time for one more digit" in page
     assert "http" not in page.replace("http://www.w3.org", "") and "<script" not in page
     assert all((out / f"{name}.png").stat().st_size > 10_000 for name in ("seconds", "prices", "parts", "map"))
 

@@ -376,8 +376,8 @@ def test_units_of_an_obstacle_on_the_boundary():
 def test_obstacles_of_both_kinds_are_refused():
     free = {"on": "left", "lower": 0}
     for given, message in (
-        ({"lower": -1, "boundary": [free]}, "one or the other, not both"),
-        ({"boundary": [{"value": 0}, free]}, "lower does nothing where u is given, by no. 1"),
+        ({"lower": -1, "boundary": [free]}, "these exclude each other"),
+        ({"boundary": [{"value": 0}, free]}, "lower has no effect where u is given, by no. 1"),
         ({"boundary": [{**free, "upper": -1}]}, "lower is above upper: by 1"),
         ({"boundary": [{"on": "right", "value": -1}, {"on": ["left", "top"], "lower": 0}]}, "lies below the lower"),
     ):
@@ -559,8 +559,8 @@ def test_power_law_under_a_ceiling(method):
 
 def test_slopes_that_mean_nothing():
     for effects, message in (
-        ({"large_slope": 1, "tension": 1}, "names large_slope and tension: a membrane has one tension"),
-        ({"large_slope": 1, "drift": [1, 0]}, "drift goes with tension, not with large_slope"),
+        ({"large_slope": 1, "tension": 1}, "names large_slope and tension: only one of them is allowed"),
+        ({"large_slope": 1, "drift": [1, 0]}, "drift can only be combined with tension, not with large_slope"),
         ({"power_law": {"exponent": 5}}, "must be between 1 and 4"),
         ({"power_law": {"exponent": 3, "regularisation": 0}}, "must be positive"),
         ({"large_slope": "x - 0.5"}, "must be positive"),

@@ -77,7 +77,7 @@ def test_unknown_keys_of_tables():
         ),
         ({"tension": 1, "point_load": [{"at": [0, 0], "force": 1, "radius": 1}]}, "unknown key 'radius' .known: at"),
         ({"power_law": {"exponent": 3, "n": 3}}, "unknown key 'n' .known: exponent, coefficient, regularisation"),
-        ({"power_law": {"exponent": 3}, "tension": 1}, "names power_law and tension: a membrane has one tension"),
+        ({"power_law": {"exponent": 3}, "tension": 1}, "names power_law and tension: only one of them is allowed"),
         ({"power_law": {"exponent": 3}, "large_slope": 1}, "a membrane has one tension"),
     ):
         with pytest.raises(InputError, match=message):

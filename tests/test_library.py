@@ -238,7 +238,7 @@ def test_what_has_no_value_at_nodes():
     """Values by cells, and UFL of a Function that jumps, are refused as obstacles and boundary values."""
     mesh = square(8)
     level = of_mesh(mesh, "test", None, {"all": np.arange(mesh.topology.index_map(2).size_local)})
-    with pytest.raises(InputError, match="takes one formula for all materials"):
+    with pytest.raises(InputError, match="needs one formula for all materials"):
         membrane(level, lower={"all": 1.0})
     with pytest.raises(InputError, match="which cells share"):
         membrane(level, boundary=[Part("edge", value=field({"all": 1.0}, "test: value"))])

@@ -91,7 +91,7 @@ def test_a_rank_that_cannot_write_is_told_on_all(folder, ball, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(folder_module, "fill", full)
-    with pytest.raises(InputError, match="cannot be written: No space left on device; what was there stays"):
+    with pytest.raises(InputError, match="cannot be written: No space left on device; the old content stays"):
         answer.save(folder)
     COMM.barrier()
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before

@@ -145,7 +145,7 @@ MISTAKES = {
     "unknown name": ("integral(v)", r"\[report\] q: unknown name 'v'[\s\S]*\n    integral\(v\)\n             \^"),
     "field outside": (
         "2*u",
-        r"'u' differs from place to place: wrap it in integral, at, sup or inf\n    2\*u\n      \^",
+        r"'u' is a field: use integral, at, sup or inf of it\n    2\*u\n      \^",
     ),
     "define outside": ("1 + f", "'f' differs from place to place"),
     "later entry": ("integral(u)*later", "unknown name 'later'"),
@@ -180,7 +180,7 @@ def test_names_and_places():
         membrane(load="integral(x)")
     with pytest.raises(InputError, match=r"'distance' is known at points only.*not in \[exact\]"):
         membrane(define={"d": "2*distance"}, exact="d")
-    with pytest.raises(InputError, match="'distance' is 0 all over the boundary"):
+    with pytest.raises(InputError, match="'distance' is 0 on the whole boundary"):
         membrane(boundary=[{"where": "distance < 1", "value": 0}])
 
 

@@ -152,7 +152,7 @@ def test_interrupt_says_so(command, tmp_path):
     os.killpg(process.pid, signal.SIGINT)  # as the terminal does
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors.strip() == "interrupted; finished rows are kept, the same command goes on from them"
+    assert errors.strip() == "interrupted; finished rows are kept, and the same command continues from them"
     assert os.path.getsize(tmp_path / "out" / "rows.jsonl") > 0
 
 

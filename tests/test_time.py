@@ -317,9 +317,9 @@ REFUSED = {
     "needs a table [time]": {"rate": 1},
     "the key 'start' is missing": {"rate": 1, "time": {"end": 1, "steps": 1}},
     "is an equilibrium of its own": {"time": {"end": 1, "steps": 1, "start": 0}},
-    "it goes with inertia": {"rate": 1, "time": {"end": 1, "steps": 1, "start": 0, "velocity": 1}},
+    "it needs inertia": {"rate": 1, "time": {"end": 1, "steps": 1, "start": 0, "velocity": 1}},
     "euler and bdf2 are for rate": {"inertia": 1, "time": {"end": 1, "steps": 1, "start": 0, "scheme": "bdf2"}},
-    "it goes with rate, without inertia": {"inertia": 1, "time": {"end": 1, "steps": 1, "start": 0, "tolerance": 1.0}},
+    "it needs rate without inertia": {"inertia": 1, "time": {"end": 1, "steps": 1, "start": 0, "tolerance": 1.0}},
     "must be positive": {"time": {"end": "1 - 2", "steps": 1}},
     "unknown name 't'": {"load": "t"},
     "parts of the boundary stay": {
@@ -330,7 +330,7 @@ REFUSED = {
     },
     "is beyond an obstacle": {"rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"}},
     "has a column of this name": {"report": {"energy": "integral(u)"}, "time": {"end": 1, "steps": 1}},
-    "is needed where boundary values move": {
+    "is needed if boundary values depend on t": {
         "inertia": 1, "boundary": [{"value": "t"}], "time": {"end": 1, "steps": 1, "start": 0},
     },
     "must be positive; it is": {"inertia": 0, "time": {"end": 1, "steps": 1, "start": 0}},

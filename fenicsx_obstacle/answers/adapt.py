@@ -86,11 +86,11 @@ def solve(
     if scene.time is not None and (bound or tol is not None or tol_absolute is not None):
         raise InputError(f"{scene.source}: the error bound is for one equilibrium, not for scenes with [time]")
     if scene.time is None and restart is not None:
-        raise InputError(f"{scene.source}: has no [time]: there is nothing to go on from")
+        raise InputError(f"{scene.source}: has no [time], so there is no state to continue from")
     if tol is not None or tol_absolute is not None:
         return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
     if budget is not None:
-        raise InputError("a budget goes with a tolerance: add --tol")
+        raise InputError("a budget needs a tolerance: add --tol")
     with closing(SolverContext(scene, comm)) as context:
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
         answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False)
@@ -232,7 +232,10 @@ class _Adaptation(Refinement):
         if bound.total <= limit:
             return ""
         if isinstance(self.options.eps, float) and self.given and bound.penalty > limit:
-            return f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; leave eps to be chosen"
+            return (
+                f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; omit eps, so that "
+                "it is chosen"
+            )
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
         now = self.path[-1]["seconds"]
         stop = None

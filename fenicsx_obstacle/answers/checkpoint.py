@@ -76,7 +76,7 @@ def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps
     elsewhere = bool(np.any(distance > NEAR * level.h)) or len(stored["points"]) != level.dofs
     with agree(comm):
         if elsewhere:
-            raise InputError(f"{place}: is of another mesh: [mesh] must be as it was")
+            raise InputError(f"{place}: belongs to another mesh: [mesh] must not change")
     velocity = stored["velocity"][found] if "velocity" in stored else None
     if (velocity is None) == (moments.order == INERTIA):
         raise InputError(f"{place}: is of a scene {'without' if velocity is None else 'with'} inertia")
@@ -93,7 +93,7 @@ def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], lis
     try:
         content = io.BytesIO(place.read_bytes())
     except OSError as error:
-        raise InputError(f"{place}: no state to go on from: {error.strerror}") from None
+        raise InputError(f"{place}: no state to continue from: {error.strerror}") from None
     try:
         with h5py.File(content) as file:
             stored = {name: values[()] for name, values in file.items() if name not in ("frames", "rows")}

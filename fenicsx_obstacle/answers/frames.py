@@ -40,5 +40,5 @@ def load_course(folder: Path) -> TimeHistory:
             with h5py.File(folder / FRAMES[0]) as file:
                 frames = from_groups(file.values())
     except (OSError, ValueError, KeyError, AttributeError, csv.Error) as error:
-        raise InputError(f"{folder}: the saved answer is damaged: its course in time: {error}") from None
+        raise InputError(f"{folder}: the saved answer is damaged: its time history: {error}") from None
     return TimeHistory(rows, tuple(frames))

@@ -127,7 +127,7 @@ def _on_curve(level: Level, name: str, n: int, place: str) -> np.ndarray:
     """Points at equal distances along a named curve of a plane mesh (collective)."""
     mesh = level.mesh
     if mesh.topology.dim != 2:
-        raise InputError(f"{place} on: names curves of plane meshes")
+        raise InputError(f"{place} on: is for curves of plane meshes")
     if name not in level.facets:
         raise InputError(f"{place} on: no curve named '{name}'" + nearest(name, level.facets))
     cells, numbers, _ = sides(mesh, level.facets[name])
@@ -152,12 +152,12 @@ def _chained(segments: np.ndarray, place: str) -> np.ndarray:
         beside[b].add(a)
     ends = sorted(key for key, others in beside.items() if len(others) == 1)
     if len(ends) not in (0, 2) or any(len(others) > 2 for others in beside.values()):
-        raise InputError(f"{place}: is no single curve")
+        raise InputError(f"{place}: is not a single curve")
     path = [ends[0] if ends else min(beside)]
     seen = {path[0]}
     while further := sorted(beside[path[-1]] - seen):
         path.append(further[0])
         seen.add(further[0])
     if len(seen) < len(beside):
-        raise InputError(f"{place}: is no single curve")
+        raise InputError(f"{place}: is not a single curve")
     return np.array([at[key] for key in (path if ends else [*path, path[0]])])

@@ -182,7 +182,7 @@ class TimeStepper:
         edges_move = data.fixed[1] in data.moving
         if self.moments.velocity is None:
             if edges_move:
-                raise InputError(f"{data.model.source}: [time] velocity: is needed where boundary values move")
+                raise InputError(f"{data.model.source}: [time] velocity: is needed if boundary values depend on t")
             return np.zeros(len(self.problem.w.x.array))
         velocity = data.nodal(self.moments.velocity).x.array.copy()
         if not edges_move:

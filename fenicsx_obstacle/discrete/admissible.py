@@ -24,7 +24,9 @@ def check_admissible(data: Data) -> None:
     dofs, values = data.fixed
     holds = any(effect.holds or effect.gives_way for effect in data.model.effects)
     if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
-        raise InputError(f"{source}: u is given nowhere, and no obstacle holds it: hold u on a part of the boundary")
+        raise InputError(
+            f"{source}: u is given nowhere, and there is no obstacle: prescribe u on a part of the boundary"
+        )
     _check_parts(data)
     u_values = [f.x.array for f in (data.lower, data.upper) if f is not None] + [values.x.array[dofs]]
     if data.thin:
@@ -59,7 +61,7 @@ def _check_parts(data: Data) -> None:
                 for other, facets in enumerate(data.held)
                 if total(data.level.comm, np.count_nonzero(np.isin(facets, data.facets[number]))) > 0
             )
-            raise InputError(f"{data.model.source}: {part.name} {key} does nothing where u is given, by {others}")
+            raise InputError(f"{data.model.source}: {part.name} {key} has no effect where u is given, by {others}")
 
 
 def _refuse_beyond(

@@ -49,7 +49,7 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     mesh = V.mesh
     comm, dim, gdim, own = mesh.comm, mesh.topology.dim, mesh.geometry.dim, own_cells(mesh)
     if dim not in _CHILDREN:
-        raise InputError("adaptive meshes are made of intervals or triangles; take uniform ones, 'refine'")
+        raise InputError("adaptive meshes need intervals or triangles; use uniform refinement, 'refine'")
     marks, halves, turned = _marks(mesh, marked)
     vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
     count, mine = vertices.size_local, marks.array_r[: edges.size_local] > 0

@@ -120,7 +120,7 @@ def _check_contact(mesh: dmesh.Mesh, found: Components) -> list[str]:
     remarks, samples, component = on_root(comm, touching)
     if found.count > 1:
         _check_overlap(mesh, found, samples, component)
-        remarks.insert(0, f"{found.count} parts that are not connected: u must be held in each")
+        remarks.insert(0, f"{found.count} parts that are not connected: u must be supported in each")
     return remarks
 
 

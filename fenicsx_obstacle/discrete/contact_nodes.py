@@ -198,7 +198,8 @@ class ContactNodes:
         length = np.linalg.norm(sums, axis=1)
         for bad, what in (
             (sizes[:, 0] <= NO_WEIGHT * sizes[:, 1], "of does not depend on u"),
-            (length < KINK * sizes[:, 0], "facets with different normals meet, so that the node there has none; give "
+            (length < KINK * sizes[:, 0], "facets with different normals meet, so that their common node has "
+                "none; give "
              "one normal for each part, or round the edge,"),
         ):  # fmt: skip
             points = level.nodes.T[on & bad]

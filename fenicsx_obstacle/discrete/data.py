@@ -184,7 +184,7 @@ class Data:
             InputError: If it is not finite somewhere, or given for the cells of each material, which share nodes.
         """
         if field.parts is not None:
-            raise InputError(f"{field.source}: element {self.level.pair.name} takes one formula for all materials")
+            raise InputError(f"{field.source}: element {self.level.pair.name} needs one formula for all materials")
         function = fem.Function(self.level.V)
         self._sample(function, field, more)
         return function

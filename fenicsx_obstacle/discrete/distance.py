@@ -27,7 +27,7 @@ class BoundaryDistance:
         """
         mesh = level.mesh
         if mesh.geometry.dim != mesh.topology.dim:
-            raise InputError("'distance' to the boundary is for domains, not for curves and surfaces in space")
+            raise InputError("'distance' to the boundary is not available on curves and surfaces in space")
         cells, numbers, _ = sides(mesh, level.boundary_facets)
         vertices = np.array(facet_vertices(mesh.topology.dim))[numbers]
         self.facets = np.concatenate(level.comm.allgather(corners(mesh)[cells[:, None], vertices]))

@@ -238,7 +238,7 @@ class OfFunction(Field):
             return self.function.x.array
         if _continuous(V) and not _continuous(own):
             raise InputError(
-                f"{self.source} is a Function that is not continuous: at a vertex each cell has a value of its own; "
+                f"{self.source} is a Function that is not continuous: it has several values at a vertex; "
                 "interpolate it into a continuous space"
             )
         taken = fem.Function(V)
@@ -265,7 +265,8 @@ class OfFunction(Field):
         comm = level.comm
         if MPI.Comm.Compare(self._mesh.comm, comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InputError(
-                f"{self.source} is a Function on a mesh of other ranks: make that mesh with the communicator of u's"
+                f"{self.source} is a Function on a mesh with another communicator; create that mesh with the "
+                "communicator of the mesh of u"
             )
         parts = comm.allgather(points.T)
         everywhere, start = np.vstack(parts), sum(len(part) for part in parts[: comm.rank])
@@ -273,7 +274,7 @@ class OfFunction(Field):
         lost = np.flatnonzero(~np.isfinite(values))
         if len(lost):
             where = ", ".join(f"{x:.4g}" for x in min(everywhere[lost].tolist())[: level.mesh.geometry.dim])
-            words = f"with no finite value at ({where}): is that outside?"
+            words = f"with no finite value at ({where}): is this point outside of its mesh?"
             raise InputError(f"{self.source} is a Function on another mesh, {words}")
         return values[start : start + len(parts[comm.rank])]
 
@@ -296,8 +297,9 @@ class OfExpression(Field):
     def on(self, level: Level) -> Field:
         if foreign(self.ufl, level.mesh.ufl_domain()):
             raise InputError(
-                f"{self.source} is a UFL expression, which is known on its own mesh only, not on a refined or another "
-                "one: give a formula, a callable or a Function"
+                f"{self.source} is a UFL expression, which is defined on its own mesh only, not on a refined or "
+                "another "
+                "one; use a formula, a callable or a Function"
             )
         here = OfExpression(self.ufl, self.source)
         sampled = fem.Function(releases.functionspace(level.mesh, "DG", 2))
@@ -313,7 +315,7 @@ class OfExpression(Field):
         spaces = [one.function_space for one in extract_coefficients(self.ufl) if isinstance(one, fem.Function)]
         if _continuous(V) and not all(_continuous(one) for one in spaces):
             raise InputError(
-                f"{self.source} holds a Function that is not continuous: at a vertex each cell has a value of its own; "
+                f"{self.source} contains a Function that is not continuous: it has several values at a vertex; "
                 "interpolate it into a continuous space"
             )
         taken = fem.Function(V)

@@ -41,7 +41,7 @@ def validate_mesh(points: np.ndarray, cells: np.ndarray) -> None:
     twice = _twice(cells)
     if twice is not None:
         places = ", ".join(place(corner) for corner in corners[twice])
-        raise InputError(f"the {cell} with the corners {places} is there twice")
+        raise InputError(f"the {cell} with the corners {places} occurs twice")
 
 
 def sizes(corners: np.ndarray) -> np.ndarray:

@@ -52,12 +52,12 @@ def load(path: Path) -> Arrays:
         said = done.stdout.strip()
         if done.returncode < 0:
             other = ", or mesh it to a .msh there" if path.suffix == ".geo" else ""
-            raise InputError(f"{path}: Gmsh crashed on it: look at it in Gmsh{other}")
+            raise InputError(f"{path}: Gmsh crashed while reading it; open it in Gmsh{other}")
         if done.returncode == _REJECTED:
             raise InputError(f"{path}: {said}")
         if done.returncode:
             reason = said.splitlines()[-1] if said else "it gives no reason"
-            raise InputError(f"{path}: Gmsh cannot read it: {reason}; is it whole?")
+            raise InputError(f"{path}: Gmsh cannot read it: {reason}; is the file complete?")
         if kept is not None:
             _keep(arrays, path, kept)
         return _arrays(arrays)

@@ -64,9 +64,9 @@ class Model:
             InputError: If not exactly one effect is elastic, or obstacles are in the domain and on its boundary.
         """
         if (count := sum(effect.elastic for effect in self.effects)) != 1:
-            raise InputError(f"{self.source}: one effect must give a(u, v) its stiffness, such as tension; {count} do")
+            raise InputError(f"{self.source}: exactly one effect must be a stiffness, such as tension; {count} do")
         if self.thin and (self.lower is not None or self.upper is not None):
-            raise InputError(f"{self.source}: obstacles in the domain and on its boundary: one or the other, not both")
+            raise InputError(f"{self.source}: obstacles in the domain and on its boundary: these exclude each other")
 
     def acts(self, number: int) -> list[str]:
         """Keys of the effects that act on a part of the boundary, counted from 0."""

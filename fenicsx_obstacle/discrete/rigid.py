@@ -112,16 +112,17 @@ def check_held(problem: VectorProblem) -> bool:
     strength = np.linalg.svd(everywhere, compute_uv=False) if everywhere.shape[1] else np.zeros(1)
     if len(strength) < len(loose) or strength[-1] <= INDEPENDENT * strength[0]:
         raise InputError(
-            f"{source}: nothing holds the body: {_in_words(len(loose))}, and contact does not resist "
-            f"{'it' if len(loose) == 1 else 'all of them'}; hold more components of u with bcs"
+            f"{source}: the body is not supported: {_in_words(len(loose))}, and contact does not resist "
+            f"{'it' if len(loose) == 1 else 'all of them'}; prescribe more components of u with bcs"
         )
     from scipy.optimize import nnls  # only where contact alone holds a body
 
     _, left = nnls(everywhere, load, maxiter=100 * everywhere.shape[1])
     if left > BALANCED * np.linalg.norm(load) or not np.any(load):
         raise InputError(
-            f"{source}: contact alone holds the body, and the load does not press it against the obstacles: no u is in "
-            "balance; hold more components of u with bcs"
+            f"{source}: only contact supports the body, and the load does not press it against the obstacles, "
+            "so that no "
+            "solution exists; prescribe more components of u with bcs"
         )
     return True
 

@@ -136,15 +136,16 @@ def _refuse(
         side = "lower" if up[one] else "upper"
         raise InputError(
             f"{source}{where}, and the load, {net[one] + 0.0:.3g} in all, does not press against the {side} obstacle: "
-            "no u is in balance; hold u on a part of the boundary"
+            "no solution exists; prescribe u on a part of the boundary"
         )
     if any(effect.holds or effect.gives_way for effect in problem.model.effects):
         raise InputError(
-            f"{source}{where}, and what holds it, {max(held[one], 0.0):.3g} in all per unit of u, is below the "
-            "round-off of the stiffness: round-off would decide u; hold u on a part of the boundary, or a stiffer "
-            "support"
+            f"{source}{where}, and the stiffness of its supports, {max(held[one], 0.0):.3g} in all, is below "
+            "the round-off of the "
+            "tension, so that round-off would determine u; prescribe u on a part of the boundary, or use a "
+            "stiffer support"
         )
-    raise InputError(f"{source}{where}, and no obstacle holds it: hold u on a part of the boundary")
+    raise InputError(f"{source}{where}, and no obstacle supports it: prescribe u on a part of the boundary")
 
 
 def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:

@@ -35,7 +35,7 @@ class Anisotropic(Effect):
     unit = "force/length"
     elastic = True
     dimension = (0, 0, 1)
-    no_bound = "the error bound needs a tension alike in all directions"
+    no_bound = "the error bound needs an isotropic tension"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Anisotropic:

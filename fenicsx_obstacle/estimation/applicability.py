@@ -30,7 +30,7 @@ def check_bound_exists(problem: Problem) -> None:
         if effect.no_bound:
             raise InputError(f"{model.source}: {effect.no_bound}")
         if effect.elastic and effect.isotropic_tension is None:
-            raise InputError(f"{model.source}: the error bound does not know {effect.key}")
+            raise InputError(f"{model.source}: the error bound does not cover {effect.key}")
     if problem.data.thin:
         raise InputError(f"{model.source}: the error bound is for obstacles in the domain, not on its boundary")
     others = other_effects(problem.data)

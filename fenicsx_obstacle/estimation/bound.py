@@ -162,15 +162,15 @@ class Estimator:
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
         """Why the bound is an indicator, as far as it depends on the state and on effects (collective)."""
-        reasons = [f"it knows tension and load, not {effect.key}" for effect in other_effects(self.problem.data)]
+        reasons = [f"it covers tension and load, not {effect.key}" for effect in other_effects(self.problem.data)]
         if not self._held_somewhere:
             reasons.append("u is given nowhere")
         if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
             constant = "Friedrichs' constant is not known for such a boundary"
-            reasons.append(f"{constant}, and the load is not quite in balance")
+            reasons.append(f"{constant}, and the forces are not exactly in balance")
         scale = largest(self.problem.level.comm, np.abs(terms.flux.normal))
         if terms.flux.incompatible > 1e-8 * scale:
-            reasons.append("cells overlap, or meet at a vertex alone")
+            reasons.append("cells overlap, or meet in a vertex only")
         if terms.crossing > 0:
             reasons.append(f"between the nodes the obstacles cross, by {terms.crossing:.2g} at most")
         return reasons

@@ -160,7 +160,7 @@ class Jumps:
         words = self.in_words()
         if words is not None:
             raise InputError(
-                f"{words}, so that no error bound and no tolerance is possible: let the value change continuously"
+                f"{words}, so that no error bound and no tolerance is possible: use a continuous boundary value"
             )
 
     def _changes(self, field: Field, edges: Edges, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

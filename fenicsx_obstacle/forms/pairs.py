@@ -166,4 +166,4 @@ register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in ("interval", *TENS
 register(Voronoi("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1),
                  words="vertex rule with Voronoi areas: consistent on any Delaunay mesh"))  # fmt: skip
 register(Pair("Q1-gauss", 1, {"quadrilateral": midpoint_rule("quadrilateral")}, ("DG", 0),
-              words="one-point Gauss rule: unstable, p_h shows a chessboard"))  # fmt: skip
+              words="one-point Gauss rule: unstable, p_h oscillates like a checkerboard"))  # fmt: skip

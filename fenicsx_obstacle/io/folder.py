@@ -86,7 +86,7 @@ def _told(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}; what was there stays") from None
+        raise InputError(f"{folder}: cannot be written: {error.strerror}; the old content stays") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ def _record(folder: Path) -> dict[str, Any]:
     try:
         record = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
         if not isinstance(record, dict) or not {"scene", "h", "eps", "contact", "newton_iterations"} <= set(record):
-            raise ValueError("it holds no figures")
+            raise ValueError("it has no values")
         return record
     except (OSError, ValueError) as error:
         raise InputError(f"{folder}: the saved answer is damaged: answer.json: {error}") from None

@@ -179,6 +179,6 @@ def mapped(path: Path, known: Mapping[str, Place | np.ndarray], comm: MPI.Comm) 
                 else:
                     found[name] = np.memmap(path, one.kind, "r", one.offset, one.shape)
         except OSError as error:
-            why = f"rank {comm.rank} cannot read it: {error.strerror}; put it where all ranks see it"
+            why = f"rank {comm.rank} cannot read it: {error.strerror}; use a file system that all ranks share"
             raise InputError(f"{path}: {why}") from None
     return found

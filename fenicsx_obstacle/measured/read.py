@@ -49,18 +49,22 @@ def read(path: Path) -> Heights:
     """
     try:
         if path.exists() and not path.is_file():
-            raise InputError(f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a file of heights")
+            raise InputError(
+                f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a file with measured data"
+            )
         state = path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path}: no such file of heights") from None
+        raise InputError(f"{path}: no such file") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
     if path.suffix.lower() not in ENDINGS:
-        raise InputError(f"{path}: a file of heights ends in {', '.join(ENDINGS)}")
+        raise InputError(f"{path}: measured data are in files that end in {', '.join(ENDINGS)}")
     if state.st_size == 0:
         raise InputError(f"{path}: is empty")
     if state.st_size > MAX_BYTES:
-        raise InputError(f"{path}: {state.st_size / 1e9:.3g} GB are too many; the limit is {MAX_BYTES / 1e9:g} GB")
+        raise InputError(
+            f"{path}: {state.st_size / 1e9:.3g} GB, which is too large; the limit is {MAX_BYTES / 1e9:g} GB"
+        )
     return _read(path.resolve(), str(path), state.st_mtime_ns, state.st_size)
 
 
@@ -136,7 +140,7 @@ def _loaded(path: Path, name: str) -> np.ndarray:
     try:
         return np.load(path, allow_pickle=False)
     except (ValueError, EOFError) as error:
-        raise InputError(f"{name}: no file of NumPy: {error}") from None
+        raise InputError(f"{name}: not a NumPy file: {error}") from None
 
 
 def _of_array(found: np.ndarray, name: str) -> Heights:
@@ -155,7 +159,7 @@ def _npz(path: Path, name: str) -> Heights:
             held = list(file)
             found = {key: file[key] for key in held if key in ("x", "y", "z") or len(held) == 1}
     except (ValueError, EOFError, BadZipFile) as error:
-        raise InputError(f"{name}: no archive of NumPy: {error}") from None
+        raise InputError(f"{name}: not a NumPy archive: {error}") from None
     if "z" not in found:
         if len(held) == 1:
             return _of_array(found[held[0]], name)
@@ -194,7 +198,7 @@ def _png(path: Path, name: str) -> Heights:
                 image.load()
                 grey = np.asarray(image.convert("RGB"), dtype=np.float64)
                 if np.ptp(grey, axis=2).max() > 0:
-                    raise InputError(f"{name}: an image in colours; heights are shades of grey")
+                    raise InputError(f"{name}: a colour image; a grey one is needed")
                 values, most = grey[..., 0], 255
             else:
                 values = np.asarray(image, dtype=np.float64)
@@ -218,6 +222,6 @@ def _stl(path: Path, name: str) -> Heights:
         except ValueError:
             corners = np.empty((0, 3))
         if not len(corners) or len(corners) % 3:
-            raise InputError(f"{name}: no whole STL file: its facets cannot be read")
+            raise InputError(f"{name}: not a complete STL file: its facets cannot be read")
     points, index = np.unique(corners, axis=0, return_inverse=True)
     return Heights(columns=points, triangles=index.reshape(-1, 3))

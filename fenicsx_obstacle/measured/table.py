@@ -160,7 +160,7 @@ class MeasuredField(Field):
             return
         for key in ("x", "y", "range"):
             if getattr(self.table, key) is not None:
-                raise InputError(f"{self._name}: {key} says nothing about data that have their own coordinates")
+                raise InputError(f"{self._name}: {key} has no meaning for data that have coordinates")
 
     def _of_matrix(self, heights: Heights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Axes and heights, shape (len(x), len(y)), scaled."""
@@ -175,7 +175,7 @@ class MeasuredField(Field):
             if len(axis) == 2 != count:
                 axis = np.linspace(axis[0], axis[1], count)
             if axis.shape != (count,) or count < 2:
-                raise InputError(f"{self._name}: {count} heights along {key}, and {len(axis)} coordinates")
+                raise InputError(f"{self._name}: {count} values along {key}, but {len(axis)} coordinates")
             if not np.isfinite(axis).all() or not np.all(np.diff(axis) > 0):
                 raise InputError(f"{self._name}: {key} must ascend")
             axes.append(axis)
@@ -201,8 +201,9 @@ class MeasuredField(Field):
     def _refuse_missing(self, count: int, total: int, places: Sequence[str]) -> None:
         more = " and more" if count > len(places) else ""
         raise InputError(
-            f"{self._name}: {count} of {counted(total, 'height')} are no finite numbers: at {'; '.join(places)}{more}; "
-            "fill them, or leave these points out: others are triangulated"
+            f"{self._name}: {count} of {counted(total, 'height')} are not finite numbers: at "
+            f"{'; '.join(places)}{more}; "
+            "replace them, or remove these points: the others are then triangulated"
         )
 
     def _of_points(self, points: np.ndarray) -> Surface:

@@ -402,7 +402,7 @@ class ObstacleProblem:
             left = unread(options)
         ignored = [key for key in self._options if all(prefix + key in left for prefix in prefixes)]
         if ignored and self.level.comm.rank == 0:
-            warnings.warn(f"{self.name}: petsc_options that nothing has asked for: {', '.join(ignored)}", stacklevel=5)
+            warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=5)
 
     def _begin(self) -> None:
         """Take what has changed since the last solve, and start from u (collective)."""
@@ -432,7 +432,8 @@ class ObstacleProblem:
         """
         if self._form is not None:
             raise InputError(
-                f"{self.name}: bound=True needs tension and load as data, which a form hides: take Scene(mesh=...)"
+                f"{self.name}: bound=True needs tension and load as data, which are not known of a form: use "
+                "Scene(mesh=...)"
             )
         from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
 
@@ -473,7 +474,7 @@ class ObstacleProblem:
         if not len(everywhere):
             free, negative = (total(problem.level.comm, number) for number in (len(weights), np.sum(diagonal < 0)))
             if not free:
-                raise InputError(f"{self.name}: u is given at every node: nothing is left to be solved for")
+                raise InputError(f"{self.name}: u is given at every node: there are no unknowns")
             if negative == free:
                 raise InputError(
                     f"{self.name}: every diagonal entry of the derivative of F is negative: F has the wrong sign; "
@@ -506,7 +507,7 @@ class ObstacleProblem:
         if least <= 0:
             raise InputError(
                 f"{self.name}: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
-                "is a sign wrong? without energy= any solution of the equation is taken"
+                "is a sign wrong? without energy= any solution of the equation is accepted"
             )
 
     def _refuse_other_energy(self, F: ufl.Form, energy: ufl.Form) -> None:

@@ -85,7 +85,7 @@ def _too_coarse(problem: Problem) -> list[str]:
     for datum in problem.model.data:
         if isinstance(datum, MeasuredField) and h > COARSE * datum.spacing:
             times = f"{h / datum.spacing:.2g} times as far apart as the data, {h:.3g} for {datum.spacing:.3g}"
-            found.append(f"nodes are {times}: what lies between is not seen ({datum.source})")
+            found.append(f"nodes are {times}: data between them are not resolved ({datum.source})")
     return found
 
 

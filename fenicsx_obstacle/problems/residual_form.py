@@ -204,10 +204,11 @@ def obstacle(g: Any, u: fem.Function, place: str) -> Field:
         InputError: If g is none of these, or holds u.
     """
     if g is u:
-        raise InputError(f"{place} is u itself, which is about to change: give a copy, u.copy()")
+        raise InputError(f"{place} is u itself, which changes during the solve: pass a copy, u.copy()")
     if isinstance(g, ufl.core.expr.Expr) and u in extract_coefficients(g):
         raise InputError(
-            f"{place} depends on u: obstacles are given; put a copy, u.copy(), into it to iterate over them"
+            f"{place} depends on u: an obstacle must not depend on the solution; for a fixed-point iteration "
+            "use a copy, u.copy()"
         )
     return field(g, place)
 

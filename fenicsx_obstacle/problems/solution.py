@@ -401,8 +401,8 @@ class Solution:
         """
         if self.tension is None:
             raise InputError(
-                "at() has no flux here: the tension is not known of a form of your own, nor of a solution read without "
-                "a scene; 'slope' is the gradient of u"
+                "at() has no flux here: the tension of a form is not known, nor that of a solution read without "
+                "a scene; 'slope' is |grad u|"
             )
         return self.tension
 
@@ -440,10 +440,10 @@ class Solution:
         eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
         figures = self._figures()
         if "peclet" in r:
-            how = "upwinded where it is above 1" if r["peclet"] > 1 else "so no upwinding anywhere"
+            how = "upwinded where it is above 1" if r["peclet"] > 1 else "so nowhere upwinded"
             figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
         if r["free"] == 0:
-            figures.append("u is given at every node: take more cells")
+            figures.append("u is given at every node: use more cells")
         linear = "GMRES step" if "peclet" in r else "linear step"
         steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
         if "time" in r:
@@ -461,7 +461,9 @@ class Solution:
         if r["penetration"] > LARGE_PENETRATION * r["u_range"]:
             large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
             share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
-            lines.append(f"  penetration is {share} range of u: for figures take a smaller eps, or the method vi")
+            lines.append(
+                f"  penetration is {share} range of u: for accurate values take a smaller eps, or the method vi"
+            )
         lines += self._round_off()
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
@@ -488,31 +490,32 @@ class Solution:
         return [f"  {counted(time['steps'], 'step')} to {time['name']} = {time['t']:g}, {scheme}{again}; at the end:"]
 
     def _round_off(self) -> list[str]:
-        """What floating point leaves of the pressure, in words, where that is little."""
+        """Lines about the round-off of the pressure, if it is large."""
         found, lines = self.record.get("round_off", {}), []
         if (found.get("left") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
             lines.append(
-                f"  heights so far from 0 leave the pressure a round-off of {found['left']:.1g}: count them from the "
-                "obstacle's"
+                f"  round-off of the pressure {found['left']:.1g}, because u is large; subtract a constant from "
+                "u and the "
+                "obstacle"
             )
         if (found.get("line") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
             lines.append(
-                f"  eps is below what heights resolve: p was found from u - obstacle; from u and obstacle as they are "
-                f"saved its error would be {found['line']:.1g}"
+                f"  eps is very small: p was computed from the unknown u - obstacle; computed from the saved u and "
+                f"obstacle it would have an error of {found['line']:.1g}"
             )
         return lines
 
     def _enclosure(self) -> list[str]:
-        """How near u is to the inequality's solution on the same mesh, in words."""
+        """A line about the distance of u from the solution of the inequality on the same mesh."""
         enclosure = self.record.get("enclosure")
         if enclosure is None:
             return []
         side = "above" if self.lower is not None else "below"
         words = "" if enclosure["guaranteed"] else "; not guaranteed, the stiffness is no M-matrix"
-        return [f"  without the penalty u would be at most {enclosure['width']:.3g} farther {side}, at any node{words}"]
+        return [f"  the solution without penalty is {side} u by at most {enclosure['width']:.3g} at each node{words}"]
 
     def _effectivity(self) -> str:
-        """Bound over true error, in words; where it is below 1, why."""
+        """Bound over true error, in words; if it is below 1, with the reason."""
         b = self.record["bound"]
         if b["effectivity"] is None:
             return ""
@@ -522,8 +525,8 @@ class Solution:
         if b["guaranteed"]:
             return times + ", so that [exact] is not the solution of this scene, or both are round-off"
         what = ["the curved boundary"] if "polygon" in b["words"] else []
-        what += ["what no sample sees"] if "sampled" in b["words"] else []
-        return f"{times}, which includes {' and '.join(what)}: the bound does not"
+        what += ["data between samples"] if "sampled" in b["words"] else []
+        return f"{times}, which includes the error of {' and '.join(what)}; the bound does not"
 
     def _tolerance(self) -> list[str]:
         """Whether the tolerance was reached, in words."""

@@ -33,14 +33,14 @@ def _check(scene: Scene, part: BoundaryTable, place: str) -> None:
     if part.value is None and not acting:
         raise InputError(f"{place}: the key 'value' is missing, or {', '.join(ACTING)}")
     if part.value is not None and acting:
-        raise InputError(f"{place}: {acting[0]} does nothing where u is given by 'value'; name them apart")
+        raise InputError(f"{place}: {acting[0]} has no effect where u is given by 'value'; use separate tables")
     if part.on == ():
-        raise InputError(f"{place} on = []: names no part")
+        raise InputError(f"{place} on = []: has no part")
     if part.on is not None and part.where is not None:
         raise InputError(f"{place}: 'on' and 'where' exclude each other")
     if part.where is not None and not stands_for_an_object(part.where):
         needed = scene.needs(scene.formula(part.where, ""))
         if "distance" in needed:
-            raise InputError(f"{place} where: 'distance' is 0 all over the boundary")
+            raise InputError(f"{place} where: 'distance' is 0 on the whole boundary")
         if TIME in needed:
-            raise InputError(f"{place} where: parts of the boundary stay where they are; 't' is for values")
+            raise InputError(f"{place} where: parts of the boundary cannot depend on time; 't' is for values")

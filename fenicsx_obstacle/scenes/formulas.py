@@ -134,7 +134,7 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
         offset = _column(text, (error.offset or 1) - 1)
         raise InputError(_caret(bare, offset, "cannot read this formula")) from None
     except (MemoryError, RecursionError, ValueError):
-        raise InputError(f"{place}: this formula is nested too deeply or holds strange characters") from None
+        raise InputError(f"{place}: this formula is nested too deeply or has invalid characters") from None
     formula = Formula(text, place, tree)
     _check(formula, tree, 0, {**FUNCTIONS, **FUNCTIONALS} if functionals else FUNCTIONS)
     return formula

@@ -79,7 +79,7 @@ class _Gone(Field):
         return self._raise()
 
     def _raise(self) -> NoReturn:
-        raise InputError(f"{self.source} was given in Python and is not in the file: give it again by `change`")
+        raise InputError(f"{self.source} was given in Python and is not in the file; set it again by `change`")
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,7 +59,9 @@ class Report:
         if self.data.model.elastic.isotropic_tension is None:
             for formula in self.scene.report.values():
                 if {"flux", NORMAL_FLUX, JUMP} & formula.names:
-                    raise InputError(f"{formula.place}: flux needs a tension alike in all directions and at all slopes")
+                    raise InputError(
+                        f"{formula.place}: flux needs an isotropic tension that does not depend on the slope"
+                    )
         for formula in self.scene.report.values():
             if self.data.model.radial and NORMAL_FLUX in formula.names:
                 raise InputError(f"{formula.place}: {NORMAL_FLUX} is for plane problems, not for axial symmetry")

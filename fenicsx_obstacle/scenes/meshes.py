@@ -99,7 +99,7 @@ def shape_of(scene: Scene) -> shapes.Shape:
         if not a < b:
             raise InputError(f"{place}: the first end must be less than the second")
         if not max(1e-14, 1e-13 * max(abs(a), abs(b))) < b - a < 1e150:
-            raise InputError(f"{place}: too near or too far for floating point; choose another unit or origin")
+            raise InputError(f"{place}: too close or too far for floating point; choose another unit or origin")
         return a, b
 
     match table.shape:

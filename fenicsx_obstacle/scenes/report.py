@@ -75,12 +75,12 @@ class _Checker:
     def _name(self, node: ast.expr, name: str, inside: bool, on_part: bool) -> None:
         if name in (NORMAL_FLUX, JUMP) and not on_part:
             where = "a part of the boundary" if name == NORMAL_FLUX else "a curve inside"
-            message = f'{name} is known on {where}: integral({name}, "name")'
+            message = f'{name} is defined on {where} only: integral({name}, "name")'
             raise InputError(self.formula.pointing(node, message))
         if name in (self.varying if inside else self.constant):
             return
         if name in self.varying:
-            message = f"'{name}' differs from place to place: wrap it in integral, at, sup or inf"
+            message = f"'{name}' is a field: use integral, at, sup or inf of it"
         else:
             message = f"unknown name '{name}'" + nearest(name, self.varying)
         raise InputError(self.formula.pointing(node, message))

@@ -308,9 +308,9 @@ class Scene(Vocabulary):
                 raise InputError(f"{self.source}: [effects] unknown effect '{key}'" + nearest(key, keys))
         elastic = [key for key in self.tables.effects if find(key).elastic]
         if not elastic:
-            raise InputError(f"{self.source}: [effects] names no stiffness: add 'tension = 1'")
+            raise InputError(f"{self.source}: [effects] has no stiffness: add 'tension = 1'")
         if len(elastic) > 1:
-            raise InputError(f"{self.source}: [effects] names {' and '.join(elastic)}: a membrane has one tension")
+            raise InputError(f"{self.source}: [effects] names {' and '.join(elastic)}: only one of them is allowed")
         effects = [find(key).read(value, f"[effects] {key}", self) for key, value in self.tables.effects.items()]
         for number, part in enumerate(self.tables.boundary):
             for key in sorted(known("boundary")):
@@ -393,10 +393,10 @@ class Scene(Vocabulary):
         formula = self.formula(value, place)
         formula.check_names({*self.known_names, "eps"})
         if (count := self.operations(formula)) > MAX_OPERATIONS:
-            words = f"{count:.3g} operations with its definitions written out; the limit is {MAX_OPERATIONS}"
+            words = f"{count:.3g} operations after its definitions are inserted; the limit is {MAX_OPERATIONS}"
             raise InputError(f"{formula.place}: {words}")
         if "distance" in self.needs(formula):
-            raise InputError(f"{formula.place}: 'distance' is known at points only, not its gradient: not in [exact]")
+            raise InputError(f"{formula.place}: 'distance' has no gradient, so it is not allowed in [exact]")
 
     def problem(self, comm: Any = None) -> ObstacleProblem:
         """The scene on its mesh, as a problem that is solved from Python (collective).

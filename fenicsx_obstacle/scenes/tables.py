@@ -226,7 +226,9 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise InputError(f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a scene file")
         if path.stat().st_size > MAX_BYTES:
             size = path.stat().st_size / 1e6
-            raise InputError(f"{path}: {size:.3g} MB are too many for a scene; the limit is {MAX_BYTES / 1e6:g} MB")
+            raise InputError(
+                f"{path}: {size:.3g} MB, which is too large for a scene; the limit is {MAX_BYTES / 1e6:g} MB"
+            )
         raw = tomllib.loads(path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n"))
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: no such scene file") from None
@@ -282,7 +284,7 @@ def _no_idle_key(mesh: MeshTable, given: dict[str, Any], source: str) -> None:
             of = f"shape = '{mesh.shape}'" if mesh.shape else "a mesh from a file"
             says = ", ".join(known[2:])
             raise InputError(
-                f"{source}: [mesh] {key} = {_short(given[key])}: says nothing about {of}; these keys do: {says}"
+                f"{source}: [mesh] {key} = {_short(given[key])}: does not belong to {of}; its keys are: {says}"
             )
 
 

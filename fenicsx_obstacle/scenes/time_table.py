@@ -33,12 +33,12 @@ def moments(scene: Scene) -> TimeDiscretization | None:
     end = scene.number(table.end, "[time] end")
     if end <= 0:
         raise InputError(f"{source}: [time] end = {table.end}: must be positive")
-    without = "without rate or inertia every moment is an equilibrium of its own"
+    without = "without rate or inertia an equilibrium is computed at each time"
     wrong = {
         "start": (order == EQUILIBRIA, without),
-        "velocity": (order != INERTIA, "it goes with inertia"),
+        "velocity": (order != INERTIA, "it needs inertia"),
         "scheme": (order != RATE, "euler and bdf2 are for rate without inertia"),
-        "tolerance": (order != RATE, "it goes with rate, without inertia"),
+        "tolerance": (order != RATE, "it needs rate without inertia"),
     }
     for key, (refused, why) in wrong.items():
         if refused and getattr(table, key) is not None:

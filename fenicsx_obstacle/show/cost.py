@@ -72,7 +72,7 @@ def summary(rows: Rows, study: CostStudy) -> Iterator[str]:
     yield from _lines(tables.NEXT, tables.next_digit(rows))
     yield ""
     yield from _lines(["relative error", *(NORMS[norm] for norm in price.norms(rows))], tables.by_tolerance(rows))
-    yield "in brackets: not measured, continued along the line of the last rows"
+    yield "in brackets: extrapolated from the last rows"
     yield ""
     best = tables.best_eps(rows)
     if best:

@@ -1,4 +1,4 @@
-"""The page of `cost`, for readers who know nothing of penalties: pictures, tables and what they mean (one rank)."""
+"""The page of `cost`: pictures and tables with explanations that need no knowledge of penalty methods (one rank)."""
 
 from __future__ import annotations
 
@@ -18,36 +18,37 @@ from fenicsx_obstacle.studies.price import NORMS, Rows
 from fenicsx_obstacle.text import title_of
 
 READ = {
-    "seconds": """Down is more accurate, right is dearer: the lowest line at a given time is the best buy. A straight
-line that falls by one digit over d digits of time makes each further digit cost 10^d times as much. Solid: linear
-elements (P1); dashed: quadratic ones (P2). The grey dotted line, where it is near enough to be seen, is what
-unbalanced forces and rounding leave: below it digits are noise.""",
-    "prices": """The same rows by other prices. One Poisson solve is one linear problem without obstacle on the finest
-uniform mesh here, solved by algebraic multigrid: a scale that depends little on the machine. Memory is what a row
-takes beyond what the program occupied before.""",
-    "parts": """Two things make the answer wrong: cells are not infinitely small, and the obstacle of a penalty method
-gives way a little. Blue is the error that the mesh alone makes, found by solving the inequality without penalty on
-the same mesh; red is how far the penalty moves the answer on that mesh; black is what is left in the end. Where red
-is above blue a smaller eps is a free improvement; where it is far below, eps does not matter.""",
-    "map": """Each box is one solve: the darker, the larger the error. Upward eps grows and the obstacle becomes soft,
-to the right cells grow. Along a column from above, the error falls until the mesh alone decides; the stars mark where
-that begins: the largest eps that makes the error at most a tenth larger than a tiny eps does. Hatched: eps so small
-that rounding decides which points touch; the program refuses it.""",
+    "seconds": """Lower is more accurate, further right is slower: at a given time the lowest line is the best choice.
+    If a
+line falls by one digit while the time grows by d digits, each further digit takes 10^d times as long. Solid lines are
+linear elements (P1), dashed lines quadratic ones (P2). The grey dotted line, if it is in the range of the plot, is the
+error due to unbalanced forces and round-off.""",
+    "prices": """The same rows against Poisson solves, memory and unknowns. One Poisson solve is the time of one linear
+problem without obstacle on the finest uniform mesh of this page, solved by algebraic multigrid; this unit depends
+little on the machine. Memory is the increase by a row over the memory of the program before it.""",
+    "parts": """The error has two parts. Blue is the error of the mesh: the solution of the variational inequality on
+    the
+same mesh, without penalty, has this error. Red is the error of the penalty: the distance from that solution on the same
+mesh. Black is the total error. Where red is above blue, a smaller eps reduces the error at no cost; where it is far
+below, eps does not matter.""",
+    "map": """Each box is one solve; a darker box has a larger error. eps grows upwards, h to the right. In each
+    column the
+error decreases with eps until the error of the mesh dominates. A star marks the largest eps whose error is at most a
+tenth above that of a very small eps. In the hatched region round-off determines the contact set; the program rejects
+such values of eps.""",
 }
-ABOUT = """{title}. Something that may touch an obstacle but not cross it is computed on a mesh of cells,
-approximately. Smaller cells are more accurate and take longer. This page says, from runs on this machine, what each
-further digit of the answer costs, and which way of computing it is the cheapest."""
-MEASURES = """Errors are measured in several ways, each relative to the size of the answer. Energy norm: the error of
-slopes, weighted by the tension; the hardest to reduce. L2 norm: the error of heights, on average. Maximum norm: the
-largest error of a height. Contact force: of the total force on the obstacle. Contact area: of the size of the region
-that touches."""
-PENALTY = """Penalty methods replace the hard obstacle by a very stiff cushion; eps is its softness: the smaller, the
-harder. The variational inequality (VI) is the problem with the hard obstacle itself."""
-NEXT = """For each way of measuring: the smallest error, who had it, or half of its accuracy, soonest, and the time;
-then what an error ten times smaller would take, by whoever is cheapest there, if things go on as over the last three
-meshes. The last column is about where rounding ends it."""
-CHEAPEST = """The fastest choice for each relative error, and its time; in brackets where this is continued beyond the
-rows."""
+ABOUT = """{title}. The problem is solved approximately on a mesh; smaller cells are more accurate and take longer. This
+page has, from runs on this machine, the time for each further digit of the solution, and the fastest method."""
+MEASURES = """Errors are measured in several norms, relative to the size of the solution. Energy norm: the error of the
+gradient, weighted by the tension; it decreases most slowly. L2 norm: the mean error of u. Maximum norm: the largest
+error of u. Contact force: the error of the total force on the obstacle. Contact area: the error of the size of the
+contact set."""
+PENALTY = """A penalty method replaces the constraint by a stiff foundation; eps is its compliance, and a smaller eps
+is a stiffer foundation. The variational inequality (VI) has the constraint itself."""
+NEXT = """For each norm: the smallest error, the fastest method that reaches this error or twice this error, and its
+time; then the time for a tenth of this error with the fastest method, extrapolated from the last three meshes. The last
+column is about the error at which round-off dominates."""
+CHEAPEST = """The fastest method for each relative error, and its time; times in brackets are extrapolated."""
 
 
 def write_page(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
@@ -66,14 +67,16 @@ def write_page(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
 
 
 def headline(rows: Rows) -> str:
-    """The price of the next digit in one line."""
+    """Time for one more digit in one line."""
     p = price.price(rows, "energy")
     if p is None:
-        return "What accuracy costs."
+        return "Cost of accuracy."
     far = (
-        "; one more digit is not in sight" if p.factor is None else f"; one more digit takes {p.factor:.2g} times that"
+        "; one more digit is not reached by extrapolation"
+        if p.factor is None
+        else f"; one more digit takes {p.factor:.2g} times that"
     )
-    return f"What accuracy costs: an energy error of {p.error:.1e} in {tables.duration(p.seconds)} by {p.choice}{far}."
+    return f"Cost of accuracy: an energy error of {p.error:.1e} in {tables.duration(p.seconds)} by {p.choice}{far}."
 
 
 def parts(rows: Rows, study: CostStudy, drawn: Mapping[str, tuple[str, str]]) -> list[str]:
@@ -81,16 +84,18 @@ def parts(rows: Rows, study: CostStudy, drawn: Mapping[str, tuple[str, str]]) ->
     heads = ["relative error", *(NORMS[norm] for norm in price.norms(rows))]
     found = [
         page.section("What this page is about", _about(study.full, rows)),
-        page.section("The price of the next digit", _lead(NEXT) + page.table(tables.NEXT, tables.next_digit(rows))),
-        page.section("The cheapest way to an error", _lead(CHEAPEST) + page.table(heads, tables.by_tolerance(rows))),
-        page.section("The ways that are compared", _ways(study.choices)),
+        page.section("Time for one more digit", _lead(NEXT) + page.table(tables.NEXT, tables.next_digit(rows))),
+        page.section(
+            "The fastest method for a given error", _lead(CHEAPEST) + page.table(heads, tables.by_tolerance(rows))
+        ),
+        page.section("The methods that are compared", _ways(study.choices)),
     ]
     for name, (words, element) in drawn.items():
         body = _lead(READ[name]) + page.plots({words: element}, wide=True)
         if name == "map" and (best := tables.best_eps(rows)):
             body += page.table(tables.BEST, best)
         found.append(page.section(words, body))
-    found.append(page.section("What is not there, and why", page.facts(tables.ended(rows, study))))
+    found.append(page.section("Where each method ends, and why", page.facts(tables.ended(rows, study))))
     measured = page.table(tables.HEADS, [tables.cells(row) for row in price.solved(rows)])
     found.append(page.section("All rows", measured + f'<p class="note">{tables.TAS}</p>'))
     return found

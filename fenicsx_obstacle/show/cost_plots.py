@@ -23,10 +23,10 @@ _WORDS = {"auto": "eps = h$^2$/100 (auto)", "eps = h^2": "eps = h$^2$ (paper)", 
 
 def drawings(rows: Rows) -> Iterator[tuple[str, str, Any]]:
     """Each plot with its name and what it shows."""
-    yield "seconds", "Error against seconds, for each way of measuring it", against_seconds(rows)
+    yield "seconds", "Error against time, in each norm", against_seconds(rows)
     yield "prices", "Error in the energy norm against Poisson solves, memory and unknowns", against_prices(rows)
     if any(row.get("parts") for row in solved(rows)):
-        yield "parts", "The error, and the parts of it that mesh and penalty contribute", parts(rows)
+        yield "parts", "The error, and its parts due to mesh and penalty", parts(rows)
     if any(row["choice"] == "map" and "errors" in row for row in rows):
         yield "map", "The error over mesh and penalty parameter", over_h_and_eps(rows)
 
@@ -76,7 +76,7 @@ def against_prices(rows: Rows) -> Any:
             _nothing(axes)
     if lines:
         _legend(panels[0], rows, inside=True)
-    page.suptitle(_title(rows, "The same error by other prices"), fontsize=11)
+    page.suptitle(_title(rows, "The same error against other costs"), fontsize=11)
     return page
 
 
@@ -146,7 +146,7 @@ def over_h_and_eps(rows: Rows) -> Any:
         best = largest_harmless_eps(rows, norm)
         if best:
             axes.loglog(*np.array(best).T, "*--", color="#ff9f80", markeredgecolor="black", markersize=10,
-                        label="largest eps that does no harm")  # fmt: skip
+                        label="largest eps without effect on the error")  # fmt: skip
         _round_off(axes, line, places, edges)
         axes.set(xlabel="h", ylabel="eps", title=NORMS.get(norm, "pressure, L2 norm"))
         axes.set_xlim(edges[0][0], edges[0][-1])
@@ -201,7 +201,7 @@ def _lines(rows: Rows, norm: str) -> dict[str, list[Any]]:
 def _nothing(axes: Any) -> None:
     """In place of lines."""
     axes.set(xticks=[], yticks=[])
-    axes.text(0.5, 0.5, "no error is large enough to be told\nfrom what the reference may be off", ha="center",
+    axes.text(0.5, 0.5, "all errors are smaller than the\nuncertainty of the reference", ha="center",
               va="center", fontsize=9, color=_GREY, transform=axes.transAxes)  # fmt: skip
 
 

@@ -33,7 +33,7 @@ def cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def next_digit(rows: Rows) -> list[list[str]]:
-    """The price of the next digit, a line for each norm."""
+    """Time for one more digit, a line for each norm."""
     found = []
     for norm in price.norms(rows):
         p = price.price(rows, norm)
@@ -66,7 +66,7 @@ def by_tolerance(rows: Rows) -> list[list[str]]:
 
 
 def best_eps(rows: Rows) -> list[list[str]]:
-    """The largest eps that does no harm, read off the map, beside theory and the two rules."""
+    """The largest eps without effect on the error, read off the map, beside theory and the two rules."""
     found, places = [], [row for row in rows if row["choice"] == "map"]
     for norm in (*price.norms(rows), "pressure"):
         pairs = price.largest_harmless_eps(rows, norm)
@@ -85,7 +85,7 @@ def against(rows: Rows) -> str:
     first = price.truth(rows)
     if first["exact"]:
         parts = [f"contact {name} {first[name]:.9g}" for name in ("area", "force") if name in first]
-        return "Errors are against the exact solution" + (f": {', '.join(parts)}." if parts else ".")
+        return "Errors are measured against the exact solution" + (f": {', '.join(parts)}." if parts else ".")
     changed = ", ".join(f"{NORMS[norm]} {value:.1e}" for norm, value in first["changed"].items())
     bound = first.get("bound")
     if bound is None:
@@ -94,9 +94,10 @@ def against(rows: Rows) -> str:
         kind = "at most" if bound["words"].startswith("certified") else "about"
         how = f"Its own energy error is {kind} {bound['total']:.2e} ({bound['words']})."
     return (
-        f"No exact solution is known: errors are against the finest solution that was affordable, {first['dofs']} "
+        "No exact solution is known: errors are measured against the finest solution within the budget, "
+        f"{first['dofs']} "
         f"unknowns. {how} Its last refinement changed it by: {changed}. Errors within {price.TRUSTED:g} times that, or "
-        "in the energy norm within the bound, are left out of curves and prices."
+        "in the energy norm within the bound, are not included in curves and tables."
     )
 
 
@@ -104,7 +105,7 @@ def ended(rows: Rows, study: CostStudy) -> list[tuple[str, str]]:
     """Why each choice has no further row."""
     failed = {row["choice"] for row in price.failures(rows)}
     return [
-        (choice.name, ("did not do it: " if choice.name in failed else "ends: ") + study.ends[choice.name])
+        (choice.name, ("failed: " if choice.name in failed else "ends: ") + study.ends[choice.name])
         for choice in study.choices
         if choice.name in study.ends
     ]

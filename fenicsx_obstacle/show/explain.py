@@ -152,7 +152,7 @@ def _discrete(scene: Scene) -> list[str]:
     space = f"V_h, continuous {scene.pair.space}"
     lines = [f"{' '.join(terms)} = f(v) for all v in {space}, v = 0 where u is given" + "   (3.4)" * bool(sides)]
     if not penalised and sides:
-        lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u likewise   (3.19)"]
+        lines = ["a(u, v - u) >= f(v - u) for all v in V_h between the obstacles, u too   (3.19)"]
     lines += [effect.note for effect in scene.effects if effect.note]
     ordered = sorted(scene.effects, key=lambda effect: not effect.elastic)  # its term has no sign
     lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in ordered if effect.term))
@@ -198,7 +198,7 @@ def _size(scene: Scene) -> list[str]:
     unknowns = shape.vertices(degree * 2.0**scene.tables.mesh.refine)
     more = 1.0 if all(effect.in_model_problem for effect in scene.effects) else OTHERS
     megabytes = max(unknowns * more * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
-    return [f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB beside the libraries"]
+    return [f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB in addition to the libraries"]
 
 
 def _solver(scene: Scene) -> list[str]:
@@ -233,28 +233,28 @@ def _why(scene: Scene) -> str:
 
 def _levels(scene: Scene) -> str:
     if scene.time is not None and scene.time.order > EQUILIBRIA:
-        return "on the finest level alone, from the last moment"
+        return "on the finest level only, from the last time step"
     by_levels = stepwise(scene.effects, scene.pair, scene.options)
-    return "each level starts from the next coarser one" if by_levels else "on the finest level alone"
+    return "each level starts from the next coarser one" if by_levels else "on the finest level only"
 
 
 def _method(scene: Scene) -> str:
     """The method, with what the effects change of it."""
     words = METHODS[scene.options.method]
     if not all(effect.convex for effect in scene.effects):
-        return words.replace("on the energy", "on the norm of the residual, for there is no energy,")
+        return words.replace("on the energy", "on the norm of the residual, because there is no energy,")
     if all(effect.affine for effect in scene.effects):
         return words
     if scene.options.method == "vi":
-        return f"{words}; from the solution of the penalty should it fail"
+        return f"{words}; if it fails, from the solution of the penalty"
     return words.replace(*NONLINEAR_WORDS)
 
 
 def _steps(scene: Scene) -> str:
     """One linear solve, or steps."""
     if not all(effect.affine for effect in scene.effects):
-        return "a linear solve in each Newton step, with forms assembled anew"
-    return "one linear solve where nothing touches; else one more each time that contact changes"
+        return "a linear solve in each Newton step, with newly assembled forms"
+    return "one linear solve without contact, and one more each time that the contact set changes"
 
 
 def _linear_solver(scene: Scene) -> str:

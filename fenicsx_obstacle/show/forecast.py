@@ -21,9 +21,12 @@ def forecast_text(scene: Scene, tol: float) -> str:
         f"about {found.dofs:.3g} unknowns on mesh {found.meshes}, {duration(found.seconds)}, {found.memory_mb:.0f} MB"
     )
     if found.reached:
-        how = "this was run just now, within the calibration"
+        how = "measured: the calibration has reached the tolerance"
     else:
         spent, order = duration(found.calibration), f"{found.order:.2f}"
-        how = f"from {spent} of calibration, where the bound fell like unknowns^-{order}; within a factor of 2"
+        how = (
+            f"from {spent} of calibration, in which the bound was proportional to unknowns^-{order}; within a "
+            "factor of 2"
+        )
     first = f"  {'--tol':10}"
     return fill(f"{tol:g}: expect {size} ({how})", 110, initial_indent=first, subsequent_indent=" " * 14)

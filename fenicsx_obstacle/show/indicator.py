@@ -35,7 +35,7 @@ def draw_bound(bound: Bound, arrays: dict[str, np.ndarray], comm: MPI.Comm, path
 
 def _draw(indicator: np.ndarray, arrays: dict[str, np.ndarray], bound: Bound, path: Path) -> str:
     shares = np.sort(_shares(indicator))[::-1].cumsum()
-    words = f"{(np.searchsorted(shares, MOST) + 1) / len(shares):.1%} of the cells carry half of the bound"
+    words = f"{(np.searchsorted(shares, MOST) + 1) / len(shares):.1%} of the cells contribute half of the bound"
     page, axes = figure(6.4, 5.2)
     _cells(page, axes, indicator, arrays)
     most = "at most" if bound.words.startswith("certified") else "about"

@@ -37,7 +37,7 @@ def animate_newton(answer: Answer, path: Path) -> str:
     arrays = gather(answer)
     flat = answer.level.mesh.topology.dim == 2 == answer.level.mesh.geometry.dim
     if not flat or scene.time is not None or (answer.lower is None and answer.upper is None):
-        return f"{path.name} shows contact within a plane domain, at rest: not drawn"
+        return f"{path.name} is for stationary plane problems: not drawn"
     if answer.record["eps"] is not None:  # the one that was chosen
         options = replace(options, eps=answer.record["eps"])
     courses, failed = dict[str, list[Iterate]](), ""
@@ -94,7 +94,7 @@ def _free_boundary(patch: Patch) -> tuple[list[Patch], str]:
     """That of the exact solution where it is known, otherwise that of the answer; and whose it is."""
     fields = patch.fields
     if "error" not in fields:
-        return free_boundary(patch), "free boundary in the end"
+        return free_boundary(patch), "final free boundary"
     u = fields["u"] - fields["error"]
     sides = {side: sign for side, sign in SIDES.items() if side in fields}
     touching = {side: np.abs(u - fields[side]) <= CLOSE * np.ptp(u) for side in sides}

@@ -126,7 +126,7 @@ def write_cost_page(
         command: What made it.
     """
     about = [
-        section("What is assembled, and what is left out", facts(explained(scene))),
+        section("Assembled terms, and what is not included", facts(explained(scene))),
         section("Scene", pre(scene.toml())),
     ]
     _write(path, scene, headline, [*parts, *about], {"versions": versions}, command)
@@ -212,7 +212,7 @@ def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[
     return [
         *([section("Report" + which, facts(report))] if report else []),
         section("Output quantities" + which, facts(_figures(record))),
-        section("What is assembled, and what is left out", facts(explained(scene))),
+        section("Assembled terms, and what is not included", facts(explained(scene))),
         section("Scene" + which, pre(scene.toml())),
     ]
 

@@ -48,7 +48,7 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
             said += "\n  " + draw_bound(answer.bound, gather(answer), comm, folder / NAME)
-            others["Where the bound comes from"] = folder / NAME
+            others["Contribution of each cell to the bound"] = folder / NAME
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
@@ -134,7 +134,7 @@ def report_find(
         options: Fixed values.
         folder: As for `report_study`; the last answer is the one that was found.
         say: Prints a line on rank 0.
-        within: Accuracy of the value, as a share of the interval.
+        within: Accuracy of the value, relative to the interval.
         fresh: Forget the rows that are there.
 
     Raises:

@@ -15,8 +15,8 @@ def steps_of(scene: Scene) -> list[str]:
     how = {
         "equilibria": f"equilibria at t = 0 and {counted(time.steps, 'moment')} more, to t = {time.end:g}",
         "euler": "implicit Euler, order 1, monotone",
-        "bdf2": "BDF2, order 2, begun with a step of implicit Euler",
-        "midpoint": "elastic forces averaged over a step, order 2, contact at its end: energy never grows by a step",
+        "bdf2": "BDF2, order 2, first step by implicit Euler",
+        "midpoint": "elastic forces averaged over a step, order 2, contact at its end: the energy never increases",
     }[time.scheme]
     lines = [how if time.order == EQUILIBRIA else f"{counted(time.steps, 'step')} to t = {time.end:g}: {how}"]
     if time.tolerance is not None:
@@ -26,6 +26,6 @@ def steps_of(scene: Scene) -> list[str]:
     start += [] if time.velocity is None else [f"u_t = {time.velocity.text}"]
     lines += [f"at t = 0 {', '.join(start)}"] if start else []
     if time.order > EQUILIBRIA:
-        lines.append("a step is the problem above with a foundation and a load more, and starts from the last moment")
-    frames = f"fields at {counted(time.frames + 1, 'moment')}" if time.frames else "no fields but the last"
-    return [*lines, f"kept: figures of all moments, {frames}, and the state, from which --restart goes on"]
+        lines.append("a step is the problem above with an additional foundation and load; it starts from the last step")
+    frames = f"fields at {counted(time.frames + 1, 'moment')}" if time.frames else "only the last fields"
+    return [*lines, f"saved: output quantities of all times, {frames}, and the state, from which --restart goes on"]

@@ -126,7 +126,7 @@ def difference(found: Mapping[str, Any], first: str, second: str) -> str:
     if None not in found["energy"]:
         lines.append("  energy: " + " and ".join(f"{energy:.8g}" for energy in found["energy"]))
     if found["outside"]:
-        lines.append(f"  {counted(found['outside'], 'node')} of the finer mesh outside of the other: not counted")
+        lines.append(f"  {counted(found['outside'], 'node')} of the finer mesh outside of the other mesh: not counted")
     return "\n".join(lines)
 
 

@@ -130,7 +130,7 @@ def _lines(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequenc
         right.set_title("in contact", fontsize=9)
     else:
         right.set_axis_off()
-        right.text(0.5, 0.5, "no contact at these moments", ha="center", transform=right.transAxes)
+        right.text(0.5, 0.5, "no contact at these times", ha="center", transform=right.transAxes)
 
 
 def _maps(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequence[Frame]) -> None:

@@ -32,12 +32,12 @@ def slider(answer: Answer) -> Any:
     try:
         import ipywidgets
     except ImportError:
-        raise InputError("a slider needs ipywidgets, which is not there: pip install ipywidgets") from None
+        raise InputError("a slider needs ipywidgets, which is not installed: pip install ipywidgets") from None
     if answer.time_history is not None:
         return _over_moments(ipywidgets, answer)
     eps = answer.record["eps"]
     if eps is None:
-        raise InputError(f"{answer.record['method']}: there is no eps to choose")
+        raise InputError(f"{answer.record['method']}: there is no eps")
     context = SolverContext(answer.scene, level=answer.level)
     values, floor = [eps * 10.0**k for k in range(TENS, -TENS - 1, -1)], smallest_eps(context.problem)
     options = {f"{value:.2g}": value for value in values if value >= floor}
@@ -52,7 +52,7 @@ def slider(answer: Answer) -> Any:
 def _over_moments(ipywidgets: Any, answer: Answer) -> Any:
     arrays = gather(answer)
     if not is_animated(answer, arrays):
-        raise InputError("moments of intervals and plane meshes are shown; open frames.xdmf in ParaView")
+        raise InputError("only intervals and plane meshes are shown; open frames.xdmf in ParaView")
     assert answer.time_history is not None
     assert answer.scene.time is not None
     page, show = moving(answer, arrays)

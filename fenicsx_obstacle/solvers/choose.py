@@ -26,7 +26,7 @@ from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 
 METHODS = {
     "penalty": "semismooth Newton on (3.4) by PETSc SNES: full steps; a line search on the energy if sets repeat",
-    "successive": "the paper's (3.4)*: the same Newton loop from no contact, until the active set repeats",
+    "successive": "the paper's (3.4)*: the same Newton loop, started without contact, until the active set repeats",
     "vi": "PETSc SNES VI (vinewtonrsls) on the discrete variational inequality (3.19), no penalty",
 }
 # residuals that are not linear in u begin with the line search
@@ -113,8 +113,8 @@ def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
         return max(eps, floor)
     if eps < floor:
         raise InputError(
-            f"{place}: below the floor of round-off, {floor:.2g} on this mesh, where contact "
-            "moves u by less than its last digit; take a larger eps, or its limit, the method vi"
+            f"{place}: below the limit of round-off, {floor:.2g} on this mesh, at which contact "
+            "changes u by less than its last digit; take a larger eps, or the method vi"
         )
     return eps
 

@@ -72,7 +72,7 @@ def solve_nested(
             if finest:
                 if not _algebraic(grids):
                     raise
-                _log.info("not solved from algebraic levels: a cold start goes on")
+                _log.info("no convergence from the algebraic levels: continuing with a cold start")
                 problem.set_reference(problem.cold_start())
                 last = solve(problem)
                 outcomes.append(replace(last, iterations=error.iterations + last.iterations))
@@ -97,7 +97,7 @@ def solve_from(grid: Multigrid | Problem, start: np.ndarray, solve: Callable[...
     try:
         return solve(problem, multigrid=multigrid, patience=FEW)
     except NotConverged:
-        _log.info("the solution of other data is too far off to begin from")
+        _log.info("the solution for other data is too far away to start from")
         return None
 
 

@@ -105,7 +105,8 @@ def _torn(problem: Problem, active: np.ndarray) -> str | None:
             continue
         if 2 * largest(comm, np.ptp(fallen[cells], axis=1)) > depth:
             return (
-                f"u falls by {depth:.4g} within one cell where it is given: the film tears there, as the load is "
+                f"u falls by {depth:.4g} within one cell where it is given: u is discontinuous there, because "
+                "the load is "
                 "beyond its limit, and no solution reaches the obstacle"
             )
     return None
@@ -125,7 +126,7 @@ def _sensitive(problem: Problem, active: np.ndarray) -> str | None:
     middle = (largest(comm, u) + smallest(comm, u)) / 2
     moved = _moved_by(problem, active, EPSILON * nodal.diagonal * np.abs(u - middle))
     if moved is not None and not moved <= LIMIT * spread:
-        return "round-off decides u, by more than 1 % of its range: the equation is nearly singular"
+        return "round-off changes u by more than 1 % of its range: the equation is nearly singular"
     return None
 
 

@@ -152,7 +152,7 @@ def run(
         snes.destroy()
     failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
     if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{prefix}{key}") for key in LINEAR):
-        _log.info("a linear system could not be solved by iteration; a direct solver goes on")
+        _log.info("an iterative linear solver did not converge; a direct solver is used")
         stopping.begin_again()
         again = run(problem, name, options, stopping, penalised=penalised, objective=objective, prepare=prepare,
                     direct=True)  # fmt: skip

@@ -231,9 +231,10 @@ def in_words(reason: int) -> str:
         PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: "a linear system could not be solved",
         PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: "the line search found no descent",
         releases.NOT_A_NUMBER: "the residual became infinite or not a number",
-        MEANINGLESS: "round-off decides u: the forces that its round-off leaves are beyond 1 % of those that the data "
-        "exert, so that nothing holds u, or the equation is nearly singular",
-        CYCLING: "the active sets repeat themselves",
+        MEANINGLESS: "round-off determines u: its round-off causes forces above 1 % of those of the data; u is "
+        "not supported, "
+        "or the equation is nearly singular",
+        CYCLING: "the active sets repeat",
         ACTIVE_SET_GREW: "an active set grew on an M-matrix, which shows an error in this program or its libraries",
     }
-    return f"{words.get(reason, 'the nonlinear solver gave up')} ({names.get(reason, reason)})"
+    return f"{words.get(reason, 'the nonlinear solver stopped')} ({names.get(reason, reason)})"

@@ -54,9 +54,9 @@ def choices(scene: Scene) -> list[Choice]:
     found = []
     if scene.sides:
         found += [
-            Choice(f"{own} VI", f"no penalty: the inequality itself, by PETSc's SNES VI, {nested}",
+            Choice(f"{own} VI", f"no penalty: the variational inequality by PETSc's SNES VI, {nested}",
                    own, {"method": "vi"}),
-            Choice(f"{own} VI cold", "the same solver started without contact, as most people run it",
+            Choice(f"{own} VI cold", "the same solver started without contact",
                    own, {"method": "vi", "start": "cold"}),
             Choice(f"{own} eps fixed", "penalty with one value of eps for all meshes, as many codes do",
                    own, {"eps": FIRST, **penalty}),

@@ -1,4 +1,4 @@
-"""What accuracy costs: every choice on finer and finer meshes, each row with its errors, time and memory.
+"""Cost of accuracy: every choice on finer and finer meshes, each row with its errors, time and memory.
 
 A row is on the disk as soon as it is finished; whatever ends the run, the next one goes on from there.
 """
@@ -46,7 +46,7 @@ class CostStudy:
 
     Attributes:
         scene: What is solved.
-        choices: The ways that are compared.
+        choices: The methods that are compared.
         ends: Why the rows of a choice end where they do, by its name.
         truth: What errors are measured against; there is none before `run`.
     """

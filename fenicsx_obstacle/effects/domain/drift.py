@@ -58,7 +58,7 @@ class Drift(Effect):
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
         bent = [effect.key for effect in effects if effect.elastic and not effect.affine]
-        return f"{self.key} goes with tension, not with {bent[0]}" if bent else None
+        return f"{self.key} can only be combined with tension, not with {bent[0]}" if bent else None
 
     @property
     def velocity(self) -> tuple[Field, ...]:

@@ -31,7 +31,7 @@ class Inertia(Effect):
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
         others = [effect.key for effect in effects if not (effect.affine and effect.symmetric)]
-        return f"{self.key} does not go with {others[0]}: no energy is kept" if others else None
+        return f"{self.key} cannot be combined with {others[0]}: energy would not be conserved" if others else None
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, positive=True) * data.motion.acceleration(u) * v * data.dI

@@ -60,7 +60,7 @@ class PointLoad(Effect):
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
         radial = [effect.key for effect in effects if effect.radial]
-        return f"{self.key}: with {radial[0]} a point is a ring" if radial else None
+        return f"{self.key}: with {radial[0]} a point is a circle" if radial else None
 
     @property
     def text(self) -> str:

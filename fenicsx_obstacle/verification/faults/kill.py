@@ -19,7 +19,7 @@ STUDY = ("-m", "fenicsx_obstacle", "study", "disk_flat", "--vary", "cells=4,6,8,
 ROWS = 8
 TIMES = ("seconds", "poisson", "memory", "run", "command", "krylov")  # what may differ between two runs
 PATIENCE = 60.0  # seconds for what lasts a few
-KEPT = "interrupted; finished rows are kept, the same command goes on from them"
+KEPT = "interrupted; finished rows are kept, and the same command continues from them"
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ LEGEND = (
     "VI, penalty, (3.4)*: most Newton steps on the finest level; maximum: whether its principle holds for the matrix;\n"
     "meshes: change of the contact force from the coarser mesh to the finer one; s: seconds of all its processes."
 )
-MARKDOWN = ("scene", "what is hard", "unknowns", "maximum principle", "steps: VI, penalty, (3.4)*", "penetration",
-            "energy", "p at 1e-14", "from heights", "meshes", "verdicts")  # fmt: skip
+MARKDOWN = ("scene", "difficulty", "unknowns", "maximum principle", "steps: VI, penalty, (3.4)*", "penetration",
+            "energy", "p at 1e-14", "p from u", "meshes", "verdicts")  # fmt: skip
 
 
 def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> list[Row]:

@@ -164,7 +164,7 @@ def dual(comm: MPI.Comm) -> Found:
     return Found(rows, [Panel("inf-sup constant, ||q||_1* over H^1_0", "h", "beta_h", curves, ("log", "linear"))])
 
 
-@statement("Example 3", "One-point Gauss for Q1: I does not see 2n - 1 pressures, the chessboard among them",
+@statement("Example 3", "One-point Gauss for Q1: I does not see 2n - 1 pressures, among them the checkerboard",
            "gauss", "3.35")  # fmt: skip
 def one_point(comm: MPI.Comm) -> Found:
     """The kernel of I(q, .) on n x n squares, and what is left of alpha_h beside it."""
