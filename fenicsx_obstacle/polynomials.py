@@ -144,6 +144,11 @@ def evaluate(coefficients: np.ndarray, points: np.ndarray, degree: int) -> np.nd
     return coefficients @ _basis(points, degree).T
 
 
+def combined(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums of values of shape (simplices, n) with weights of shape (simplices or 1, points, n): (simplices, points)."""
+    return values @ weights[0].T if len(weights) == 1 else np.matmul(weights, values[..., None])[..., 0]
+
+
 def restricted(coefficients: np.ndarray, start: np.ndarray, end: np.ndarray, degree: int) -> np.ndarray:
     """Bernstein coefficients of polynomials on the parts of their intervals from start to end, 0 to 1."""
     t = start[:, None] + (end - start)[:, None] * inner_points(2, degree)[:, 1]

@@ -17,10 +17,9 @@ class FanEquilibration(EquilibrationP1):
     def __init__(self, simplices: Simplices):
         """Sort the corners (collective)."""
         super().__init__(simplices, VertexPatches(simplices))
-        x, y = simplices.x[..., 0], simplices.x[..., 1]
         scale = 1 / (4 * simplices.area * self.mu)[:, None]
         # the edge opposite to a vertex, and from each vertex to the middle of the cell
-        to_x, to_y = x.mean(axis=1, keepdims=True) - x, y.mean(axis=1, keepdims=True) - y
+        to_x, to_y = (simplices.middle[:, k : k + 1] - simplices.x[..., k] for k in range(2))
         edge_x, edge_y = simplices.normal[1] * scale, -simplices.normal[0] * scale
         self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
         self._B = edge_x * previous(to_x) + edge_y * previous(to_y)

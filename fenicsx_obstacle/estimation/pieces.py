@@ -104,7 +104,7 @@ class Group:
         """
         degree, corners = max(self.degree, 1), linear.shape[1]
         reference = polynomials.inner_points(corners, degree)
-        there = np.matmul(self.points(reference), linear[self.rows][..., None])[..., 0]
+        there = polynomials.combined(self.points(reference), linear[self.rows])
         return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
 
     def steepness(self, coefficients: np.ndarray, corners: np.ndarray, more: np.ndarray) -> np.ndarray:

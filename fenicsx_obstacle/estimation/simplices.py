@@ -26,6 +26,7 @@ class Simplices:
         x: Their coordinates, shape (cells, d + 1, d).
         facets: Local facet opposite to each vertex, shape (cells, d + 1).
         area: Length, area or volume |T|, shape (cells,).
+        middle: The mean of the corners, shape (cells, d).
         normal: d |T| grad phi_i = the facet opposite to vertex i as a vector that points inward; by coordinates, shape
             (d, cells, d + 1).
     """
@@ -42,6 +43,7 @@ class Simplices:
         facets = cell_facets(level.mesh)[:count]
         self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
         self.normal, self.area = inward(self.x), signed_sizes(self.x)
+        self.middle = np.stack([sums(self.x[:, :, k]) for k in range(self.dim)], axis=1) / (self.dim + 1)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Values at vertices in the mesh's order, shape (cells, d + 1, ...), in the order here."""

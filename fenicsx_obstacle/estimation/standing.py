@@ -67,7 +67,7 @@ class Hypotheses:
         comm = simplices.data.level.comm
         self._reasons = cut_parts(simplices)
         self._middles = np.zeros((len(simplices.area), 3))
-        self._middles[:, : simplices.dim] = simplices.x.mean(axis=1)
+        self._middles[:, : simplices.dim] = simplices.middle
         self._sampled = []
         for name, pieces, wrong in (
             ("tension", tension, "tension may be 0, negative, infinite or undefined"),
