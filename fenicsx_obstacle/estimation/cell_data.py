@@ -65,13 +65,16 @@ def of_solver(
         value: Of the datum.
         points: Barycentric coordinates, shape (points, vertices).
         positive: Whether values that are not positive are an error.
+
+    Returns:
+        Shape (cells, points), or (cells, 1) of one value in each cell.
     """
     made, count = data.cellwise(value, positive=positive), len(simplices.area)
     if isinstance(made, fem.Constant):
-        return np.full((count, len(points)), array_of(made)[0])
+        return np.full((count, 1), array_of(made)[0])
     dofs = releases.cell_dofs(data.level.W)[:count]
     if dofs.shape[1] == 1:
-        return np.repeat(made.x.array[dofs], len(points), axis=1)
+        return made.x.array[dofs]
     return made.x.array[simplices.turned_nodes(dofs)] @ quadratics(points)
 
 
@@ -136,6 +139,7 @@ class Load:
             return
         weighted = weights[:, None] * tests(points).reshape(len(points), -1)
         seen = of_solver(simplices, data, value, points)
+        weighted = weighted.sum(axis=0, keepdims=True) if seen.shape[1] == 1 else weighted
         solver = (simplices.area[:, None] * (seen @ weighted)).reshape(self.moments.shape)
         if value.uniform:
             self.moments = solver
@@ -157,6 +161,11 @@ class Load:
             self.pieces = replace(self.pieces, groups=[_near_seen(one, mean, limit) for one in self.pieces.groups])
         self._integrate(self.pieces)
         self.missing = self.moments - solver
+
+    def forget_polynomials(self) -> None:
+        """Keep no more than bounds of the load; its polynomials take much memory."""
+        if self.pieces is not None:
+            self.pieces = replace(self.pieces, groups=[])
 
     def _integrate(self, pieces: Pieces) -> None:
         """Moments, and distances to their projections."""

@@ -68,7 +68,10 @@ class Patches:
         Returns:
             Shape (len(values), corners).
         """
-        return np.stack([rows[self._order] for rows in self._to_owners(*values)])
+        found = np.empty((len(values), len(self._order)))
+        for row, part in zip(found, self._to_owners(*values), strict=True):
+            np.take(part, self._order, out=row, mode="clip")  # without a copy
+        return found
 
     def scatter(self, *values: np.ndarray) -> list[np.ndarray]:
         """Values patch by patch at the corners of their cells, each of shape (cells, vertices) (collective)."""

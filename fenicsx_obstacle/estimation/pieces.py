@@ -194,42 +194,42 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
     parts = Parts.whole(corners, cells)
     last = max(DEEPEST, division.depth)
     for split in range(last + 1):
-        looks = list(_looks(here, names, parts, division, continuous=datum.continuous))
-        open_, infinite, large = (np.empty(len(parts.rows), dtype=bool) for _ in range(3))
-        for rows, some, near in looks:  # a second look at the same parts comes later
+        wanted, count = [], 0
+        for some, near in _looks(here, names, parts, division, continuous=datum.continuous):
             found.sampled |= near.sampled
-            open_[rows], infinite[rows] = near.open(division, some), ~near.finite
-            large[rows] = (some.share > division.share) | near.whole
-        found.rough[parts.rows[open_]] = True
-        divided = open_ & ((infinite & (split < DEEPEST)) | (large & (split < division.depth)))
-        if parts.times * np.count_nonzero(divided) > max(MAX_PARTS, 2 * found.count):
-            divided = np.zeros_like(open_)
-        further = []
-        for rows, some, near in looks:
-            found.take(some, near, near.settled & ~divided[rows])
-            further.append(near.divided(some, np.flatnonzero(near.settled & divided[rows])))
-        if not divided.any():
+            open_ = near.settled & near.open(division, some)
+            found.rough[some.rows[open_]] = True
+            large = (some.share > division.share) | near.whole
+            divided = open_ & ((~near.finite & (split < DEEPEST)) | (large & (split < division.depth)))
+            found.take(some, near, near.settled & ~divided)
+            if divided.any():
+                wanted.append((some, near, divided))
+                count += parts.times * np.count_nonzero(divided)
+        if count > max(MAX_PARTS, 2 * found.count):
+            for some, near, divided in wanted:
+                found.take(some, near, divided)
             break
-        parts = reduce(Parts.with_, further)
+        if not wanted:
+            break
+        parts = reduce(Parts.with_, (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted))
     return found.pieces()
 
 
 def _looks(
     here: Field, names: Names, parts: Parts, division: Division, *, continuous: bool
-) -> Iterator[tuple[slice | np.ndarray, Parts, _Near]]:
-    """What is near a datum on parts, and which they are: on many of them first by intervals alone, then again, on all
-    together, where that does not settle it."""
+) -> Iterator[tuple[Parts, _Near]]:
+    """Parts and what is near a datum there: of many of them first by intervals alone, then again, of all together, of
+    those where that does not settle it."""
     many, blurred = len(parts.rows) > AT_ONCE, []
     for block in blocks(len(parts.rows)):
         some = parts[block]
         near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous, first=many)
         blurred.append(block.start + np.flatnonzero(~near.settled))
-        yield block, some, near
+        yield some, near
     unsettled = np.concatenate(blurred)
     for block in blocks(len(unsettled)):
-        rows = unsettled[block]
-        some = parts[rows]
-        yield rows, some, _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous)
+        some = parts[unsettled[block]]
+        yield some, _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous)
 
 
 def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
@@ -390,8 +390,9 @@ class _Near:
 
     def _smooth(self, rows: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
         """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
-        x = x[rows]
-        size, height = longest_edges(x), least_heights(x)
+        x = x if len(rows) == len(x) else x[rows]
+        size = longest_edges(x)
+        height = least_heights(x, size)
         good = np.zeros(len(rows), dtype=bool)
         if division.degree == 2:
             second, third = bounds.derivative(2)[rows], bounds.derivative(3)[rows]
@@ -470,7 +471,7 @@ class _Near:
         for degree, chosen, coefficients in self._found:
             rest[chosen] = False
             kept = wanted[chosen]
-            yield degree, True, chosen[kept], coefficients[kept]
+            yield degree, True, *((chosen, coefficients) if kept.all() else (chosen[kept], coefficients[kept]))
         chosen = np.flatnonzero(rest)
         middle, finite = np.zeros(len(chosen)), self.finite[chosen]
         middle[finite] = (self.lower[chosen[finite]] + self.upper[chosen[finite]]) / 2

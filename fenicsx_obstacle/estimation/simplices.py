@@ -37,12 +37,13 @@ class Simplices:
         self.dim = level.mesh.topology.dim
         count = own_cells(level.mesh)
         x = corners(level.mesh)[:count, :, : self.dim]
-        self._turned = np.flatnonzero(signed_sizes(x) < 0)
+        signed = signed_sizes(x)
+        self._turned = np.flatnonzero(signed < 0)
         self.x = self.turned(x)
         self.dofs = self.turned(releases.cell_dofs(level.V)[:count])
         facets = cell_facets(level.mesh)[:count]
         self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
-        self.normal, self.area = inward(self.x), signed_sizes(self.x)
+        self.normal, self.area = inward(self.x), np.abs(signed)
         self.middle = np.stack([sums(self.x[:, :, k]) for k in range(self.dim)], axis=1) / (self.dim + 1)
 
     def turned(self, values: np.ndarray) -> np.ndarray:

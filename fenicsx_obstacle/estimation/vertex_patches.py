@@ -147,7 +147,7 @@ class VertexPatches(Patches):
             if k:
                 start = self.steps[k - 1].start
                 before[step] = after[start : start + step.stop - step.start]
-            after[step] = before[step] - drops[step]
+            np.subtract(before[step], drops[step], out=after[step])
         return before, after
 
     def left_over(self, after: np.ndarray) -> float:

@@ -20,7 +20,8 @@ from fenicsx_obstacle.scenes.tree_walk import TreeWalk
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.vocabulary import Vocabulary
 
-FEW = 2000  # cells: what is found on them is kept
+FEW = 2000  # cells, for which walking through a formula costs more than arithmetic
+KEPT = 30_000  # cells: all that is found on so many of them is kept
 Distance = Callable[[np.ndarray], np.ndarray]
 
 
@@ -48,9 +49,9 @@ class Cells:
         return TreeWalk(self)
 
     def among(self, cells: np.ndarray) -> tuple[Cells, np.ndarray | slice]:
-        """Cells to look at some of them closely, and the places of these there: they themselves, if they are few, since
-        much is known there already."""
-        return (self, cells) if self.count <= FEW else (self.of(cells), slice(None))
+        """Cells in which to look closely at some of these, and the places of those there: these, of which much is known
+        already, unless they are many more."""
+        return (self, cells) if self.count <= min(KEPT, FEW + 4 * len(cells)) else (self.of(cells), slice(None))
 
     def truth(self, formula: Formula) -> Truth:
         """What a condition, or a number as one, may be on each cell."""
@@ -59,7 +60,7 @@ class Cells:
 
     def once(self, formula: Formula) -> Enclosure:
         """Bounds over each cell as it is."""
-        return self._enclosed(self.walk if self.count <= FEW else TreeWalk(self), formula)
+        return self._enclosed(self.walk if self.count <= KEPT else TreeWalk(self), formula)
 
     def by_intervals(self, formula: Formula) -> tuple[Enclosure, np.ndarray]:
         """Bounds by interval arithmetic alone, and the cells where `once` does more."""
