@@ -15,6 +15,7 @@ import numpy as np
 
 MAX_DEGREE = 8
 SPLITS = 2
+AT_ONCE = 1024  # simplices: what is made of them fits into the cache of a core
 INSET = 0.1  # of the way from the points of the lattice to the middle
 # |f - I f| <= REMAINDER h^n max|D^n f|/n!, n = degree + 1, for the interpolant at `inner_points`, h the longest edge,
 # since f - I f = -sum_i L_i(x) D^n f(..)(a_i - x)^n/n! (Ciarlet and Raviart 1972); by corners of the simplex and degree
@@ -70,17 +71,23 @@ def largest(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
     the coefficients are nearer to the values."""
     if degree < 2:
         return row_max(coefficients)
-    return row_max(coefficients @ _on_parts(corners, degree).T)
+    found, on_parts = np.empty(len(coefficients)), _on_parts(corners, degree)
+    for start in range(0, len(coefficients), AT_ONCE):
+        some = slice(start, start + AT_ONCE)
+        np.max(on_parts @ coefficients[some].T, axis=0, out=found[some])
+    return found
 
 
 @cache
 def _on_parts(corners: int, degree: int) -> np.ndarray:
-    """Coefficients on the parts of a simplex with its edges halved `SPLITS` times from those on all of it."""
+    """Coefficients on the parts of a simplex with its edges halved `SPLITS` times from those on all of it, once each:
+    neighbours share those on the side between them."""
     parts = np.eye(corners)[None]
     for _ in range(SPLITS):
         parts = halved(parts)
     found = to_parts(parts, degree)
-    return found.reshape(-1, found.shape[2])
+    found = found.reshape(-1, found.shape[2])
+    return found[np.unique(found.round(9), axis=0, return_index=True)[1]]
 
 
 def to_parts(parts: np.ndarray, degree: int) -> np.ndarray:
@@ -135,6 +142,11 @@ def degree_of(count: int, corners: int) -> int:
 def evaluate(coefficients: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     """Values at barycentric points, shape (simplices, points)."""
     return coefficients @ _basis(points, degree).T
+
+
+def combined(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums of values of shape (simplices, n) with weights of shape (simplices or 1, points, n): (simplices, points)."""
+    return values @ weights[0].T if len(weights) == 1 else np.matmul(weights, values[..., None])[..., 0]
 
 
 def restricted(coefficients: np.ndarray, start: np.ndarray, end: np.ndarray, degree: int) -> np.ndarray:

@@ -159,6 +159,9 @@ class _Piecewise:
         low, high = polynomials.bounds(self.values(self.degree, every), self.corners.shape[1], self.degree)
         return _Bounds(low, high, np.full(len(every), self.degree))
 
+    def by_intervals(self) -> tuple[_Bounds, np.ndarray]:
+        return self.once(), np.zeros(len(self.cells), dtype=bool)
+
     def some(self, cells: np.ndarray) -> _Piecewise:
         return _Piecewise(self.function, self.degree, self.corners[cells], self.cells[cells])
 

@@ -64,6 +64,9 @@ class Enclosed(Protocol):
     def once(self) -> Bounds:
         """Bounds over each simplex."""
 
+    def by_intervals(self) -> tuple[Bounds, np.ndarray]:
+        """Bounds that cost less, and the simplices where `once` may find sharper ones."""
+
     def some(self, cells: np.ndarray) -> Enclosed:
         """The same on some of the simplices."""
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle import releases
+from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import array_of
 from fenicsx_obstacle.effects.effect import Effect
@@ -24,7 +24,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 TENSION = Division(4, share=1 / 256)  # a fourth of the parts of Division(6), for .3 % more on bounds with jumps
 # by the degree of the elements; the mean of the rest counts with Friedrichs' constant, not with h
 LOAD = {1: Division(5, 1e-2, 5e-3, 2), 2: Division(8, 1e-3, 1e-4)}
-SEEN = 100.0  # times the largest load seen at points inside cells: a bound beyond that tells nothing about the load
+SEEN = 100.0  # times the largest load that the solver has: a bound beyond that tells nothing about the load
 Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -65,13 +65,16 @@ def of_solver(
         value: Of the datum.
         points: Barycentric coordinates, shape (points, vertices).
         positive: Whether values that are not positive are an error.
+
+    Returns:
+        Shape (cells, points), or (cells, 1) of one value in each cell.
     """
     made, count = data.cellwise(value, positive=positive), len(simplices.area)
     if isinstance(made, fem.Constant):
-        return np.full((count, len(points)), array_of(made)[0])
+        return np.full((count, 1), array_of(made)[0])
     dofs = releases.cell_dofs(data.level.W)[:count]
     if dofs.shape[1] == 1:
-        return np.repeat(made.x.array[dofs], len(points), axis=1)
+        return made.x.array[dofs]
     return made.x.array[simplices.turned_nodes(dofs)] @ quadratics(points)
 
 
@@ -135,8 +138,9 @@ class Load:
         if value is None:
             return
         weighted = weights[:, None] * tests(points).reshape(len(points), -1)
-        solver = simplices.area[:, None] * (of_solver(simplices, data, value, points) @ weighted)
-        solver = solver.reshape(self.moments.shape)
+        seen = of_solver(simplices, data, value, points)
+        weighted = weighted.sum(axis=0, keepdims=True) if seen.shape[1] == 1 else weighted
+        solver = (simplices.area[:, None] * (seen @ weighted)).reshape(self.moments.shape)
         if value.uniform:
             self.moments = solver
             return
@@ -146,13 +150,22 @@ class Load:
             sides = [largest(comm, simplices.x[..., k]) - smallest(comm, simplices.x[..., k]) for k in range(self._dim)]
             division = replace(division, length=min(sides) / np.pi)  # about Friedrichs' constant
         self.pieces = in_cells(simplices, value, division)
-        uncertain = sum(np.count_nonzero(group.rest) for group in self.pieces.groups if group.degree == 0)
-        if total(comm, uncertain) > 0:
-            seen = simplices.values(value, points)
-            limit = SEEN * largest(comm, np.abs(seen))
-            self.pieces = replace(self.pieces, groups=[_near_seen(one, seen, limit) for one in self.pieces.groups])
+        limit = SEEN * largest(comm, np.abs(seen))
+        far = np.zeros(count, dtype=bool)
+        for group in self.pieces.groups:
+            far[group.rows[_far(group, limit)]] = True
+        cells = np.flatnonzero(far)
+        if total(comm, len(cells)) > 0:
+            mean = np.zeros(count)
+            mean[cells] = simplices.values(value, points, cells).mean(axis=1)
+            self.pieces = replace(self.pieces, groups=[_near_seen(one, mean, limit) for one in self.pieces.groups])
         self._integrate(self.pieces)
         self.missing = self.moments - solver
+
+    def forget_polynomials(self) -> None:
+        """Keep no more than bounds of the load; its polynomials take much memory."""
+        if self.pieces is not None:
+            self.pieces = replace(self.pieces, groups=[])
 
     def _integrate(self, pieces: Pieces) -> None:
         """Moments, and distances to their projections."""
@@ -160,9 +173,8 @@ class Load:
         parts = [group[block] for group in pieces.groups for block in _blocks(group)]
         for part in parts:
             points, weights = rule(self._dim, part.degree + 2)
-            tests = _at(self._tests, part.points(points))
-            tests = _rows(tests, 2)
-            found = np.matmul((part.values(points) * weights)[:, None], tests)[:, 0]
+            tests = _rows(_at(self._tests, part.points(points)), 2)
+            found = polynomials.combined(tests.transpose(0, 2, 1), part.values(points) * weights)
             _add(flat, part.rows, (part.share * self._area[part.rows])[:, None] * found)
         points, weights = rule(self._dim, 2)
         basis = self._basis(points)
@@ -171,7 +183,7 @@ class Load:
         squares, rests = np.zeros(count), np.zeros(count)
         for part in parts:
             points, weights = rule(self._dim, 2 * max(part.degree, 1))
-            there = np.matmul(_at(self._basis, part.points(points)), nearest[part.rows][..., None])[..., 0]
+            there = polynomials.combined(_at(self._basis, part.points(points)), nearest[part.rows])
             _add(squares, part.rows, part.share * ((part.values(points) - there) ** 2 @ weights))
             rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
             _add(rests, part.rows, part.share * rest**2)
@@ -179,23 +191,28 @@ class Load:
         self.oscillation = np.sqrt(self._area) * (np.sqrt(squares) + np.sqrt(rests))
 
 
-def _near_seen(group: Group, seen: np.ndarray, limit: float) -> Group:
+def _far(group: Group, limit: float) -> np.ndarray:
+    """Parts of cells on which a load may be beyond a limit, and no polynomial is near it."""
+    return np.flatnonzero((group.degree == 0) & np.isfinite(group.rest) & (group.rest > limit))
+
+
+def _near_seen(group: Group, mean: np.ndarray, limit: float) -> Group:
     """Where a load may be far beyond all that is seen of it, the mean of what is seen stands for it.
 
     The middle of its bounds would do for the bound; but the solver takes this load too.
 
     Args:
         group: Parts of cells.
-        seen: The load at points inside the cells.
+        mean: Of the load at points inside the cells.
         limit: How large values may be.
     """
-    near = ~np.isfinite(group.rest) | (group.rest <= limit)
-    if group.degree > 0 or near.all():
+    far = _far(group, limit)
+    if not len(far):
         return group
-    mean = np.clip(seen.mean(axis=1)[group.rows], group.lower, group.upper)
-    chosen = np.where(near, group.coefficients[:, 0], mean)
-    rest = np.where(near, group.rest, np.maximum(group.upper - mean, mean - group.lower))
-    return replace(group, coefficients=chosen[:, None], rest=rest)
+    lower, upper = group.lower[far], group.upper[far]
+    middle, chosen, rest = np.clip(mean[group.rows[far]], lower, upper), group.coefficients.copy(), group.rest.copy()
+    chosen[far, 0], rest[far] = middle, np.maximum(upper - middle, middle - lower)
+    return replace(group, coefficients=chosen, rest=rest)
 
 
 class Tension:

@@ -66,8 +66,6 @@ class Hypotheses:
         self._simplices, self._rim = simplices, dirichlet
         comm = simplices.data.level.comm
         self._reasons = cut_parts(simplices)
-        self._middles = np.zeros((len(simplices.area), 3))
-        self._middles[:, : simplices.dim] = simplices.x.mean(axis=1)
         self._sampled = []
         for name, pieces, wrong in (
             ("tension", tension, "tension may be 0, negative, infinite or undefined"),
@@ -103,7 +101,8 @@ class Hypotheses:
 
     def _near(self, cells: np.ndarray) -> str:
         """The first of some cells, in words; empty if there is none (collective)."""
-        return self._first(self._middles[np.argmax(cells)] if cells.any() else None)
+        middle = self._simplices.middle
+        return self._first(np.pad(middle[np.argmax(cells)], (0, 3 - middle.shape[1])) if cells.any() else None)
 
     def _first(self, point: np.ndarray | None) -> str:
         """The first point that a rank has, in words (collective)."""

@@ -95,6 +95,7 @@ class Element(ABC):
         self.dirichlet = _boundary_values(self.simplices, middles)
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
+        equilibration.load.forget_polynomials()
         self.held = dirichlet_boundary(self.simplices, equilibration.patches.held)
         self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.simplices.data)}
         self.reach = self._reach()

@@ -32,9 +32,8 @@ class ElementP1(Element):
         self.obstacles = [
             ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
         ]
-        x = simplices.x
-        self._from_middle = np.ascontiguousarray(np.moveaxis(x - x.mean(axis=1, keepdims=True), 2, 0))
-        self._spread = np.einsum("xci,xci->c", self._from_middle, self._from_middle) / ((dim + 1) * (dim + 2))
+        self._from_middle = np.stack([simplices.x[..., k] - simplices.middle[:, k : k + 1] for k in range(dim)])
+        self._spread = sum(sums(part**2) for part in self._from_middle) / ((dim + 1) * (dim + 2))
 
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""

@@ -30,6 +30,7 @@ from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
     coefficients,
+    combined,
     from_chords,
     halved,
     inner_points,
@@ -70,11 +71,6 @@ def _means() -> np.ndarray:
 def _nodes_of(corners: np.ndarray) -> np.ndarray:
     """Vertices, then middles opposite to them."""
     return np.vstack([corners, (corners[[1, 2, 0]] + corners[[2, 0, 1]]) / 2])
-
-
-def _combined(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Sums of values of shape (parts, n) with weights of shape (parts or 1, points, n): (parts, points)."""
-    return values @ weights[0].T if len(weights) == 1 else np.matmul(weights, values[..., None])[..., 0]
 
 
 def _halved_values(linear: np.ndarray) -> np.ndarray:
@@ -269,7 +265,7 @@ class LatticeObstacle:
             for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
                 rows, reference = group.rows, inner_points(3, max(group.degree, 2))
                 degree, coefficient, margin = self._difference(group, nodes[rows])
-                coefficient = coefficient - coefficients(_combined(group.points(reference), lift[rows]), 3, degree)
+                coefficient = coefficient - coefficients(combined(group.points(reference), lift[rows]), 3, degree)
                 beyond = np.where(np.isfinite(group.rest), group.rest, 0.0) - cones[rows] + margin
                 open_ = np.flatnonzero(largest(coefficient, 3, degree) + beyond > 0)
                 rows = rows[open_]
@@ -324,7 +320,7 @@ class LatticeObstacle:
         reference = inner_points(3, degree)
         inside = group.points(reference)
         at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
-        values = self.sign * (group.values(reference) - _combined(at_nodes, u))
+        values = self.sign * (group.values(reference) - combined(at_nodes, u))
         margin = round_off(np.abs(u).max(axis=1, initial=0.0)[:, None] + np.abs(values), 3, degree)
         return degree, coefficients(values, 3, degree), margin
 
@@ -400,7 +396,7 @@ class LatticeObstacle:
         bend, mean, size = np.full(len(cells), -np.inf), np.zeros(len(cells)), np.zeros(len(cells))
         for group in pieces_of(self.simplices.data, self._field, corners, cells, SMALL_ONES).groups:
             degree, coefficient, margin = self._difference(group, nodes[group.rows])
-            chord = _combined(group.points(inner_points(3, degree)), linear[group.rows])
+            chord = combined(group.points(inner_points(3, degree)), linear[group.rows])
             above = coefficient - coefficients(chord, 3, degree)
             rest = (
                 np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * dirichlet.deviation[cells[group.rows]] + margin

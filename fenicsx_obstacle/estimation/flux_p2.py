@@ -87,6 +87,7 @@ class EquilibrationP2:
         """The mean of mu, and int mu psi_j psi_k."""
         points, weights = rule(2)
         mu = of_solver(self.simplices, data, tension_of(data), points, positive=True)
+        mu = np.broadcast_to(mu, (len(mu), len(points)))
         self.mu = mu @ weights
         products = np.einsum("pj,pk->pjk", points, points)
         self._mu_products = self.simplices.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)

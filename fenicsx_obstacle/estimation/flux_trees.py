@@ -67,7 +67,7 @@ class TreeEquilibration(EquilibrationP1):
         super().__init__(simplices, TreePatches(simplices))
         self._streams: _Streams | None = None
         if simplices.dim == 3:
-            x = np.moveaxis(simplices.x - simplices.x.mean(axis=1, keepdims=True), 2, 0)
+            x = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0)
             self._from_middle = [[np.ascontiguousarray(x[axis, :, k]) for axis in range(3)] for k in range(4)]
             self._scale = 1 / (9 * self.mu * simplices.area)
             self._streams = self._matrices()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1
+from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 
@@ -17,27 +18,39 @@ class TriangleEquilibration(EquilibrationP1):
     def __init__(self, simplices: Simplices):
         """Sort the corners (collective)."""
         super().__init__(simplices, VertexPatches(simplices))
-        x, y = simplices.x[..., 0], simplices.x[..., 1]
-        scale = 1 / (4 * simplices.area * self.mu)[:, None]
-        # the edge opposite to a vertex, and from each vertex to the middle of the cell
-        to_x, to_y = x.mean(axis=1, keepdims=True) - x, y.mean(axis=1, keepdims=True) - y
-        edge_x, edge_y = simplices.normal[1] * scale, -simplices.normal[0] * scale
-        self._A = edge_x * next_(to_x) + edge_y * next_(to_y)
-        self._B = edge_x * previous(to_x) + edge_y * previous(to_y)
-        G = scale * (simplices.normal[0] ** 2 + simplices.normal[1] ** 2)
+        self._A, self._B, G = (np.empty(simplices.dofs.shape) for _ in range(3))
+        for block in blocks(len(G)):
+            # the edge opposite to a vertex, and from each vertex to the middle of the cell
+            scale = 1 / (4 * simplices.area[block] * self.mu[block])[:, None]
+            normal, middle, x = simplices.normal[:, block], simplices.middle[block], simplices.x[block]
+            to_x, to_y = (middle[:, k : k + 1] - x[..., k] for k in range(2))
+            edge_x, edge_y = normal[1] * scale, -normal[0] * scale
+            self._A[block] = edge_x * next_(to_x) + edge_y * next_(to_y)
+            self._B[block] = edge_x * previous(to_x) + edge_y * previous(to_y)
+            G[block] = scale * (normal[0] ** 2 + normal[1] ** 2)
         self._patch_A, self._patch_B, patch_G = self.patches.gather(self._A, self._B, G)
         self._patch_G = self.patches.sums(patch_G)
 
     def _on_patches(self, drops: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
         """See `EquilibrationP1._on_patches` (collective)."""
         patches = self.patches
-        correction = patches.gather(next_(beta) * self._A + previous(beta) * self._B)[0]
+        targets = next_(beta)
+        targets *= self._A
+        targets += previous(beta) * self._B
+        (rest,) = patches.gather(targets)
         before, after = patches.walk(drops)
-        shift = -(patches.sums(after * self._patch_A - before * self._patch_B - correction)) / self._patch_G
+        left_over = patches.left_over(after)
+        rest += before * self._patch_B
+        rest -= after * self._patch_A
+        shift = patches.sums(rest) / self._patch_G
         # nothing leaves through the free boundary
         open_ = ~patches.closed
         shift[open_ & ~patches.exit_held] = -after[patches.last[open_ & ~patches.exit_held]]
         shift[open_ & ~patches.entry_held] = 0.0
         shift = patches.along(shift)
-        to_b, to_c = patches.scatter(after + shift, before + shift)
-        return previous(to_b) - next_(to_c), patches.left_over(after)
+        after += shift
+        before += shift
+        to_b, to_c = patches.scatter(after, before)
+        found = previous(to_b)
+        found -= next_(to_c)
+        return found, left_over

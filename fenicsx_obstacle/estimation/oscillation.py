@@ -12,7 +12,7 @@ in RT0 on the parts, which has the means of g on them, and of such fields in the
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from fenicsx_obstacle.estimation.cell_data import Load
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
-from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1
@@ -45,16 +45,17 @@ def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
     """
     if x.shape[2] != 2:
         return longest_edges(x) / np.pi
-    sides = np.stack([((x[:, (k + 2) % 3] - x[:, (k + 1) % 3]) ** 2).sum(axis=1) for k in range(3)], axis=1)
+    sides = [sums((x[:, (k + 2) % 3] - x[:, (k + 1) % 3]) ** 2) for k in range(3)]
+    whole = sides[0] + sides[1] + sides[2]
 
     def norm(squares: np.ndarray, determinant: np.ndarray) -> np.ndarray:
         """The larger singular value from the sum of the squares of both and their product."""
         return np.sqrt((squares + np.sqrt(np.maximum(squares**2 - 4 * determinant**2, 0.0))) / 2)
 
-    found = [np.sqrt(sides.max(axis=1)) / J11]
-    found.append(3 / (4 * np.pi) * norm(2 / 3 * sides.sum(axis=1), 4 / np.sqrt(3) * area))
-    found += [norm(sides.sum(axis=1) - sides[:, k], 2 * area) / np.pi for k in range(3)]
-    return np.min(found, axis=0)
+    found = [np.sqrt(reduce(np.maximum, sides)) / J11]
+    found.append(3 / (4 * np.pi) * norm(2 / 3 * whole, 4 / np.sqrt(3) * area))
+    found += [norm(whole - side, 2 * area) / np.pi for side in sides]
+    return reduce(np.minimum, found)
 
 
 class Oscillation:
@@ -92,14 +93,13 @@ class Oscillation:
         self.rest = self.poincare * np.sqrt(area * squares)
         self.norm = self.poincare * load.oscillation
         moments = load.moments if degree == 0 else load.moments.sum(axis=2)  # int f psi_l
-        mean = moments.sum(axis=1) / area
+        mean = sums(moments) / area
         # the nodal values of Pi_1 f, by the inverse of the mass matrix
-        inverse = (dim + 2) * moments - moments.sum(axis=1, keepdims=True)
-        linear = (dim + 1) * inverse / area[:, None] - mean[:, None]
-        of_linear = area / ((dim + 1) * (dim + 2)) * ((linear**2).sum(axis=1) + linear.sum(axis=1) ** 2)
+        linear = (dim + 1) * (dim + 2) * (moments / area[:, None]) - ((dim + 1) * mean + mean)[:, None]
+        of_linear = area / ((dim + 1) * (dim + 2)) * (sums(linear**2) + sums(linear) ** 2)
         if degree == 0:
-            middle = simplices.x.mean(axis=1, keepdims=True)
-            self.first = np.einsum("cl,clx->xc", moments, simplices.x - middle)
+            away = [simplices.x[..., k] - simplices.middle[:, k : k + 1] for k in range(dim)]
+            self.first = np.stack([sums(moments * part) for part in away])
             self._add_second(load.pieces.groups, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
         rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
@@ -116,15 +116,16 @@ class Oscillation:
 
     def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""
-        x = self._simplices.x - self._simplices.x.mean(axis=1, keepdims=True)
+        simplices = self._simplices
         for whole in groups:
-            points, weights = rule(self._simplices.dim, whole.degree + 2)
+            points, weights = rule(simplices.dim, whole.degree + 2)
             for block in blocks(len(whole.rows)):
                 part = whole[block]
-                there = np.matmul(part.points(points), x[part.rows])
-                distance = np.einsum("cpx,cpx->cp", there, there)
+                inside, x, middle = part.points(points), simplices.x[part.rows], simplices.middle[part.rows]
+                distance = reduce(np.add, ((polynomials.combined(inside, x[..., k]) - middle[:, k : k + 1]) ** 2
+                                           for k in range(simplices.dim)))  # fmt: skip
                 integrals = ((part.values(points) - mean[part.rows, None]) * distance) @ weights
-                size = part.share * self._simplices.area[part.rows]
+                size = part.share * simplices.area[part.rows]
                 self.second += np.bincount(part.rows, size * integrals, len(self.second))
 
     def _divided(self, cells: np.ndarray, value: Field, linear: np.ndarray, depth: int) -> np.ndarray:
@@ -144,11 +145,11 @@ class Oscillation:
         means, squares, rests = (np.zeros(len(corners)) for _ in range(3))
         for group in pieces.groups:
             points, weights = rule(2, 2 * max(group.degree, 1))
-            there = np.matmul(group.points(points), nearest[group.rows][..., None])[..., 0]
+            there = polynomials.combined(group.points(points), nearest[group.rows])
             g = group.values(points) - there
             rest = np.where(np.isfinite(group.rest), group.rest, np.inf)
-            for sums, found in ((means, g @ weights), (squares, g**2 @ weights), (rests, rest**2)):
-                sums += np.bincount(group.rows, group.share * found, len(sums))
+            for integral, found in ((means, g @ weights), (squares, g**2 @ weights), (rests, rest**2)):
+                integral += np.bincount(group.rows, group.share * found, len(integral))
         poincare_there = self.poincare[cells] / 2**depth
         variance = np.maximum(squares - means**2, 0.0) * size
         within = poincare_there * np.sqrt(variance.reshape(-1, count).sum(axis=1))

@@ -68,7 +68,10 @@ class Patches:
         Returns:
             Shape (len(values), corners).
         """
-        return np.stack([rows[self._order] for rows in self._to_owners(*values)])
+        found = np.empty((len(values), len(self._order)))
+        for row, part in zip(found, self._to_owners(*values), strict=True):
+            np.take(part, self._order, out=row, mode="clip")  # without a copy
+        return found
 
     def scatter(self, *values: np.ndarray) -> list[np.ndarray]:
         """Values patch by patch at the corners of their cells, each of shape (cells, vertices) (collective)."""
@@ -114,6 +117,16 @@ class Patches:
             return [part.ravel() for part in values]
         rows = np.stack(values, axis=2).reshape(-1, len(values))[self._send]
         return list(self._exchange(rows, self._sent, self._received).T)
+
+    def _at_owners(self, corners: np.ndarray) -> np.ndarray:
+        """For each corner a corner of the same vertex, cell by cell, or -1: both by their places in the order in which
+        owners get them (collective)."""
+        if self.comm.size == 1:
+            return corners
+        place = np.empty(len(corners), dtype=np.int64)
+        place[self._send] = np.arange(len(corners)) - np.repeat(np.cumsum(self._sent) - self._sent, self._sent)
+        found = self._to_owners(np.where(corners >= 0, place[corners], -1).reshape(-1, self._corners))[0]
+        return np.where(found >= 0, found + np.repeat(np.cumsum(self._received) - self._received, self._received), -1)
 
     def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
         """Rows in the order of the ranks they go to; those that came, likewise (collective)."""

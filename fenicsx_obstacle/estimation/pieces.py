@@ -19,7 +19,7 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import inward, least_heights, longest_edges, sizes
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class Group:
         """
         degree, corners = max(self.degree, 1), linear.shape[1]
         reference = polynomials.inner_points(corners, degree)
-        there = np.matmul(self.points(reference), linear[self.rows][..., None])[..., 0]
+        there = polynomials.combined(self.points(reference), linear[self.rows])
         return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
 
     def steepness(self, coefficients: np.ndarray, corners: np.ndarray, more: np.ndarray) -> np.ndarray:
@@ -194,29 +194,47 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
     parts = Parts.whole(corners, cells)
     last = max(DEEPEST, division.depth)
     for split in range(last + 1):
-        known = []
-        for block in blocks(len(parts.rows)):
-            where = parts.x[block], names, parts.cells[block]
-            enclosed = here.over(*where)
-            found.sampled |= enclosed is None
-            enclosed = enclosed or _Samples(here, *where)
-            known.append(_Near(enclosed, parts[block], division, continuous=datum.continuous))
-        each = list(zip(blocks(len(parts.rows)), known, strict=True))
-        open_ = _together([near.open(division, parts[block]) for block, near in each])
-        found.rough[parts.rows[open_]] = True
-        infinite = _together([~near.finite for near in known])
-        large = (parts.share > division.share) | _together([near.whole for near in known])
-        divided = open_ & ((infinite & (split < DEEPEST)) | (large & (split < division.depth)))
-        if parts.times * np.count_nonzero(divided) > max(MAX_PARTS, 2 * found.count):
-            divided = np.zeros_like(open_)
-        further = []
-        for block, near in zip(blocks(len(parts.rows)), known, strict=True):
-            found.take(parts[block], near, ~divided[block])
-            further.append(near.divided(parts[block], np.flatnonzero(divided[block])))
-        if not divided.any():
+        wanted, count = [], 0
+        for some, near in _looks(here, names, parts, division, continuous=datum.continuous):
+            found.sampled |= near.sampled
+            open_ = near.settled & near.open(division, some)
+            found.rough[some.rows[open_]] = True
+            large = (some.share > division.share) | near.whole
+            divided = open_ & ((~near.finite & (split < DEEPEST)) | (large & (split < division.depth)))
+            found.take(some, near, near.settled & ~divided)
+            if divided.any():
+                wanted.append((some, near, divided))
+                count += parts.times * np.count_nonzero(divided)
+        if count > max(MAX_PARTS, 2 * found.count):
+            for some, near, divided in wanted:
+                found.take(some, near, divided)
             break
-        parts = reduce(Parts.with_, further)
+        if not wanted:
+            break
+        parts = reduce(Parts.with_, (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted))
     return found.pieces()
+
+
+def _looks(
+    here: Field, names: Names, parts: Parts, division: Division, *, continuous: bool
+) -> Iterator[tuple[Parts, _Near]]:
+    """Parts and what is near a datum there: of many of them first by intervals alone, then again, of all together, of
+    those where that does not settle it."""
+    many, blurred = len(parts.rows) > AT_ONCE, []
+    for block in blocks(len(parts.rows)):
+        some = parts[block]
+        near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous, first=many)
+        blurred.append(block.start + np.flatnonzero(~near.settled))
+        yield some, near
+    unsettled = np.concatenate(blurred)
+    for block in blocks(len(unsettled)):
+        some = parts[unsettled[block]]
+        yield some, _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous)
+
+
+def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
+    """A datum on simplices; samples of it where no bounds are known."""
+    return here.over(corners, names, cells) or _Samples(here, corners, names, cells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,12 +260,16 @@ def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -
         number = np.full(len(cells), here.at(np.zeros((3, 1)), names)[0])
         return Range(number, number, sampled=False)
     lower, upper, sampled = np.empty(len(cells)), np.empty(len(cells)), False
+    blurred = np.zeros(len(cells), dtype=bool)
     for block in blocks(len(cells)):
-        where = corners[block], names, cells[block]
-        enclosed = here.over(*where)
-        sampled |= enclosed is None
-        bounds = (enclosed or _Samples(here, *where)).once()
+        known = _enclosed(here, names, corners[block], cells[block])
+        sampled |= isinstance(known, _Samples)
+        bounds, blurred[block] = known.by_intervals()
         lower[block], upper[block] = _defined(bounds)
+    unsettled = np.flatnonzero(blurred)
+    for block in blocks(len(unsettled)):
+        rows = unsettled[block]
+        lower[rows], upper[rows] = _defined(_enclosed(here, names, corners[rows], cells[rows]).once())
     infinite = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper)))
     divided = pieces_of(data, datum, corners[infinite], cells[infinite], Division(0))
     lower[infinite], upper[infinite] = divided.lower, divided.upper
@@ -269,10 +291,6 @@ def joined(parts: list[tuple[np.ndarray, Pieces]], count: int) -> Pieces:
             group.rows[:] = rows[group.rows]
             groups.append(group)
     return Pieces(groups, lower, upper, any(pieces.sampled for _, pieces in parts), rough)
-
-
-def _together(parts: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
 
 
 class _Collected:
@@ -319,6 +337,8 @@ class _Near:
     """What is near a datum on parts of simplices.
 
     Attributes:
+        sampled: Whether this comes from samples.
+        settled: Whether a second look would find the same.
         lower: Lower bound, infinite where none is known.
         upper: Upper bound.
         finite: Whether both are finite.
@@ -327,7 +347,7 @@ class _Near:
         steep: As in `Group`.
     """
 
-    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool):
+    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool, first: bool = False):
         """Look for polynomials.
 
         Args:
@@ -335,23 +355,25 @@ class _Near:
             parts: Where.
             division: Says which interpolants are good enough.
             continuous: Whether it is, for sure.
+            first: Whether bounds are found by intervals alone.
         """
-        bounds: Bounds = known.once()
-        self._known, self._corners = known, parts.x.shape[1]
+        self._known, self._corners, self.sampled = known, parts.x.shape[1], isinstance(known, _Samples)
+        bounds, blurred = known.by_intervals() if first else (known.once(), np.zeros(len(parts.rows), dtype=bool))
+        self.settled = ~blurred
         lower, upper = _defined(bounds)
         self.lower, self.upper = np.maximum(lower, parts.least), np.minimum(upper, parts.most)
         self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.whole = bounds.whole
         self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
         self.rest, self.steep = self._half(), np.full(len(self.lower), np.inf)
-        smooth = bounds.whole & self.finite
+        smooth = bounds.whole & self.finite & self.settled
         exact = smooth & (bounds.degree <= polynomials.MAX_DEGREE)
         for degree in np.unique(bounds.degree[exact]):
             rows = np.flatnonzero(exact & (bounds.degree == degree))
             self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
         if (smooth & ~exact).any():
             self._smooth(np.flatnonzero(smooth & ~exact), bounds, parts.x, division)
-        others = self.finite & ~exact & (self.upper > self.lower)
+        others = self.finite & self.settled & ~exact & (self.upper > self.lower)
         for _, chosen, _ in self._found:
             others[chosen] = False
         cut = np.flatnonzero(others)
@@ -368,8 +390,9 @@ class _Near:
 
     def _smooth(self, rows: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
         """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
-        x = x[rows]
-        size, height = longest_edges(x), least_heights(x)
+        x = x if len(rows) == len(x) else x[rows]
+        size = longest_edges(x)
+        height = least_heights(x, size)
         good = np.zeros(len(rows), dtype=bool)
         if division.degree == 2:
             second, third = bounds.derivative(2)[rows], bounds.derivative(3)[rows]
@@ -448,7 +471,7 @@ class _Near:
         for degree, chosen, coefficients in self._found:
             rest[chosen] = False
             kept = wanted[chosen]
-            yield degree, True, chosen[kept], coefficients[kept]
+            yield degree, True, *((chosen, coefficients) if kept.all() else (chosen[kept], coefficients[kept]))
         chosen = np.flatnonzero(rest)
         middle, finite = np.zeros(len(chosen)), self.finite[chosen]
         middle[finite] = (self.lower[chosen[finite]] + self.upper[chosen[finite]]) / 2
@@ -474,6 +497,9 @@ class _Samples:
 
     def once(self) -> _SampledBounds:
         return _SampledBounds(self.values(4, np.arange(len(self.corners))))
+
+    def by_intervals(self) -> tuple[_SampledBounds, np.ndarray]:
+        return self.once(), np.zeros(len(self.corners), dtype=bool)
 
     def truth(self) -> Truth:
         """Of samples there is none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from itertools import combinations
 from math import factorial
 
@@ -59,18 +60,18 @@ def longest_edges(x: np.ndarray) -> np.ndarray:
     """The longest edge of each simplex."""
     squares = np.zeros(len(x))
     for i, j in combinations(range(x.shape[1]), 2):
-        edge = x[:, i] - x[:, j]
-        np.maximum(squares, np.einsum("cx,cx->c", edge, edge), out=squares)
+        square = reduce(np.add, ((x[:, i, k] - x[:, j, k]) ** 2 for k in range(x.shape[2])))
+        np.maximum(squares, square, out=squares)
     return np.sqrt(squares)
 
 
-def least_heights(x: np.ndarray) -> np.ndarray:
-    """The least height of each simplex, 0 where a part has none."""
+def least_heights(x: np.ndarray, longest: np.ndarray | None = None) -> np.ndarray:
+    """The least height of each simplex, 0 where a part has none; from the longest edges, if they are known."""
     corners = x.shape[1]
-    if corners == 2:
-        return longest_edges(x)
-    if corners == 3:
-        base = longest_edges(x)
+    if corners <= 3:
+        base = longest_edges(x) if longest is None else longest
+        if corners == 2:
+            return base
     else:
         base = np.max([sizes(np.delete(x, k, axis=1)) for k in range(4)], axis=0, initial=0.0)
     return np.divide((corners - 1) * sizes(x), base, out=np.zeros(len(x)), where=base > 0)

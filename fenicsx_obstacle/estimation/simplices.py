@@ -26,6 +26,7 @@ class Simplices:
         x: Their coordinates, shape (cells, d + 1, d).
         facets: Local facet opposite to each vertex, shape (cells, d + 1).
         area: Length, area or volume |T|, shape (cells,).
+        middle: The mean of the corners, shape (cells, d).
         normal: d |T| grad phi_i = the facet opposite to vertex i as a vector that points inward; by coordinates, shape
             (d, cells, d + 1).
     """
@@ -36,12 +37,14 @@ class Simplices:
         self.dim = level.mesh.topology.dim
         count = own_cells(level.mesh)
         x = corners(level.mesh)[:count, :, : self.dim]
-        self._turned = np.flatnonzero(signed_sizes(x) < 0)
+        signed = signed_sizes(x)
+        self._turned = np.flatnonzero(signed < 0)
         self.x = self.turned(x)
         self.dofs = self.turned(releases.cell_dofs(level.V)[:count])
         facets = cell_facets(level.mesh)[:count]
         self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
-        self.normal, self.area = inward(self.x), signed_sizes(self.x)
+        self.normal, self.area = inward(self.x), np.abs(signed)
+        self.middle = np.stack([sums(self.x[:, :, k]) for k in range(self.dim)], axis=1) / (self.dim + 1)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Values at vertices in the mesh's order, shape (cells, d + 1, ...), in the order here."""

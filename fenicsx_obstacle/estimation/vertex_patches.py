@@ -34,26 +34,42 @@ class VertexPatches(Patches):
         """Sort the corners (collective)."""
         super().__init__(simplices)
         number = self._number
-        entry, exit_ = (number * self._vertices + other for other in (next_(number), previous(number)))
         ends = previous(self.held) + 2 * next_(self.held)
-        a, entry, exit_, ends = self._to_owners(number, entry, exit_, ends)
-        a = a - self._first
+        after = self._at_owners(_corners_after(simplices.facets, number))
+        a, b, c, ends = self._to_owners(number, next_(number), previous(number), ends)
         entry_held, exit_held = ends % 2 > 0, ends > 1
-        self._sort(a, self._links(entry, exit_, entry_held, exit_held), entry_held, exit_held)
+        after = self._links(a, b, c, after, entry_held, exit_held)
+        self._sort(a - self._first, after, entry_held, exit_held)
         self._weigh(simplices)
 
-    def _links(self, entry: np.ndarray, exit_: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> np.ndarray:
-        """The corner after each, -1 where its fan ends (local)."""
-        if not len(entry):
-            return np.empty(0, dtype=np.int64)
-        order, wanted, after = np.argsort(entry), np.argsort(exit_), np.empty(len(entry), dtype=np.int64)
-        # looking for sorted numbers is several times faster
-        after[wanted] = order[np.minimum(np.searchsorted(entry[order], exit_[wanted]), len(order) - 1)]
-        found = entry[after] == exit_
+    def _links(
+        self, a: np.ndarray, b: np.ndarray, c: np.ndarray, after: np.ndarray, entry_held: np.ndarray,
+        exit_held: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """The corner after each, -1 where its fan ends (local).
+
+        Args:
+            a: Numbers of the vertices of corners.
+            b: Of the next vertices of their cells.
+            c: Of the others.
+            after: The corner after each, -1 where it is not in a cell of the same rank.
+            entry_held: Whether u is given on the edge from a to b.
+            exit_held: Whether it is given on the edge from a to c.
+        """
+        entered = np.zeros(len(after) + 1, dtype=bool)
+        entered[after] = True  # the last one stands for -1
+        left, starts = np.flatnonzero(after < 0), np.flatnonzero(~entered[:-1])
+        if len(left) and len(starts):  # the cells beside them may be of another rank
+            entry, exit_ = a[starts] * self._vertices + b[starts], a[left] * self._vertices + c[left]
+            starts = starts[np.argsort(entry)]
+            place = np.minimum(np.searchsorted(np.sort(entry), exit_), len(starts) - 1)
+            found = (a[starts[place]] == a[left]) & (b[starts[place]] == c[left])
+            after[left[found]] = starts[place[found]]
         # the ranks of its two cells need not both know that u is given on an edge
-        cut = found & (exit_held | entry_held[after])
+        cut = np.flatnonzero((after >= 0) & (exit_held | np.append(entry_held, False)[after]))
         exit_held[cut] = entry_held[after[cut]] = True
-        return np.where(found & ~cut, after, -1)
+        after[cut] = -1
+        return after
 
     def _sort(self, a: np.ndarray, after: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> None:
         """Walk along all fans at once and lay their corners out by step (local)."""
@@ -131,7 +147,7 @@ class VertexPatches(Patches):
             if k:
                 start = self.steps[k - 1].start
                 before[step] = after[start : start + step.stop - step.start]
-            after[step] = before[step] - drops[step]
+            np.subtract(before[step], drops[step], out=after[step])
         return before, after
 
     def left_over(self, after: np.ndarray) -> float:
@@ -146,3 +162,22 @@ class VertexPatches(Patches):
     def along(self, values: np.ndarray) -> np.ndarray:
         """One value for each fan at all of its corners (local)."""
         return np.concatenate([values[:0], *(values[: step.stop - step.start] for step in self.steps)])
+
+
+def _corners_after(facets: np.ndarray, number: np.ndarray) -> np.ndarray:
+    """For each corner the one after it in the cell across its last edge, shape (cells, 3); -1 where there is none (local).
+
+    Args:
+        facets: Local facet opposite to each vertex.
+        number: Of the vertices.
+    """
+    sides, count = facets.ravel(), facets.size
+    last, first = (np.empty(facets.max(initial=-1) + 1, dtype=np.int64) for _ in range(2))
+    every = np.arange(count)
+    last[sides], first[sides[::-1]] = every, every[::-1]
+    across = last[sides]
+    across = np.where(across == every, first[sides], across)  # the same side where there is no other cell
+    # of a corner (a, b, c) it is across the side opposite to b; there a comes after the vertex opposite to the side
+    across = next_(across.reshape(facets.shape)).ravel()
+    after = across + np.where(across % 3 == 2, -2, 1)
+    return np.where(number.ravel()[after] == number.ravel(), after, -1)

@@ -113,6 +113,9 @@ class OnSurface:
     def once(self) -> SurfaceBounds:
         return self.surface.bounds(self.corners)
 
+    def by_intervals(self) -> tuple[SurfaceBounds, np.ndarray]:
+        return self.once(), np.zeros(len(self.corners), dtype=bool)
+
     def some(self, cells: np.ndarray) -> OnSurface:
         return OnSurface(self.surface, self.corners[cells])
 

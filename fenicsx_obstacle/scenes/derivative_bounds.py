@@ -118,8 +118,12 @@ def _times(a: Any, b: Any) -> Any:
     if _is_zero(a) or _is_zero(b):
         return 0.0
     found = np.asarray(a * b)
-    unknown = np.isnan(found)
-    return np.where(unknown, np.inf, found) if unknown.any() else found
+    return np.where(np.isnan(found), np.inf, found) if has_nan(found) else found
+
+
+def has_nan(values: np.ndarray) -> bool:
+    """Whether one of the values is no number: their least one is none then, which takes one pass and no memory."""
+    return bool(np.isnan(values.min(initial=0.0)))
 
 
 def _negative_power(least: Any, k: int) -> Any:

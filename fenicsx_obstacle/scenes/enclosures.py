@@ -20,6 +20,8 @@ from fenicsx_obstacle.scenes.tree_walk import TreeWalk
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.vocabulary import Vocabulary
 
+FEW = 2000  # cells, for which walking through a formula costs more than arithmetic
+KEPT = 30_000  # cells: all that is found on so many of them is kept
 Distance = Callable[[np.ndarray], np.ndarray]
 
 
@@ -46,6 +48,11 @@ class Cells:
         """One that is kept, with all it finds: for few cells."""
         return TreeWalk(self)
 
+    def among(self, cells: np.ndarray) -> tuple[Cells, np.ndarray | slice]:
+        """Cells in which to look closely at some of these, and the places of those there: these, of which much is known
+        already, unless they are many more."""
+        return (self, cells) if self.count <= min(KEPT, FEW + 4 * len(cells)) else (self.of(cells), slice(None))
+
     def truth(self, formula: Formula) -> Truth:
         """What a condition, or a number as one, may be on each cell."""
         with np.errstate(all="ignore"):
@@ -53,8 +60,16 @@ class Cells:
 
     def once(self, formula: Formula) -> Enclosure:
         """Bounds over each cell as it is."""
+        return self._enclosed(self.walk if self.count <= KEPT else TreeWalk(self), formula)
+
+    def by_intervals(self, formula: Formula) -> tuple[Enclosure, np.ndarray]:
+        """Bounds by interval arithmetic alone, and the cells where `once` does more."""
+        walk = TreeWalk(self, sharp=False)
+        return self._enclosed(walk, formula), walk.blurred
+
+    def _enclosed(self, walk: TreeWalk, formula: Formula) -> Enclosure:
         with np.errstate(all="ignore"):
-            found = TreeWalk(self).number(formula, formula.tree)
+            found = walk.number(formula, formula.tree)
         lower, upper, degree, whole, defined = (np.broadcast_to(part, self.count) for part in found.parts)
         return Enclosure(lower, upper, degree, whole, defined, found.slopes)
 
@@ -62,8 +77,8 @@ class Cells:
         """Values at the inner points for a degree, shape (cells, points)."""
         points = polynomials.inner_points(self.corners.shape[1], degree)
         x = np.zeros((3, len(cells) * len(points)))
-        inside = points @ self.corners[cells]
-        x[: inside.shape[2]] = inside.reshape(-1, inside.shape[2]).T
+        for axis in range(self.corners.shape[2]):
+            np.matmul(self.corners[cells, :, axis], points.T, out=x[axis].reshape(len(cells), len(points)))
         known = {} if self.distance is None else {"distance": self.distance(x.T)}
         return self.vocabulary.at_points(formula, x, known).reshape(len(cells), len(points))
 
@@ -77,6 +92,9 @@ class OnCells:
     def once(self) -> Enclosure:
         return self.cells.once(self.formula)
 
+    def by_intervals(self) -> tuple[Enclosure, np.ndarray]:
+        return self.cells.by_intervals(self.formula)
+
     def some(self, cells: np.ndarray) -> OnCells:
         return OnCells(self.cells.of(cells), self.formula)
 
@@ -86,12 +104,16 @@ class OnCells:
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         from fenicsx_obstacle.scenes.mean_value_forms import linear  # only where conditions cut cells
 
-        return linear(self.cells.of(cells), self.formula)
+        among, places = self.cells.among(cells)
+        at_corners, rest, steep = linear(among, self.formula)
+        return at_corners[places], rest[places], steep[places]
 
     def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from fenicsx_obstacle.scenes.mean_value_forms import lines  # likewise
 
-        return lines(self.cells.of(cells), self.formula)
+        among, places = self.cells.among(cells)
+        values, rest = lines(among, self.formula)
+        return values[places], rest[places]
 
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         return self.cells.values(self.formula, degree, cells)

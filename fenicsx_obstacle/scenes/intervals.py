@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.scenes import derivative_bounds
-from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes
+from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes, has_nan
 
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 MOST = 2.0**50  # of integers whose quotients are rounded across no integer
@@ -92,8 +92,9 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
     """Rounded outward; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
-    below = np.where(point, lower, lower - (_ROUND_OFF * np.abs(lower) + _TINY))
-    above = np.where(point, upper, upper + (_ROUND_OFF * np.abs(upper) + _TINY))
+    below, above = lower - (_ROUND_OFF * np.abs(lower) + _TINY), upper + (_ROUND_OFF * np.abs(upper) + _TINY)
+    if point.any() or lower.shape != upper.shape:
+        below, above = np.where(point, lower, below), np.where(point, upper, above)
     below, above = _known(below, -np.inf), _known(above, np.inf)
     whole, known = _all([p.whole for p in parents]), _all([*(p.defined for p in parents), np.asarray(defined)])
     return Enclosure(below, above, np.asarray(degree), whole, known, slopes)
@@ -101,8 +102,7 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
 
 def _known(values: np.ndarray, otherwise: float) -> np.ndarray:
     """The same with a number where there is none."""
-    unknown = np.isnan(values)
-    return np.where(unknown, otherwise, values) if unknown.any() else values
+    return np.where(np.isnan(values), otherwise, values) if has_nan(values) else values
 
 
 def _all(conditions: list[np.ndarray]) -> np.ndarray:
@@ -132,8 +132,7 @@ def _degree(*parents: Enclosure) -> np.ndarray:
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """0 times an infinite bound is 0."""
     found = np.asarray(a * b)
-    unknown = np.isnan(found)
-    return np.where(unknown & ((a == 0) | (b == 0)), 0.0, found) if unknown.any() else found
+    return np.where(np.isnan(found) & ((a == 0) | (b == 0)), 0.0, found) if has_nan(found) else found
 
 
 def negative(a: Enclosure) -> Enclosure:

@@ -43,12 +43,20 @@ class TreeWalk:
     """One evaluation of a formula and of the definitions it uses.
 
     Attributes:
+        blurred: Where bounds would be sharper if it were a sharp one.
         undecided: Numbers whose sign was asked for, and the cells where it is not decided although no condition changes
             in them.
     """
 
-    def __init__(self, cells: Cells):
-        self.cells, self.known = cells, dict[str, Enclosure]()
+    def __init__(self, cells: Cells, *, sharp: bool = True):
+        """Begin.
+
+        Args:
+            cells: Where.
+            sharp: Whether more than interval arithmetic is done where that does not tell the sign of a number.
+        """
+        self.cells, self.known, self._is_sharp = cells, dict[str, Enclosure](), sharp
+        self.blurred = np.zeros(cells.count, dtype=bool)
         self.undecided: list[tuple[Formula, np.ndarray]] = []
         self._nodes: dict[int, tuple[ast.expr, Enclosure]] = {}
         self._truths: dict[int, tuple[ast.expr, Truth]] = {}
@@ -254,15 +262,12 @@ class TreeWalk:
             a: Its bounds.
             compared: Of a difference, the bounds of the two numbers: their size tells what round-off is.
         """
-        count = self.cells.count
-        low, high, whole, degree, scale = (
-            np.array(np.broadcast_to(part, count))
-            for part in (a.lower, a.upper, a.whole, a.degree, _size(compared or [a]))
-        )
+        low, high, degree, whole = (np.broadcast_to(part, self.cells.count) for part in a.parts[:4])
         up, down, zero = high > 0, low < 0, (low <= 0) & (high >= 0)
-        open_ = np.flatnonzero(zero & (low < high) & whole)
-        if len(open_) and self._can_sample(formula, node):
-            part = formula.part(node)
+        open_ = self._open(formula, node, low, high, whole)
+        if len(open_):
+            part, scale = formula.part(node), np.broadcast_to(_size(compared or [a]), self.cells.count)
+            low, high = low.copy(), high.copy()
             for d in np.unique(degree[open_]):
                 cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
                 values, least, most, room = self._sharp(part, int(d), cells)
@@ -289,7 +294,8 @@ class TreeWalk:
             return values, least, most, 2 * polynomials.round_off(values, corners, degree)
         from fenicsx_obstacle.scenes.mean_value_forms import nearest  # only where intervals do not decide
 
-        at_corners, rest = nearest(self.cells.of(cells), part)
+        among, places = self.cells.among(cells)
+        at_corners, rest = (found[places] for found in nearest(among, part))
         values = self.cells.values(part, 1, cells)
         return (
             values,
@@ -301,15 +307,28 @@ class TreeWalk:
     def _argument(self, formula: Formula, node: ast.expr) -> Enclosure:
         """Bounds of what a root is taken of, or a logarithm, or what is divided by: sharper where they contain 0."""
         a = self.number(formula, node)
-        low, high, degree, whole = (np.array(np.broadcast_to(p, self.cells.count)) for p in a.parts[:4])
-        open_ = np.flatnonzero((low <= 0) & (high >= 0) & (low < high) & whole)
-        if not len(open_) or not self._can_sample(formula, node):
+        low, high, degree, whole = (np.broadcast_to(part, self.cells.count) for part in a.parts[:4])
+        open_ = self._open(formula, node, low, high, whole)
+        if not len(open_):
             return a
+        low, high = low.copy(), high.copy()
         for d in np.unique(degree[open_]):
             cells = open_[degree[open_] == d]
             _, least, most, _ = self._sharp(formula.part(node), int(d), cells)
             low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
         return replace(a, lower=low, upper=high)
+
+    def _open(
+        self, formula: Formula, node: ast.expr, low: np.ndarray, high: np.ndarray, whole: np.ndarray
+    ) -> np.ndarray:
+        """Cells where the sign of a node is to be looked for, since its bounds do not tell it."""
+        found = np.flatnonzero((low <= 0) & (high >= 0) & (low < high) & whole)
+        if not len(found) or not self._can_sample(formula, node):
+            return found[:0]
+        if not self._is_sharp:
+            self.blurred[found] = True
+            return found[:0]
+        return found
 
     def _can_sample(self, formula: Formula, node: ast.expr) -> bool:
         needs = self.cells.vocabulary.needs
