@@ -8,7 +8,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, ObstacleProblem, releases
+from fenicsx_obstacle import InputError, ObstacleProblem, Solution, compare, releases
 
 Cell = dmesh.CellType
 ELEMENTS = [(cell, degree) for cell in (Cell.triangle, Cell.quadrilateral, Cell.tetrahedron, Cell.hexahedron)
@@ -83,6 +83,9 @@ def test_patch(cell, degree, method):
     assert np.allclose(solution.nodes.resultant, [0] * top + [-q], atol=1e-10 * q)
     points = np.array([[0.0] * top + [1.0], [0.4] * top + [1.0]])
     assert np.allclose(solution.at(points, "pressure"), -q, rtol=1e-9)
+    assert np.allclose(solution.at(points, "gap"), -q * solution.eps if solution.eps else 0.0, atol=1e-9)
+    middle = solution.nodes.areas @ solution.nodes.points  # of a top of area 1
+    assert np.allclose(solution.force.moment, np.cross(middle, solution.force.resultant), atol=1e-10 * q)
 
 
 def graded(x):
@@ -148,6 +151,49 @@ def test_ball():
     assert np.isclose(profile(nodes, a), p0, rtol=5e-3)
     assert np.isclose(1 / RADIUS, a**2 / RADIUS * (1 - 4 * a / (3 * np.pi * DEPTH)), rtol=5e-3)
     assert np.isclose(-solution.at([0.0, 0.0], "pressure"), p0, rtol=1e-2)
+
+
+@pytest.mark.parametrize(("cell", "degree"), ELEMENTS[::3])
+def test_saved_and_read(cell, degree, folder):
+    """A solution that is read has the same u, pressure, gap and von Mises stress at any point, to 1e-12; that of a
+    body in uniaxial stress is its pressure."""
+    body = Body(cell, degree, [3] * (2 if cell in (Cell.triangle, Cell.quadrilateral) else 3))
+    top, u = body.dim - 1, body.u
+    ds = body.tagged(above=lambda x: np.isclose(x[top], 1))
+    bcs = [body.held(lambda x, k=k: np.isclose(x[k], 0), k, 0.01 * (k == top)) for k in range(body.dim)]
+    s = stress(strain_of(u, 1.0 if body.dim == 2 else None), 0.3)  # in the plane e_zz = u_x: any tensor with three rows
+    uniaxial = stress(strain_of(u), 0.0)
+    F = ufl.inner(uniaxial, strain_of(body.v)) * ufl.dx
+    for given in (s, uniaxial):
+        u.x.array[:] = 0.0
+        problem = ObstacleProblem(F, u, bcs=bcs, upper=0.0, of=u[top], measure=ds(3), stress=given)
+        solution = problem.solve(eps=1e-8)
+    assert np.allclose(solution.von_mises.x.array, 0.01, rtol=1e-6)
+    solution.save(folder)
+    again = Solution.read(folder)
+    points = np.random.default_rng(1).random((9, body.dim))
+    points[:4, top] = 1.0
+    for of in ("u", "pressure", "gap", "von_mises"):
+        assert np.allclose(solution.at(points, of), again.at(points, of), rtol=1e-12, atol=1e-15, equal_nan=True), of
+    assert np.isfinite(again.at(points[:4], "gap")).all() and np.isnan(again.at(points[4:], "gap")).all()
+    assert np.array_equal(again.force.resultant, solution.force.resultant)
+    line = again.along([0.1] * body.dim, [0.9] * body.dim, n=5)
+    assert np.allclose(line.u[:, top], 0.01 * (1 - line.points[:, top]), atol=1e-8)
+    with pytest.raises(InputError, match="knows no 'slope'"):
+        again.at(points, "slope")
+    with pytest.raises(InputError, match="vector-valued solutions are not compared"):
+        compare(again, solution)
+
+
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_picture(dim, folder):
+    """The deformed body with its stress, the obstacle, and the pressure: a page with axes for each."""
+    body = Box(6, dim)
+    picture = body.problem(stress=stress(strain_of(body.u), 0.3)).solve().plot(folder / "body.png")
+    if COMM.rank == 0:
+        assert (folder / "body.png").stat().st_size > 10_000
+        labels = " ".join(axis.get_ylabel() for axis in picture.page.axes)
+        assert "von Mises stress" in labels and "contact pressure" in labels
 
 
 def test_order_in_eps():
@@ -277,6 +323,7 @@ def test_of_may_be_the_present_place():
         (lambda body: {"bcs": []}, "nothing holds the body: 3 rigid body motions are free"),
         (lambda body: {"upper": -1.0, "measure": ufl.ds}, "a value of bcs is beyond the upper obstacle"),
         (lambda body: {"measure": -body.x[0] * body.ds(3)}, "its weight is negative"),
+        (lambda body: {"stress": body.u}, "stress = .*: expected a tensor in UFL with three rows"),
     ],
 )
 def test_what_is_rejected(change, words):
