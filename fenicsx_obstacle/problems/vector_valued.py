@@ -67,6 +67,57 @@ class ContactTable:
         found = np.cross(arms, self.forces).sum(axis=0)
         return found if found.ndim else float(found)
 
+    def radius_of_gyration(self, about: Any = None) -> float:
+        """The root of sum |p_i| D_i |x_i - c|^2 / sum |p_i| D_i, a length; not-a-number without contact.
+
+        Half the width of a Hertzian contact is 2 of these for a cylinder and sqrt(5/2) for a ball: the error is O(h^2),
+        where counting nodes leaves O(h).
+
+        Args:
+            about: The middle c, shape (gdim,); by default the mean of the points of action.
+        """
+        size = np.abs(self.pressure * self.areas)
+        if size.sum() == 0:
+            return np.nan
+        middle = size @ self.points / size.sum() if about is None else np.asarray(about, dtype=float)
+        return float(np.sqrt(size @ ((self.points - middle) ** 2).sum(axis=1) / size.sum()))
+
+    def ends(self) -> np.ndarray:
+        """Where each piece of the contact set begins and ends on a plane contact boundary, shape (pieces, 2, 2).
+
+        Beside the contact of smooth surfaces the gap grows like d^(3/2) with the distance d. So gap^(2/3) is linear,
+        and is continued to 0 from the second to the fourth open node; the error is well below the distance of nodes.
+        Where contact reaches the last node of the boundary it is that node; with fewer open nodes, not-a-number.
+
+        Raises:
+            InputError: If u is not plane.
+        """
+        if self.points.shape[1] != 2:
+            raise InputError("ends() is for plane and axially symmetric bodies; radius_of_gyration() also for others")
+        along = np.linalg.svd(self.points - self.points.mean(axis=0), full_matrices=False)[2][0]
+        along = along * np.sign(along[np.argmax(np.abs(along))])
+        s = self.points @ along
+        order = np.argsort(s)
+        s, points, gap, closed = s[order], self.points[order], self.gap[order], self.pressure[order] != 0
+        steps = np.diff(np.concatenate([[False], closed, [False]]).astype(int))
+        found = []
+        for first, last in zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1, strict=True):
+            end = [_zero(s, gap, closed, first, -1), _zero(s, gap, closed, last, 1)]
+            found.append(np.column_stack([np.interp(end, s, column) for column in points.T]))
+        return np.array(found).reshape(-1, 2, 2)
+
+
+def _zero(s: np.ndarray, gap: np.ndarray, closed: np.ndarray, last: int, step: int) -> float:
+    """Where the gap vanishes beyond the last closed node, in the direction of a step."""
+    if not 0 <= last + step < len(s):
+        return float(s[last])
+    rows = last + step * np.array([2, 3, 4])
+    rows = rows[(rows >= 0) & (rows < len(s))]
+    if len(rows) < 3 or closed[rows].any() or not (np.isfinite(gap[rows]) & (gap[rows] > 0)).all():
+        return float("nan")
+    slope, value = np.polyfit(s[rows], gap[rows] ** (2 / 3), 1)
+    return float(-value / slope)
+
 
 @dataclass(frozen=True)
 class VectorForce(Force):
