@@ -11,8 +11,7 @@ from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, patch_of, rim, zero
 from fenicsx_obstacle.show.figures import blank, figure
-from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map
-from fenicsx_obstacle.show.pictures import _pressures
+from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, pressures
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.space import draw_views
 
@@ -103,7 +102,7 @@ def test_a_hole_is_outlined_and_stays_white():
 def drawn_map(patch):
     """Axes of the view from above, and the colour of its pixel at a point."""
     page, axis = figure(6, 5)
-    draw_map(axis, patch, _pressures(patch.fields["pressure"]), "u")
+    draw_map(axis, patch, pressures(patch.fields["pressure"]), "u")
     page.canvas.draw()
     picture = np.asarray(page.canvas.buffer_rgba())[..., :3] / 255.0
 
@@ -169,7 +168,7 @@ def seen(patch, kind, shown, monkeypatch):
     found = []
     monkeypatch.setattr(render, "rendered", lambda *given: found.append(given) or ([], "nobody"))
     page = blank(6, 5)
-    scale = _pressures(patch.fields[shown])
+    scale = pressures(patch.fields[shown])
     draw_views(page, list(page.add_gridspec(1, 1)), patch, {shown: scale}, kind, "u")
     ((arrays, (view,)),) = found
     plotter = Seen()

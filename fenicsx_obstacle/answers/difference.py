@@ -38,9 +38,11 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
         both; `outside`, the number of nodes of the finer mesh that do not lie in the other.
 
     Raises:
-        InputError: If their meshes are of different dimensions, or a folder has no result.
+        InputError: If their meshes are of different dimensions, u is vector-valued, or a folder has no result.
     """
     a, b = (one if isinstance(one, Solution) else _read(Path(one)) for one in (a, b))
+    if any("resultant" in one.record["contact"] for one in (a, b)):
+        raise InputError("compare: vector-valued solutions are not compared; at() has their values at points")
     fine, coarse = _by_size(a, b)
     points, mine = _everywhere(fine)
     there = {"u": coarse.values(points)[mine]}

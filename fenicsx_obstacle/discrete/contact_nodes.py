@@ -7,7 +7,7 @@ the constraint a simple bound. The penalty and the variational inequality take t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +29,7 @@ from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
+from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair, pairs
 from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.text import shown
@@ -82,11 +82,29 @@ class VectorLevel(Level):
         return self._collapsed[1]
 
     @cached_property
-    def scalar(self) -> Level:
-        """The same mesh with Q for the space V_h (first use is collective)."""
+    def _on_scalars(self) -> Level:
         level = Level(self.mesh, self.h, self.facets, self.groups, pair=self.pair)
         level.__dict__["V"] = self.Q
         return level
+
+    @property
+    def scalar(self) -> Level:
+        """The same mesh with Q for the space V_h (first use is collective)."""
+        return self._on_scalars
+
+    def vector(self, components: Sequence[fem.Function]) -> fem.Function:
+        """The Function of V with these components, of Q (local)."""
+        found = fem.Function(self.V, name="u")
+        table = found.x.array.reshape(-1, self.components)
+        for k, component in enumerate(components):
+            table[self.node_of, k] = component.x.array
+        return found
+
+    def component(self, u: fem.Function, k: int) -> fem.Function:
+        """A component of a Function of V, in Q (local)."""
+        found = fem.Function(self.Q)
+        found.x.array[:] = u.x.array[self.components * self.node_of + k]
+        return found
 
 
 def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray]) -> VectorLevel:
@@ -106,11 +124,26 @@ def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndar
     if degree is None or len(layout.entity_dofs(0, 0)) != 1 or V.dofmap.index_map_bs != gdim:
         raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 with {gdim} components, "
                          f"not of {V.ufl_element()}")  # fmt: skip
-    pair = Pair(f"{'P' if cell in SIMPLICES else 'Q'}{degree}", degree, {}, ("Lagrange", degree))
+    pair = vector_pair(pairs()[f"{'P' if cell in SIMPLICES else 'Q'}{degree}"])
     found = of_mesh(releases.settle(V.mesh), source, facets)
     level = VectorLevel(found.mesh, found.h, facets, None, pair=pair, remarks=found.remarks)
     level.__dict__["V"] = V
     return level
+
+
+def over(level: Level) -> VectorLevel:
+    """The vector-valued space over a scalar one, whose functions are its components (collective)."""
+    found = VectorLevel(level.mesh, level.h, level.facets, level.groups, pair=level.pair)
+    V = releases.functionspace(level.mesh, "Lagrange", level.pair.degree, level.mesh.geometry.dim)
+    node_of = np.empty(len(level.V.tabulate_dof_coordinates()), dtype=np.int64)
+    node_of[releases.cell_dofs(level.V)] = releases.cell_dofs(V)
+    found.__dict__.update(V=V, _collapsed=(level.V, node_of), _on_scalars=level)
+    return found
+
+
+def vector_pair(pair: Pair) -> Pair:
+    """The same V_h with pressures at all nodes; of its rules none is used, contact has those of facets."""
+    return Pair(pair.name, pair.degree, pair.rules, ("Lagrange", pair.degree))
 
 
 def _nodes_of(cell: str, degree: int) -> int:

@@ -142,6 +142,11 @@ class Level:
         return self.mesh.comm
 
     @property
+    def scalar(self) -> Level:
+        """The same mesh with scalar functions for V_h."""
+        return self
+
+    @property
     def owned(self) -> int:
         """Number of owned dofs."""
         return self.V.dofmap.index_map.size_local

@@ -164,6 +164,14 @@ class VectorProblem(Problem):
     def pressures(self, p: np.ndarray) -> fem.Function:
         return self._of_nodes(self.data.contact.extended(self._at_nodes(p), self.level.V))
 
+    def gap_function(self, gaps: np.ndarray) -> fem.Function:
+        """Gaps at owned dofs as a Function of Q, not-a-number off the contact boundary (collective)."""
+        contact, V = self.data.contact, self.level.V
+        on = np.zeros(len(self.level.nodes.T))
+        on[contact.nodes] = 1.0
+        near = contact.extended(on, V) > 0
+        return self._of_nodes(np.where(near, contact.extended(self._at_nodes(gaps), V), np.nan))
+
     def _at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values at owned dofs, at local nodes: those of normal components, elsewhere 0 (collective)."""
         contact, everywhere = self.data.contact, fem.Function(self.level.V)

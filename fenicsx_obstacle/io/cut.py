@@ -6,7 +6,7 @@ cells the centres become nodes too, or a mean at the vertices would hide what di
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations, product
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.duality import at_nodes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.parents import numbers
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class Cut:
 
 def cut(solution: Solution) -> Cut:
     """Cut the cells of a solution of another element (collective)."""
-    level = solution.level
+    level = solution.level.scalar
     mesh, comm = level.mesh, level.comm
     cell, dim, gdim = releases.cell_name(mesh), mesh.topology.dim, mesh.geometry.dim
     V, own, count = level.V, own_cells(mesh), level.owned
@@ -81,7 +82,7 @@ def cut(solution: Solution) -> Cut:
     parents, found = kept // len(pieces), np.empty(nodes.shape, dtype=np.int64)
     global_dofs = pieced.V.dofmap.index_map.local_to_global(targets.astype(np.int32).ravel())
     found[parents[:, None], corners] = np.asarray(global_dofs).reshape(targets.shape)
-    return Cut(replace(solution, level=pieced, tension=None, **fields), found[:, : dofs.shape[1]], parents)
+    return Cut(solution.on_pieces(pieced, fields, parents), found[:, : dofs.shape[1]], parents)
 
 
 def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
@@ -105,6 +106,8 @@ def _lattice(V: fem.FunctionSpace, cell: str) -> np.ndarray:
     """Simplices between the nodes of the reference cell, shape (simplices, dim + 1)."""
     degree = int(releases.called(V.ufl_element().degree))
     places = np.rint(np.asarray(releases.called(V.element.interpolation_points)) * degree).astype(int)
+    if cell in SIMPLICES:  # a simplex is the part x_1 >= x_2 >= ... of a cube, in other coordinates of the same lattice
+        places = np.cumsum(places[:, ::-1], axis=1)[:, ::-1]
     node = {tuple(place): number for number, place in enumerate(places.tolist())}
     dim = places.shape[1]
     found = []
@@ -115,9 +118,4 @@ def _lattice(V: fem.FunctionSpace, cell: str) -> np.ndarray:
             path.append(tuple(x + (k == axis) for k, x in enumerate(path[-1])))
         if all(place in node for place in path):
             found.append([node[place] for place in path])
-    if cell == "triangle":  # paths run along a diagonal that half a cube does not have
-        steps = [(i, j) for i in range(degree) for j in range(degree - i)]
-        up = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in steps]
-        down = [[(i + 1, j), (i, j + 1), (i + 1, j + 1)] for i, j in steps if i + j < degree - 1]
-        found = [[node[place] for place in triangle] for triangle in up + down]
     return np.array(found)

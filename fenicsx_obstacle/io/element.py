@@ -20,7 +20,7 @@ from fenicsx_obstacle.discrete.levels import Level, of_pair
 from fenicsx_obstacle.discrete.named_parts import named
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
-from fenicsx_obstacle.io.paraview import SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
+from fenicsx_obstacle.io.paraview import BY_CELL, SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
 from fenicsx_obstacle.io.rows import Rows
 from fenicsx_obstacle.parallel import gathered
 
@@ -42,12 +42,12 @@ def element_of(solution: Solution) -> dict[str, Rows]:
         `cells`, for each cell the rows of the nodal values in the order of its dofs; and by its name each field of Q_h
         that is not nodal, shape (cells, dofs of a cell).
     """
-    level = solution.level
+    level = solution.level.scalar
     if level.pair.nested_hierarchy:
         return {}
     own = own_cells(level.mesh)
     parts = {"cells": solution.cut.nodes}
-    for name, function in solution.functions().items():
+    for name, function in {**solution.functions(), **solution.by_cell()}.items():
         space = function.function_space
         if space != level.V:
             parts[name] = function.x.array[releases.cell_dofs(space)[:own]].real
@@ -109,14 +109,18 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
         InputError: If the arrays are those of another element.
     """
     own = own_cells(level.mesh)
-    functions = {name: fem.Function(level.Q if name in OF_Q else level.V) for name in arrays}
+    functions = {name: fem.Function(_space(level, name)) for name in arrays}
+    cells = np.asarray(level.mesh.topology.original_cell_index)[:own]
     if not element:
         # where each dof stood when it was saved
         rows = np.asarray(level.mesh.geometry.input_global_indices)[releases.dof_nodes(level.V)]
         for name, function in functions.items():
-            function.x.array[:] = arrays[name][rows]
+            if name in BY_CELL:
+                function.x.array[releases.cell_dofs(function.function_space)[:own, 0]] = arrays[name][cells]
+                function.x.scatter_forward()
+            else:
+                function.x.array[:] = arrays[name][rows]
         return functions
-    cells = np.asarray(level.mesh.topology.original_cell_index)[:own]
     for name, function in functions.items():
         values = element[name][cells] if name in element else arrays[name][element["cells"][cells]]
         dofs = releases.cell_dofs(function.function_space)[:own]
@@ -125,6 +129,12 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
         function.x.array[dofs] = values
         function.x.scatter_forward()
     return functions
+
+
+def _space(level: Level, name: str) -> fem.FunctionSpace:
+    if name in BY_CELL:
+        return releases.functionspace(level.mesh, "DG", 0)
+    return level.Q if name in OF_Q else level.V
 
 
 def _share(comm: MPI.Comm, count: int) -> slice:

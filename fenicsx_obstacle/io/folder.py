@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 STEPS = "newton.gif"  # drawn on demand; of an older solution it goes like what belongs to time
 _OF_SOME = {"scene.toml", "newton.csv", "checkpoint.h5", STEPS, *OWN_MESH, *FRAMES}  # files that not all folders have
 FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
-DERIVED = ("gap",)  # written for ParaView, not read back
+VECTORS = ("u0", "u1", "u2", "gap", "von_mises")  # further ones of vector-valued solutions
+DERIVED = ("gap",)  # written for ParaView, not read back with scalar solutions
 
 
 def save(solution: Solution, folder: Path) -> None:
@@ -43,7 +44,7 @@ def save(solution: Solution, folder: Path) -> None:
     Raises:
         InputError: If the folder cannot be written.
     """
-    level = solution.level
+    level = solution.level.scalar
     comm, nests = level.comm, level.pair.nested_hierarchy
     mesh = {name: Rows.of(comm, values) for name, values in _own(solution).items()}
     element = element_of(solution)
@@ -53,6 +54,7 @@ def save(solution: Solution, folder: Path) -> None:
     place = "" if nests else "element/"
     rows = {**mesh, **{f"element/{name}": values for name, values in element.items()}}
     whole = {"gdim": np.array(level.mesh.geometry.dim), **{f"{place}parts/{name}": v for name, v in parts.items()}}
+    whole |= solution.tables()
     if element:
         whole["element/cell"] = cell_of(level)
     kept = {"checkpoint.h5"} if "time" in solution.record else set[str]()
@@ -144,17 +146,28 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     if name not in pairs():
         raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
     pair = pairs()[name] if element or pairs()[name].nested_hierarchy else P1
+    further = dict[str, Any]()
+    if arrays["u"].ndim == 2:
+        from fenicsx_obstacle.discrete.contact_nodes import vector_pair  # no scalar problem needs it
+
+        pair = vector_pair(pair)
+        gdim = int(arrays["gdim"])
+        arrays = arrays | {f"u{k}": arrays["u"][:, k] for k in range(gdim)}
+        del arrays["u"]
+        further["nodes"] = _group(stored, "nodes/")
     try:
         level = mesh_of(arrays, element, parts, record["h"], comm, pair)
-        fields = restored(level, {name: arrays[name] for name in FIELDS if name in arrays}, element)
+        names = FIELDS + VECTORS if further else FIELDS
+        fields = restored(level, {name: arrays[name] for name in names if name in arrays}, element)
     except (InputError, LookupError, ValueError) as error:
         raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-    optional: dict[str, Any] = {name: fields.get(name) for name in ("lower", "upper")}
+    further |= {name: fields.get(name) for name in ("lower", "upper")}
     if "bound" in record:
         from fenicsx_obstacle.estimation.bound import Bound  # only where it was asked for
 
-        optional["bound"] = Bound.read(record["bound"])
-    return Saved({**fields, **optional, "level": level, "history": steps, "record": record}, arrays["points"])
+        further["bound"] = Bound.read(record["bound"])
+    further |= {"level": level, "history": steps, "record": record}
+    return Saved({**fields, **further}, arrays["points"])
 
 
 def _group(arrays: Mapping[str, np.ndarray], group: str) -> Groups:
@@ -208,13 +221,8 @@ def _gathered(comm: MPI.Comm, own: Mapping[str, np.ndarray]) -> dict[str, np.nda
 def _own(solution: Solution) -> dict[str, np.ndarray]:
     """Points, cells and fields that this rank owns, on P1 simplices; cells by global dofs (collective)."""
     solution = solution.plain
-    level, owned = solution.level, solution.level.owned
-    own = {"points": level.points.T[:owned], "cells": _cells(level)}
-    own |= {name: function.x.array[:owned].real for name, function in solution.functions().items()}
-    gaps = [sign * (own[name] - own["u"]) for name, sign in (("lower", -1), ("upper", 1)) if name in own]
-    if gaps:
-        own["gap"] = gaps[0] if len(gaps) == 1 else np.minimum(*gaps)
-    return own
+    level = solution.level.scalar
+    return {"points": level.points.T[: level.owned], "cells": _cells(level), **solution.arrays()}
 
 
 def _cells(level: Level) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import h5py
 import numpy as np
 
+BY_CELL = ("von_mises",)  # fields with one value for each cell
 FRAMES = ("frames.h5", "frames.xdmf")  # the fields at the moments of a scene with [time]
 SIMPLEX = {2: "interval", 3: "triangle", 4: "tetrahedron"}  # by vertices
 _TOPOLOGY = {
@@ -53,11 +54,7 @@ def xdmf(mesh: Mapping[str, Array], moments: Mapping[float | None, Mapping[str, 
         place = "fields.h5:/" if t is None else f"frames.h5:/{number:04d}/"
         clock = "" if t is None else f'<Time Value="{t!r}"/>\n'
         attributes = "".join(
-            f'<Attribute Name="{name}" AttributeType="Scalar" Center="Node">'
-            f'<DataItem Dimensions="{points.shape[0]}" NumberType="Float" Precision="{values.dtype.itemsize}" '
-            f'Format="HDF">{place}{name}</DataItem></Attribute>\n'
-            for name, values in fields.items()
-            if name not in ("points", "cells", "gdim")
+            _attribute(name, values, place) for name, values in fields.items() if name not in ("points", "cells")
         )
         grids += f'<Grid Name="answer" GridType="Uniform">\n{clock}{ground}{attributes}</Grid>\n'
     if None not in moments:
@@ -77,6 +74,15 @@ def in_vtk_order(cells: np.ndarray, cell: str) -> np.ndarray:
 
 def _document(grids: str) -> str:
     return f'<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>\n{grids}</Domain></Xdmf>\n'
+
+
+def _attribute(name: str, values: Array, place: str) -> str:
+    kind, centre = "Scalar" if len(values.shape) == 1 else "Vector", "Cell" if name in BY_CELL else "Node"
+    return (
+        f'<Attribute Name="{name}" AttributeType="{kind}" Center="{centre}"><DataItem '
+        f'Dimensions="{" ".join(map(str, values.shape))}" NumberType="Float" Precision="{values.dtype.itemsize}" '
+        f'Format="HDF">{place}{name}</DataItem></Attribute>\n'
+    )
 
 
 def _mesh(file: str, points: Array, cells: Array, cell: str) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
@@ -39,6 +40,7 @@ from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Estimator
+    from fenicsx_obstacle.problems.vector_valued import VonMises
 
 PATIENCE = 5  # steps from a start of the caller's before the coarse levels give one
 NEARBY = 0.01  # of u: so far from the start an energy is compared with F
@@ -85,6 +87,7 @@ class ObstacleProblem:
 
     name = "ObstacleProblem"  # in messages
     _vector_valued = False
+    _von_mises: VonMises | None = None
 
     def __init__(
         self,
@@ -98,6 +101,7 @@ class ObstacleProblem:
         J: ufl.Form | None = None,
         of: Any = None,
         measure: Any = None,
+        stress: Any = None,
         petsc_options_prefix: str = "",
         petsc_options: Mapping[str, Any] | None = None,
         form_compiler_options: Mapping[str, Any] | None = None,
@@ -124,6 +128,8 @@ class ObstacleProblem:
             measure: Where contact can be: `ds(3)` for the facets tagged 3, also a tuple of tags; by default the domain.
                 The pressure is then a force per area of these facets (in the plane, per length). Of vector-valued u
                 facets of the boundary, and there may be a factor, as `x[0] * ds(3)` in axial symmetry.
+            stress: Of vector-valued u, its stress in UFL, a tensor with three rows (also in plane strain and axial
+                symmetry) or, in plane stress, with two. Solutions then have the von Mises stress of each cell.
             petsc_options_prefix: Of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
             petsc_options: Options without the prefix; they go before those of the command line, and hold for this
                 problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
@@ -142,6 +148,8 @@ class ObstacleProblem:
         vector_valued = V.dofmap.index_map_bs > 1
         if of is not None and not vector_valued:
             raise InputError(f"{self.name}: of= is for vector-valued u; obstacles bound a scalar u itself")
+        if stress is not None and not vector_valued:
+            raise InputError(f"{self.name}: stress= is for vector-valued u")
         if not vector_valued:
             facets = None if measure is None else facets_of(measure, V.mesh, self.name)
             level = of_space(V, self.name, None if facets is None else {"contact": facets})
@@ -157,14 +165,15 @@ class ObstacleProblem:
             }
             held = conditions(bcs, V, self.name)
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
+        compiled = (form_compiler_options, jit_options)
         data: Data
         if vector_valued:
             data = self._vector_data(form, sides, held, of, measure)
+            self._set_stress(stress, V.mesh, compiled)
         else:
             where: dict[str, Any] = sides if facets is None else {"boundary": (Part("measure", ("contact",), **sides),)}
             model = Model((form,), source=self.name, **where)
             data = Data(model, level, bcs=held, live=True)
-        compiled = (form_compiler_options, jit_options)
         self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
         if energy is not None:
             self._refuse_no_minimum()
@@ -185,6 +194,14 @@ class ObstacleProblem:
         level = of_vector_space(V, self.name, {"contact": facets})
         model = Model((form,), boundary=(Part("measure", ("contact",), **sides),), source=self.name)
         return VectorData(model, level, bcs, of=of, u=form.u, weight=weight)
+
+    def _set_stress(self, stress: Any, mesh: Mesh, compiled: tuple[Any, Any]) -> None:
+        """Compile the von Mises stress, where a stress is given (collective)."""
+        if stress is not None:
+            from fenicsx_obstacle.problems.vector_valued import VonMises
+
+            with releases.compiled_with(*compiled):
+                self._von_mises = VonMises(stress, mesh, self.name)
 
     @classmethod
     def of_model(
@@ -315,12 +332,13 @@ class ObstacleProblem:
         u = self.u.copy()  # what the next solve finds does not change this solution
         u.name = self.u.name
         tension = self._data.model.elastic.tension_at(u, self._data)
-        fields = (level, u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
+        fields = (u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
         if not self._vector_valued:
-            return Solution(*fields)
-        from fenicsx_obstacle.problems.vector_valued import VectorSolution, contact_table
+            return Solution(level, *fields)
+        from fenicsx_obstacle.problems.vector_valued import vector_solution
 
-        return VectorSolution(*fields, nodes=contact_table(problem, state.p))
+        von_mises = None if self._von_mises is None else self._von_mises.now()
+        return vector_solution(problem, state.p, von_mises, fields)
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""

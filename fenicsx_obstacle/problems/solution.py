@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from inspect import signature
 from pathlib import Path
@@ -429,9 +429,36 @@ class Solution:
         return mean_over_cells(self.level.comm, len(points), rows, np.ravel(found))
 
     def functions(self) -> dict[str, fem.Function]:
-        """The fields by name, those that exist."""
+        """The scalar fields by name, those that exist."""
         named = {key: getattr(self, key) for key in ("u", "pressure", "contact", "lower", "upper")}
         return {key: function for key, function in named.items() if function is not None}
+
+    def by_cell(self) -> dict[str, fem.Function]:
+        """Further fields that have one value in each cell, by name."""
+        return {}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The fields on P1 simplices at owned nodes, as files and pictures have them (local)."""
+        owned = self.level.owned
+        own = {name: function.x.array[:owned].real for name, function in self.functions().items()}
+        gaps = [sign * (own[name] - own["u"]) for name, sign in (("lower", -1), ("upper", 1)) if name in own]
+        if gaps:
+            own["gap"] = gaps[0] if len(gaps) == 1 else np.minimum(*gaps)
+        return own
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """Further arrays of fields.h5 by their names, the same on every rank."""
+        return {}
+
+    def on_pieces(self, level: Level, fields: Mapping[str, fem.Function], parents: np.ndarray) -> Self:
+        """This solution on P1 simplices that its cells were cut into (local).
+
+        Args:
+            level: The simplices.
+            fields: Those of `functions` there.
+            parents: For each owned simplex the cell it was cut from.
+        """
+        return replace(self, level=level, tension=None, **fields)
 
     def summary(self) -> str:
         """The main values in a few lines of text."""
@@ -595,6 +622,10 @@ class Solution:
         from fenicsx_obstacle.io.folder import read
 
         fields = read(Path(folder), comm).fields
+        if "nodes" in fields:
+            from fenicsx_obstacle.problems.vector_valued import saved  # no scalar solution needs it
+
+            return saved(fields)
         return cls(**{name: value for name, value in fields.items() if name != "error"})
 
     @checked()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, NoReturn
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import ufl
@@ -12,7 +13,8 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.contact_nodes import VectorLevel
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.contact_nodes import VectorLevel, over
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.discrete.problem import Problem
@@ -20,13 +22,11 @@ from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.problems.residual_form import facets_of
-from fenicsx_obstacle.problems.solution import Solution
+from fenicsx_obstacle.problems.solution import Force, Solution
 from fenicsx_obstacle.text import nearest, shown
 
-NO_FILES = (
-    "a vector-valued solution is neither saved nor drawn: write u, pressure and contact with dolfinx.io, as with "
-    "VTXWriter(comm, 'u.bp', [solution.u])"
-)
+NO_STRESS = "give the problem its stress in UFL, stress=sigma(u)"
+ROUND_OFF = 1e-9  # of a partition of unity
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +67,91 @@ class ContactTable:
         found = np.cross(arms, self.forces).sum(axis=0)
         return found if found.ndim else float(found)
 
+    def radius_of_gyration(self, about: Any = None) -> float:
+        """The root of sum |p_i| D_i |x_i - c|^2 / sum |p_i| D_i, a length; not-a-number without contact.
+
+        Half the width of a Hertzian contact is 2 of these for a cylinder and sqrt(5/2) for a ball: the error is O(h^2),
+        where counting nodes leaves O(h).
+
+        Args:
+            about: The middle c, shape (gdim,); by default the mean of the points of action.
+        """
+        size = np.abs(self.pressure * self.areas)
+        if size.sum() == 0:
+            return np.nan
+        middle = size @ self.points / size.sum() if about is None else np.asarray(about, dtype=float)
+        return float(np.sqrt(size @ ((self.points - middle) ** 2).sum(axis=1) / size.sum()))
+
+    def ends(self) -> np.ndarray:
+        """Where each piece of the contact set begins and ends on a plane contact boundary, shape (pieces, 2, 2).
+
+        Beside the contact of smooth surfaces the gap grows like d^(3/2) with the distance d. So gap^(2/3) is linear,
+        and is continued to 0 from the second to the fourth open node; the error is well below the distance of nodes.
+        Where contact reaches the last node of the boundary it is that node; with fewer open nodes, not-a-number.
+
+        Raises:
+            InputError: If u is not plane.
+        """
+        if self.points.shape[1] != 2:
+            raise InputError("ends() is for plane and axially symmetric bodies; radius_of_gyration() also for others")
+        along = np.linalg.svd(self.points - self.points.mean(axis=0), full_matrices=False)[2][0]
+        along = along * np.sign(along[np.argmax(np.abs(along))])
+        s = self.points @ along
+        order = np.argsort(s)
+        s, points, gap, closed = s[order], self.points[order], self.gap[order], self.pressure[order] != 0
+        steps = np.diff(np.concatenate([[False], closed, [False]]).astype(int))
+        found = []
+        for first, last in zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1, strict=True):
+            end = [_zero(s, gap, closed, first, -1), _zero(s, gap, closed, last, 1)]
+            found.append(np.column_stack([np.interp(end, s, column) for column in points.T]))
+        return np.array(found).reshape(-1, 2, 2)
+
+
+def _zero(s: np.ndarray, gap: np.ndarray, closed: np.ndarray, last: int, step: int) -> float:
+    """Where the gap vanishes beyond the last closed node, in the direction of a step."""
+    if not 0 <= last + step < len(s):
+        return float(s[last])
+    rows = last + step * np.array([2, 3, 4])
+    rows = rows[(rows >= 0) & (rows < len(s))]
+    if len(rows) < 3 or closed[rows].any() or not (np.isfinite(gap[rows]) & (gap[rows] > 0)).all():
+        return float("nan")
+    slope, value = np.polyfit(s[rows], gap[rows] ** (2 / 3), 1)
+    return float(-value / slope)
+
+
+@dataclass(frozen=True)
+class VectorForce(Force):
+    """The forces of contact on the body, in units of pressure times area.
+
+    Attributes:
+        resultant: Their sum, shape (gdim,).
+        moment: Their moment about the origin, shape (3,), in the plane a number; `nodes.moment(about)` takes a point.
+    """
+
+    resultant: np.ndarray
+    moment: np.ndarray | float
+
+
+@dataclass(frozen=True, eq=False)
+class VectorProfile:
+    """Values along a line; not-a-number outside the mesh, gaps outside the contact boundary.
+
+    Attributes:
+        points: Shape (n, gdim).
+        s: Distance from the first point, along the points, shape (n,).
+        u: Displacement, shape (n, gdim).
+        pressure: Contact pressure, shape (n,); 0 off the contact boundary.
+        gap: Distance to the nearest obstacle along the normal, shape (n,).
+        von_mises: Von Mises stress of the cell, shape (n,); None if no stress was given.
+    """
+
+    points: np.ndarray
+    s: np.ndarray
+    u: np.ndarray
+    pressure: np.ndarray
+    gap: np.ndarray
+    von_mises: np.ndarray | None
+
 
 @dataclass(frozen=True, eq=False)
 class VectorSolution(Solution):
@@ -74,48 +159,60 @@ class VectorSolution(Solution):
 
     Attributes:
         nodes: Pressures, gaps and normals at the contact nodes; their resultant.
+        gap: Distance to the nearest obstacle in Q_h, not-a-number off the contact boundary.
+        von_mises: Von Mises stress in the middle of each cell, piecewise constant; None if no stress was given.
     """
 
-    nodes: ContactTable | None = field(default=None, repr=False)
+    nodes: ContactTable = field(kw_only=True, repr=False)
+    gap: fem.Function = field(kw_only=True, repr=False)
+    von_mises: fem.Function | None = field(kw_only=True, repr=False)
+    level: VectorLevel
 
     @property
-    def plain(self) -> VectorSolution:
-        return self
+    def force(self) -> VectorForce:
+        """The resultants of the contact pressure, and their moment."""
+        sides = super().force
+        return VectorForce(sides.lower, sides.upper, self.nodes.resultant, self.nodes.moment())
 
-    def save(self, folder: str | Path) -> NoReturn:
-        """Not for vector-valued solutions.
+    def on(self, points: np.ndarray) -> VectorProfile:  # type: ignore[override]
+        """All quantities at points that follow each other on a curve (collective).
 
-        Raises:
-            InputError: With what writes them.
-        """
-        raise InputError(NO_FILES)
-
-    def plot(self, path: str | Path | None = None) -> NoReturn:
-        """Not for vector-valued solutions.
+        Args:
+            points: Shape (n, gdim), the same on every rank.
 
         Raises:
-            InputError: With what draws them.
+            InputError: As `at`.
         """
-        raise InputError(NO_FILES)
+        names = ("u", "pressure", "gap", *(("von_mises",) if self.von_mises is not None else ()))
+        values = {name: self.at(points, name) for name in names}
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        return VectorProfile(points, s, values["u"], values["pressure"], values["gap"], values.get("von_mises"))
+
+    def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
+        if of != "gap":
+            return super().values(points, of)
+        level = self.level.scalar
+        gap, known = fem.Function(level.V), fem.Function(level.V)
+        known.x.array[:] = np.isfinite(self.gap.x.array)
+        gap.x.array[:] = np.where(known.x.array > 0, self.gap.x.array, 0.0)
+        inside = self._evaluated(known, points) > 1 - ROUND_OFF  # all nodes that count there have a gap
+        return np.where(inside, self._evaluated(gap, points), np.nan)
 
     def _shape(self, of: str) -> tuple[int, ...]:
         return (self.level.mesh.geometry.dim,) if of == "u" else ()
 
     def _components(self, of: str) -> list[fem.Function]:
-        known = ("u", "pressure")
+        known = ("u", "pressure", "gap", "von_mises")
         if of not in known:
             raise InputError(
-                f"at() of a vector-valued solution knows no '{of}'{nearest(of, known)}; it knows u and pressure; gaps "
-                "and normals are in solution.nodes"
+                f"at() of a vector-valued solution knows no '{of}'{nearest(of, known)}; it knows {', '.join(known)}; "
+                "normals and forces are in solution.nodes"
             )
-        if of == "pressure":
-            return [self.pressure]
-        level = self.level
-        assert isinstance(level, VectorLevel)
-        components = [fem.Function(level.Q) for _ in range(level.components)]
-        for k, component in enumerate(components):
-            component.x.array[:] = self.u.x.array[level.components * level.node_of + k]
-        return components
+        if of == "u":
+            return [self.level.component(self.u, k) for k in range(self.level.components)]
+        if of == "von_mises" and self.von_mises is None:
+            raise InputError(f"at() has no von_mises here: {NO_STRESS}")
+        return [getattr(self, of)]
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         mesh = self.level.mesh
@@ -126,15 +223,122 @@ class VectorSolution(Solution):
         found = function.eval(points[rows], cells.astype(np.int32)) if len(rows) else np.empty(0)
         return mean_over_cells(mesh.comm, len(points), rows, np.ravel(found))
 
+    def functions(self) -> dict[str, fem.Function]:
+        """The scalar fields by name; components of u are u0, u1, u2."""
+        parts = {f"u{k}": self.level.component(self.u, k) for k in range(self.level.components)}
+        return {**parts, "pressure": self.pressure, "contact": self.contact, "gap": self.gap}
 
-def contact_table(problem: Problem, p: np.ndarray) -> ContactTable:
+    def by_cell(self) -> dict[str, fem.Function]:
+        return {} if self.von_mises is None else {"von_mises": self.von_mises}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The fields on P1 simplices, as files and pictures have them: u with three components, von_mises by cells
+        (local)."""
+        owned, fields = self.level.scalar.owned, self.functions()
+        u = np.zeros((owned, 3))
+        for k in range(self.level.components):
+            u[:, k] = fields.pop(f"u{k}").x.array[:owned]
+        found = {"u": u, **{name: function.x.array[:owned].copy() for name, function in fields.items()}}
+        if self.von_mises is not None:
+            dofs = releases.cell_dofs(self.von_mises.function_space)[: own_cells(self.level.mesh), 0]
+            found["von_mises"] = self.von_mises.x.array[dofs]
+        return found
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """The contact nodes."""
+        return {f"nodes/{one.name}": getattr(self.nodes, one.name) for one in dataclasses.fields(self.nodes)}
+
+    def on_pieces(self, level: Level, fields: Mapping[str, fem.Function], parents: np.ndarray) -> VectorSolution:
+        von_mises = None
+        if self.von_mises is not None:
+            space = releases.functionspace(level.mesh, "DG", 0)
+            von_mises = fem.Function(space)
+            from_dofs = releases.cell_dofs(self.von_mises.function_space)[parents, 0]
+            von_mises.x.array[releases.cell_dofs(space)[: len(parents), 0]] = self.von_mises.x.array[from_dofs]
+            von_mises.x.scatter_forward()
+        return _assembled(self, level, fields, von_mises)
+
+
+def _assembled(
+    solution: VectorSolution, level: Level, fields: Mapping[str, fem.Function], von_mises: fem.Function | None
+) -> VectorSolution:
+    """The same solution with other functions, on another mesh (collective)."""
+    new, components = over(level), [fields[f"u{k}"] for k in range(level.mesh.geometry.dim)]
+    rest = {name: fields[name] for name in ("pressure", "contact", "gap")}
+    return replace(solution, level=new, u=new.vector(components), von_mises=von_mises, **rest)
+
+
+def saved(fields: Mapping[str, Any]) -> VectorSolution:
+    """A solution of what a folder holds (collective).
+
+    Args:
+        fields: Those of `fenicsx_obstacle.io.folder.read`.
+    """
+    level = over(fields["level"])
+    u = level.vector([fields[f"u{k}"] for k in range(level.components)])
+    kept = {name: fields[name] for name in ("pressure", "contact", "lower", "upper", "history", "record", "gap")}
+    nodes = ContactTable(**{name: np.array(values) for name, values in fields["nodes"].items()})
+    return VectorSolution(level=level, u=u, nodes=nodes, von_mises=fields.get("von_mises"), **kept)
+
+
+class VonMises:
+    """The von Mises stress, compiled once.
+
+    Args:
+        stress: A tensor in UFL, shape (3, 3), or (2, 2) of plane stress.
+        mesh: Where it is evaluated.
+        name: Of the problem, for messages.
+
+    Raises:
+        InputError: If it is no such tensor.
+    """
+
+    def __init__(self, stress: Any, mesh: dmesh.Mesh, name: str):
+        if not isinstance(stress, ufl.core.expr.Expr) or stress.ufl_shape not in ((2, 2), (3, 3)):
+            raise InputError(
+                f"{name}: stress = {shown(stress)}: expected a tensor in UFL with three rows, in plane stress two"
+            )
+        full = stress
+        if stress.ufl_shape == (2, 2):
+            full = ufl.as_matrix([[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, 0]])
+        deviator = full - ufl.tr(full) / 3 * ufl.Identity(3)
+        self.space = releases.functionspace(mesh, "DG", 0)
+        self.expression = releases.expression(ufl.sqrt(1.5 * ufl.inner(deviator, deviator)), self.space)
+
+    def now(self) -> fem.Function:
+        """At the present u, in the middle of each cell (collective)."""
+        found = fem.Function(self.space, name="von_mises")
+        found.interpolate(self.expression)
+        found.x.scatter_forward()
+        return found
+
+
+def vector_solution(
+    problem: Problem, p: np.ndarray, von_mises: fem.Function | None, fields: tuple[Any, ...]
+) -> VectorSolution:
+    """The solution of a solved problem (collective).
+
+    Args:
+        problem: Vector-valued.
+        p: Its pressure at owned dofs.
+        von_mises: Its von Mises stress.
+        fields: Those of `Solution` after the level, from u to the tension.
+    """
+    assert isinstance(problem, VectorProblem)
+    nodes, gap = contact_table(problem, p), problem.gap_function(np.minimum(*problem.gaps()))
+    solution = VectorSolution(problem.level, *fields, nodes=nodes, gap=gap, von_mises=von_mises)
+    contact = {"resultant": nodes.resultant.tolist(), "moment": np.asarray(nodes.moment()).tolist()}
+    record = {**solution.record, "contact": {**solution.record["contact"], **contact}}
+    return replace(solution, record=record)
+
+
+def contact_table(problem: VectorProblem, p: np.ndarray) -> ContactTable:
     """The contact nodes of a solved problem (collective).
 
     Args:
         problem: Vector-valued.
         p: Its pressure at owned dofs.
     """
-    assert isinstance(problem, VectorProblem)
     contact, level = problem.data.contact, problem.level
     own = contact.dofs < level.owned
     dofs, gdim = contact.dofs[own], level.mesh.geometry.dim

@@ -107,3 +107,25 @@ def _press_the_rim(axis: Any, patch: Patch, scale: Any) -> None:
     line = LineCollection(patch.points[:, :2][edges], cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
     line.set_array(patch.fields["pressure"][edges].mean(axis=1))
     axis.add_collection(line)
+
+
+def heights(values: np.ndarray) -> Any:
+    """Colours from the least to the greatest value."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(values.min(), values.max()), "YlGnBu")
+
+
+def pressures(values: np.ndarray) -> Any:
+    """Colours of a pressure: none is light; both signs, where there are two obstacles, go to different dark colours."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    low, high = min(values.min(), 0.0), max(values.max(), 0.0)
+    if low < 0 < high:
+        both = max(-low, high)
+        return ScalarMappable(Normalize(-both, both), "PuOr_r")
+    if low < 0:
+        return ScalarMappable(Normalize(low, 0.0), "YlOrRd_r")
+    return ScalarMappable(Normalize(0.0, high or 1.0), "YlOrRd")

@@ -28,7 +28,7 @@ from fenicsx_obstacle.show.figures import (
     plain,
     save,
 )
-from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles
+from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles, heights, pressures
 from fenicsx_obstacle.show.render import OBSTACLE, UPPER
 from fenicsx_obstacle.show.space import cut_at, draw_views
 
@@ -80,25 +80,36 @@ def draw_answer(solution: Solution, path: Path | None) -> Picture:
 
 
 def _draw(solution: Solution, arrays: dict[str, np.ndarray], path: Path | None, pages: list[Any]) -> str:
-    patch, u = patch_of(arrays), plain(solution.symbol)
-    kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
-    if (largest := max(np.abs(patch.fields[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
+    if (largest := max(np.abs(arrays[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
         raise InputError(f"values up to {largest:.3g} are not drawn: at most {MAX_DRAWN:g}; choose another unit")
-    if kind == 2 and gdim > 1:
-        raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
-    p = f"contact pressure p, computed {COMPUTED[solution.level.pair.pressure[0]]}, linear between"
-    if kind == 2:
-        page, who = _line(patch, u, p)
-    elif kind == 3 and gdim == 2:
-        page, who = _flat(patch, u, p)
-    else:
-        page, who = _in_space(patch, u, p, "solid" if kind == 4 else "surface")
+    page, who = _drawn(solution, arrays)
     page.suptitle(heading(solution.title), fontsize=12)
     pages.append(page)
     if path is None:
         return f"drawn by {who}"
     save(page, path)
     return f"{path}: drawn by {who}"
+
+
+def _drawn(solution: Solution, arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
+    """The page without its title, and who drew it."""
+    if arrays["u"].ndim == 2:
+        from fenicsx_obstacle.problems.vector_valued import VectorSolution  # no scalar solution needs them
+        from fenicsx_obstacle.show.bodies import draw_body
+
+        assert isinstance(solution, VectorSolution)
+        sides = {"upper": 1.0, "lower": -1.0}
+        return draw_body(arrays, solution.nodes, [sides[one] for one in sides if one in solution.record["contact"]])
+    patch, u = patch_of(arrays), plain(solution.symbol)
+    kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
+    if kind == 2 and gdim > 1:
+        raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
+    p = f"contact pressure p, computed {COMPUTED[solution.level.pair.pressure[0]]}, linear between"
+    if kind == 2:
+        return _line(patch, u, p)
+    if kind == 3 and gdim == 2:
+        return _flat(patch, u, p)
+    return _in_space(patch, u, p, "solid" if kind == 4 else "surface")
 
 
 def _line(patch: Patch, u: str, p: str) -> tuple[Any, str]:
@@ -128,7 +139,7 @@ def _flat(patch: Patch, u: str, p: str) -> tuple[Any, str]:
     wide = min(0.25 + 0.75 * across / up, 1.0)  # of the map with its scale, in units of its height
     page = blank(10.4 * (1.25 + wide) / 2.25, 4.5)
     left, right = page.add_gridspec(1, 2, width_ratios=(1.25, wide))
-    scale = _pressures(patch.fields["pressure"])
+    scale = pressures(patch.fields["pressure"])
     who = draw_views(page, [left], patch, {"pressure": scale}, "graph", u)
     axis = page.add_subplot(right)
     draw_map(axis, patch, scale, u)
@@ -140,7 +151,7 @@ def _flat(patch: Patch, u: str, p: str) -> tuple[Any, str]:
 def _in_space(patch: Patch, u: str, p: str, kind: str) -> tuple[Any, str]:
     """A surface in space, or a solid cut open, coloured by u and by the pressure."""
     page = blank(10.4, 4.5)
-    scales = {"u": _heights(patch.fields["u"]), "pressure": _pressures(patch.fields["pressure"])}
+    scales = {"u": heights(patch.fields["u"]), "pressure": pressures(patch.fields["pressure"])}
     who = draw_views(page, list(page.add_gridspec(1, 2)), patch, scales, kind, "z")
     for axis, scale, label in zip(page.axes, scales.values(), (u, _cut(p, patch)), strict=True):
         page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(label, 42), fontsize=8.5)
@@ -161,24 +172,3 @@ def _legend(page: Any, patch: Patch, obstacles: Sequence[str]) -> None:
         swatches[f"{side} obstacle"] = {"facecolor": OBSTACLE, "alpha": 1.0 if side == "lower" else UPPER}
     legend_below(page, swatches, "free boundary" if free_boundary(patch) else "")
     page.get_layout_engine().set(wspace=0.08)  # for the name of the upright axis
-
-
-def _heights(values: np.ndarray) -> Any:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    return ScalarMappable(Normalize(values.min(), values.max()), "YlGnBu")
-
-
-def _pressures(values: np.ndarray) -> Any:
-    """No pressure is light; both signs, where there are two obstacles, go to different dark colours."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    low, high = min(values.min(), 0.0), max(values.max(), 0.0)
-    if low < 0 < high:
-        both = max(-low, high)
-        return ScalarMappable(Normalize(-both, both), "PuOr_r")
-    if low < 0:
-        return ScalarMappable(Normalize(low, 0.0), "YlOrRd_r")
-    return ScalarMappable(Normalize(0.0, high or 1.0), "YlOrRd")

@@ -1,0 +1,207 @@
+"""The picture of an elastic body: deformed, with its von Mises stress, the obstacles and their pressure. One rank."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fenicsx_obstacle.show.boundary import Patch, rim
+from fenicsx_obstacle.show.figures import BLUE, VERMILION, blank
+from fenicsx_obstacle.show.maps import heights, pressures
+from fenicsx_obstacle.show.render import OBSTACLE
+from fenicsx_obstacle.show.space import cut_at, draw_views
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.problems.vector_valued import ContactTable
+
+AROUND = 4.0  # half the side of the part that is drawn, in units of the size of the contact set
+WHOLE = 0.7  # of the size of the body: a part as large as that is the body
+VISIBLE = 0.03  # of the size of the picture: smaller displacements are magnified
+ARROWS = 25  # of the pressure
+ARROW = 0.18  # length of the longest one, in units of the side of the picture
+STRESS, SIZE = "von Mises stress, one value for each cell", "size of the displacement"
+
+
+def draw_body(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[float]) -> tuple[Any, str]:
+    """The page, and who drew it.
+
+    Args:
+        arrays: Points, simplices and fields of a vector-valued solution.
+        nodes: Its contact nodes.
+        sides: Where along their normals the obstacles are: 1, -1.
+    """
+    if int(arrays["gdim"]) == 2:
+        return _flat(arrays, nodes, sides), "matplotlib, as plane bodies need no third dimension"
+    return _in_space(arrays)
+
+
+def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[float]) -> Any:
+    """The body near the contact set, and pressure and gap along the contact boundary."""
+    from matplotlib.tri import Triangulation
+
+    page = blank(10.4, 4.6)
+    grid = page.add_gridspec(2, 2, width_ratios=(1.25, 1), height_ratios=(1.6, 1))
+    left, upper = page.add_subplot(grid[:, 0]), page.add_subplot(grid[0, 1])
+    lower = page.add_subplot(grid[1, 1], sharex=upper)
+    low, high, whole = _window(arrays["points"][:, :2], nodes)
+    side = float(np.max(high - low))
+    points, u, cells = arrays["points"][:, :2], arrays["u"][:, :2], arrays["cells"]
+    inside = np.all((points >= low) & (points <= high), axis=1)
+    factor = _magnified(u[inside] if inside.any() else u, side)
+    moved = points + factor * u
+    colours, label = _stress(arrays)
+    shape = Triangulation(*moved.T, cells)
+    if "von_mises" in arrays:
+        left.tripcolor(shape, facecolors=arrays["von_mises"], cmap=colours.cmap, norm=colours.norm, zorder=1)
+    else:
+        left.tripcolor(shape, np.linalg.norm(u, axis=1), shading="gouraud", cmap=colours.cmap, norm=colours.norm)
+    page.colorbar(colours, ax=left, shrink=0.85).set_label(label, fontsize=8.5)
+    _rim(left, moved, cells)
+    ours = _rows(points, nodes.points)
+    if len(sides) == 1:
+        _obstacle(left, points, rim(cells), arrays["u"][ours, :2], ours, nodes, factor, sides[0])
+    _arrows(left, moved[ours], nodes, side)
+    shift = factor * u[inside].mean(axis=0) if inside.any() else np.zeros(2)
+    room = 0.02 * side + (ARROW * side if whole else 0.0)
+    left.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0] + shift[0] - room, high[0] + shift[0] + room),
+             ylim=(low[1] + shift[1] - room, high[1] + shift[1] + room))  # fmt: skip
+    where = "" if whole else "near the contact, "
+    scale = "to scale" if factor == 1.0 else f"displacements {factor:g} times as large"
+    grey = "; grey: obstacle" if len(sides) == 1 else ""
+    left.set_title(f"{where}{scale}; arrows: contact pressure{grey}", fontsize=9)
+    _profile(upper, lower, nodes)
+    return page
+
+
+def _profile(upper: Any, lower: Any, nodes: ContactTable) -> None:
+    """Pressure and gap over the position along the contact boundary."""
+    s, name = _positions(nodes.points)
+    order = np.argsort(s)
+    s, p = s[order], nodes.pressure[order]
+    gap = np.where(np.isfinite(nodes.gap[order]), nodes.gap[order], np.nan)
+    upper.fill_between(s, p, color=VERMILION, alpha=0.25, linewidth=0)
+    upper.plot(s, p, color=VERMILION, marker=".", markersize=4)
+    lower.plot(s, gap, color=BLUE, marker=".", markersize=4)
+    for axis in (upper, lower):
+        axis.axhline(0, color="0.6", linewidth=0.8)
+    pressed = s[p != 0]
+    if len(pressed):
+        middle, half = (pressed.max() + pressed.min()) / 2, max(np.ptp(pressed), 0.1 * np.ptp(s))
+        low, high = max(s.min(), middle - half), min(s.max(), middle + half)
+        lower.set_xlim(low, high)
+        seen = gap[(s >= low) & (s <= high) & np.isfinite(gap)]
+        if len(seen) and np.ptp(seen) > 0:
+            lower.set_ylim(seen.min() - 0.05 * np.ptp(seen), seen.max() + 0.05 * np.ptp(seen))
+    upper.set_ylabel("contact pressure p,\nat nodes", fontsize=9)
+    lower.set_ylabel("gap at nodes", fontsize=9)
+    lower.set_xlabel(name)
+
+
+def _in_space(arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
+    """The deformed body from outside, or a solid cut open, coloured by its stress and by the pressure."""
+    points, cells, u = arrays["points"], arrays["cells"], arrays["u"]
+    factor = _magnified(u, float(np.ptp(points, axis=0).max()))
+    colours, label = _stress(arrays)
+    values = np.linalg.norm(u, axis=1)
+    if "von_mises" in arrays:
+        counts = np.bincount(cells.ravel(), minlength=len(points))
+        sums = np.bincount(cells.ravel(), np.repeat(arrays["von_mises"], cells.shape[1]), len(points))
+        values, label = sums / np.maximum(counts, 1), "von Mises stress, mean of the cells around each node"
+    fields = {"stress": values, "pressure": arrays["pressure"], "contact": arrays["contact"]}
+    patch = Patch(points + factor * u, cells, fields)
+    scales = {"stress": colours, "pressure": pressures(arrays["pressure"])}
+    page, kind = blank(10.4, 4.5), "solid" if cells.shape[1] == 4 else "surface"
+    who = draw_views(page, list(page.add_gridspec(1, 2)), patch, scales, kind, "z")
+    labels = (label, "contact pressure p, computed at nodes, linear between")
+    for axis, scale, text in zip(page.axes, scales.values(), labels, strict=True):
+        page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(text, fontsize=8.5)
+        how = "to scale" if factor == 1.0 else f"displacements {factor:g} times as large"
+        axis.set_title(f"cut open at y = {cut_at(patch):.3g}, {how}" if kind == "solid" else how, fontsize=9)
+    return page, who
+
+
+def _stress(arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
+    """Colours of the body, and what they show."""
+    if "von_mises" in arrays:
+        return heights(arrays["von_mises"]), STRESS
+    return heights(np.linalg.norm(arrays["u"], axis=1)), SIZE
+
+
+def _window(points: np.ndarray, nodes: ContactTable) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Corners of the part of the body to be drawn, and whether that is the whole body."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    pressed = nodes.points[nodes.pressure != 0]
+    if not len(pressed):
+        return low, high, True
+    half = AROUND * float(np.max(np.ptp(pressed, axis=0))) / 2
+    if 2 * half >= WHOLE * np.max(high - low) or half == 0:
+        return low, high, True
+    middle = (pressed.min(axis=0) + pressed.max(axis=0)) / 2
+    return np.maximum(middle - half, low - half / 2), np.minimum(middle + half, high + half / 2), False
+
+
+def _magnified(u: np.ndarray, side: float) -> float:
+    """The factor 1, 2 or 5 times a power of ten by which displacements are drawn so that they are seen."""
+    spread = float(np.max(np.ptp(u, axis=0))) if len(u) else 0.0
+    if spread == 0 or spread >= VISIBLE * side:
+        return 1.0
+    wanted = VISIBLE * side / spread
+    ten = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(one for one in (1.0, 2.0, 5.0) if one * ten <= wanted or one == 1.0) * ten)
+
+
+def _rim(axis: Any, points: np.ndarray, cells: np.ndarray) -> None:
+    from matplotlib.collections import LineCollection
+
+    axis.add_collection(LineCollection(points[rim(cells)], colors="0.2", linewidths=0.9, zorder=3))
+
+
+def _rows(points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The nearest of the points to each that is wanted."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(points).query(wanted)[1])
+
+
+def _obstacle(
+    axis: Any,
+    points: np.ndarray,
+    edges: np.ndarray,
+    u: np.ndarray,
+    ours: np.ndarray,
+    nodes: ContactTable,
+    factor: float,
+    towards: float,
+) -> None:
+    """The surface of the obstacle: where the contact boundary would be if it were moved by its gap."""
+    from matplotlib.collections import LineCollection
+
+    place = np.full((len(points), 2), np.nan)
+    known = np.where(np.isfinite(nodes.gap), nodes.gap, np.nan)
+    place[ours] = points[ours] + factor * (u + towards * known[:, None] * nodes.normals)
+    drawn = edges[np.isfinite(place[edges]).all(axis=(1, 2))]
+    axis.add_collection(LineCollection(place[drawn], colors=OBSTACLE, linewidths=2.4, zorder=4))
+
+
+def _arrows(axis: Any, points: np.ndarray, nodes: ContactTable, side: float) -> None:
+    """The pressure, as arrows that end on the body."""
+    most = np.abs(nodes.pressure).max(initial=0.0)
+    if most == 0:
+        return
+    pressed = np.flatnonzero(nodes.pressure)
+    some = pressed[:: max(1, len(pressed) // ARROWS)]
+    arrows = (ARROW * side / most * nodes.pressure[some])[:, None] * nodes.normals[some]
+    axis.quiver(*(points[some] - arrows).T, *arrows.T, angles="xy", scale_units="xy", scale=1, color=VERMILION,
+                width=0.004, zorder=5)  # fmt: skip
+
+
+def _positions(points: np.ndarray) -> tuple[np.ndarray, str]:
+    """Positions along the contact boundary, and what they are called."""
+    spread = points - points.mean(axis=0)
+    along = np.linalg.svd(spread, full_matrices=False)[2][0]
+    axis = int(np.argmax(np.abs(along)))
+    if abs(along[axis]) > 0.9:
+        return points[:, axis], "xyz"[axis]
+    return spread @ along, "position along the contact boundary"
