@@ -146,18 +146,14 @@ MISTAKES = {
     "unknown name": ("integral(v)", r"\[report\] q: unknown name 'v'[\s\S]*\n    integral\(v\)\n             \^"),
     "field outside": (
         "2*u",
-        r"'u' differs from place to place: wrap it in integral, at, sup or inf\n    2\*u\n      \^",
+        r"'u' differs from place to place: wrap it in integral, at, max or min\n    2\*u\n      \^",
     ),
     "define outside": ("1 + f", "'f' differs from place to place"),
     "later entry": ("integral(u)*later", "unknown name 'later'"),
     "varying point": ("at(u, x, 0)", "'x' differs from place to place"),
     "coordinates": ("1 + at(u, 1)", r"at\(\) needs 2 coordinates here, not 1\n    1 \+ at\(u, 1\)\n        \^"),
     "arguments": ("sup(u, 1)", "sup takes 1 argument, not 2"),
-    "largest": (
-        "1 + max(u)",
-        r"max takes 2 to 9 arguments, not 1; over the whole domain it is sup\(\.\.\.\), in \[report\]",
-    ),
-    "smallest": ("min(u)", r"over the whole domain it is inf\(\.\.\.\)"),
+    "largest": ("1 + max()", "max takes 2 to 9 arguments, not 0"),
     "no text": ("integral(u, left)", "expected the name of a part of the mesh, in quotes"),
     "text elsewhere": ("integral('left')", "not allowed in a formula"),
     "no such part": ("integral(u, 'lft')", "no part of the mesh named 'lft'; did you mean 'left'"),
@@ -324,8 +320,11 @@ def test_force_balances_load(element):
 
 
 def test_places_of_extremes():
-    """An entry that is a sup or an inf alone says where it is; of equal ones the first by coordinates."""
-    scene = membrane(boundary=[{"value": "x - 2*y"}], report={"top": "sup(u)", "low": "inf(u)", "slope_": "sup(slope)"})
+    """An entry that is a max or a min of one argument alone, or sup and inf, says where it is; of equal ones the first
+    by coordinates. Elsewhere max of one argument is not known."""
+    scene = membrane(boundary=[{"value": "x - 2*y"}], report={"top": "max(u)", "low": "min(u)", "slope_": "sup(slope)"})
+    with pytest.raises(InputError, match=r"in \[report\] max of one argument is over the whole domain"):
+        membrane(load="max(x)")
     answer = solve(scene)
     places = answer.record["report_places"]
     assert np.allclose(places["top"], [1, 0]) and np.allclose(places["low"], [0, 1])

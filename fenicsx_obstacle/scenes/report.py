@@ -80,7 +80,7 @@ class _Checker:
         if name in (self.varying if inside else self.constant):
             return
         if name in self.varying:
-            message = f"'{name}' differs from place to place: wrap it in integral, at, sup or inf"
+            message = f"'{name}' differs from place to place: wrap it in integral, at, max or min"
         else:
             message = f"unknown name '{name}'" + nearest(name, self.varying)
         raise InputError(self.formula.pointing(node, message))
