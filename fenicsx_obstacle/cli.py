@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
-from fenicsx_obstacle.console import check_places, tell, tolerance_status, write_json
+from fenicsx_obstacle.console import STARTED, check_places, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import InputError
 
 
@@ -37,6 +37,7 @@ def commands() -> None:
 @click.option("--tol", type=float, metavar="R", help="Refine until the relative energy error is below R, or status 4.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--budget", metavar="LIMIT", help="With a tolerance: a limit such as 60s, 8GB or '1e6 unknowns'.")
+@click.option("--uncertainty", is_flag=True, help="Estimate the error of each value from two coarser meshes.")
 @click.option("--restart", type=Place(), metavar="DIR", help="With [time]: continue from the state in this folder.")
 @options(*CHANGES, "yardstick", "plugin", "output", "json", "quiet", "log")
 def solve(
@@ -47,6 +48,7 @@ def solve(
     tol: float | None,
     tol_absolute: float | None,
     budget: str | None,
+    uncertainty: bool,
     restart: Path | None,
     yardstick: bool,
     output: Path | None,
@@ -63,17 +65,17 @@ def solve(
     from fenicsx_obstacle.answers.adapt import solve
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.show.report import report_answer
+    from fenicsx_obstacle.show.report import report_command
 
     folder = output or Path("out") / scene.name
     check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
         answer = solve(
             scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget,
-            restart=restart, keep=folder if scene.time is not None else None,
+            restart=restart, keep=folder if scene.time is not None else None, uncertainty=uncertainty,
         )  # fmt: skip
         answer.save(folder)
-        drawn = report_answer(answer, folder, picture=picture, newton=newton)
+        answer, drawn = report_command(answer, folder, STARTED, picture=picture, newton=newton)
     if json_file is not None:
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
@@ -101,6 +103,7 @@ def explain(scene_file: str, tol: float | None, **given: Any) -> None:
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--vary", "vary", multiple=True, metavar="KEY=LIST", required=True,
               help="A,B,C or A..B (by factors of 2; eps: 10) or A..B:N (N values); several make a grid.")  # fmt: skip
+@click.option("--uncertainty", is_flag=True, help="Estimate the error of each value from two coarser meshes.")
 @click.option("--fresh", is_flag=True, help="Discard saved rows instead of continuing from them.")
 @click.option("--latex", type=Place(), metavar="FILE", help="The table as LaTeX.")
 @options(*CHANGES, "plugin", "output", "json", "quiet", "log")
@@ -110,6 +113,7 @@ def study(
     output: Path | None,
     json_file: str | None,
     quiet: bool,
+    uncertainty: bool,
     fresh: bool,
     latex: Path | None,
     **given: Any,
@@ -133,7 +137,7 @@ def study(
     check_places(folder, json_file, latex)
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress(scene.name, quiet=quiet):
-        rows = report_study(scene, values, fixed, folder, say, fresh=fresh, latex=latex)
+        rows = report_study(scene, values, fixed, folder, say, uncertainty=uncertainty, fresh=fresh, latex=latex)
     if json_file is not None:
         write_json(json_file, rows)
 

@@ -10,6 +10,7 @@ import io
 import json
 import os
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.errors import NOT_REACHED
+
+STARTED = time.perf_counter()  # of a command
 
 
 class _GuardedStream(io.FileIO):

@@ -57,11 +57,12 @@ def test_known_values(shape):
 
 
 def test_contact_figures():
-    """The lumped area and force of the record are integrals of P1 functions."""
+    """The force of the record is the integral of a P1 function; `contact` is 1 at nodes that press, so that its
+    integral is above the area."""
     report = {"area": "integral(contact)", "force": "-integral(p)", "deep": "sup(u - c)", "none": "ln(-area)"}
     answer = solve(membrane(load=8, upper="c", define={"c": 0.2}, report=report), eps=1e-6)
     contact = answer.record["contact"]
-    assert np.isclose(answer.report["area"], contact["area"], rtol=1e-12)
+    assert 1.02 * contact["area"] < answer.report["area"] < 1.3 * contact["area"]
     assert np.isclose(answer.report["force"], contact["upper"]["force"], rtol=1e-12)
     assert np.isclose(answer.report["deep"], answer.record["penetration"], rtol=1e-9)
     assert answer.report["none"] is None  # JSON knows no not-a-number
@@ -145,18 +146,14 @@ MISTAKES = {
     "unknown name": ("integral(v)", r"\[report\] q: unknown name 'v'[\s\S]*\n    integral\(v\)\n             \^"),
     "field outside": (
         "2*u",
-        r"'u' is a field: use integral, at, sup or inf of it\n    2\*u\n      \^",
+        r"'u' is a field: use integral, at, max or min of it\n    2\*u\n      \^",
     ),
     "define outside": ("1 + f", "'f' differs from place to place"),
     "later entry": ("integral(u)*later", "unknown name 'later'"),
     "varying point": ("at(u, x, 0)", "'x' differs from place to place"),
     "coordinates": ("1 + at(u, 1)", r"at\(\) needs 2 coordinates here, not 1\n    1 \+ at\(u, 1\)\n        \^"),
     "arguments": ("sup(u, 1)", "sup takes 1 argument, not 2"),
-    "largest": (
-        "1 + max(u)",
-        r"max takes 2 to 9 arguments, not 1; over the whole domain it is sup\(\.\.\.\), in \[report\]",
-    ),
-    "smallest": ("min(u)", r"over the whole domain it is inf\(\.\.\.\)"),
+    "largest": ("1 + max()", "max takes 2 to 9 arguments, not 0"),
     "no text": ("integral(u, left)", "expected the name of a part of the mesh, in quotes"),
     "text elsewhere": ("integral('left')", "not allowed in a formula"),
     "no such part": ("integral(u, 'lft')", "no part of the mesh named 'lft'; did you mean 'left'"),
@@ -323,8 +320,11 @@ def test_force_balances_load(element):
 
 
 def test_places_of_extremes():
-    """An entry that is a sup or an inf alone says where it is; of equal ones the first by coordinates."""
-    scene = membrane(boundary=[{"value": "x - 2*y"}], report={"top": "sup(u)", "low": "inf(u)", "slope_": "sup(slope)"})
+    """An entry that is a max or a min of one argument alone, or sup and inf, says where it is; of equal ones the first
+    by coordinates. Elsewhere max of one argument is not known."""
+    scene = membrane(boundary=[{"value": "x - 2*y"}], report={"top": "max(u)", "low": "min(u)", "slope_": "sup(slope)"})
+    with pytest.raises(InputError, match=r"in \[report\] max of one argument is over the whole domain"):
+        membrane(load="max(x)")
     answer = solve(scene)
     places = answer.record["report_places"]
     assert np.allclose(places["top"], [1, 0]) and np.allclose(places["low"], [0, 1])

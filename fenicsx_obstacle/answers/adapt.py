@@ -54,6 +54,7 @@ def solve(
     budget: str | None = None,
     restart: str | Path | None = None,
     keep: str | Path | None = None,
+    uncertainty: bool = False,
 ) -> Answer:
     """Solve a scene (collective).
 
@@ -73,6 +74,7 @@ def solve(
         budget: With a tolerance: a limit, "60s", "8GB" or "1e6 unknowns"; the best solution so far is returned.
         restart: With [time]: continue from the state in this folder, saved by any number of ranks.
         keep: With [time]: folder for the state, saved every 20 s and at the end.
+        uncertainty: Estimate the error of each quantity from two coarser meshes: answer.record["uncertainty"].
 
     Returns:
         The solution, always converged.
@@ -88,12 +90,15 @@ def solve(
     if scene.time is None and restart is not None:
         raise InputError(f"{scene.source}: has no [time], so there is no state to continue from")
     if tol is not None or tol_absolute is not None:
+        if uncertainty:
+            raise InputError("an uncertainty takes three meshes with halved cells: with a tolerance there is the bound")
         return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
     if budget is not None:
         raise InputError("a budget needs a tolerance: add --tol")
     with closing(SolverContext(scene, comm)) as context:
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
-        answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False)
+        answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False,
+                                uncertainty=uncertainty)  # fmt: skip
         context.forget_levels()
         return context.measured(answer)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
+from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
@@ -169,6 +171,7 @@ class SolverContext:
         monitor: StepMonitor | None = None,
         errors: bool = True,
         near: np.ndarray | None = None,
+        uncertainty: bool = False,
     ) -> Answer:
         """Solve (collective).
 
@@ -181,6 +184,7 @@ class SolverContext:
             monitor: Called after each Newton step, on all levels.
             errors: Measure them, if the scene has an exact solution.
             near: Without [time]: values of u, ghosts included, of a solution that is near, to begin from.
+            uncertainty: Solve the two next coarser meshes to the end as well, for an uncertainty of each quantity.
 
         Raises:
             InputError: For a bad eps, or elements that the bound is not for.
@@ -203,12 +207,12 @@ class SolverContext:
             below = [grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]]
             for one in (problem, *reversed(below)):
                 one.move(one.cold_start())
-        method, time_history = method_of(problem, options), None
+        method, time_history, solved = method_of(problem, options), None, False
         if monitor is not None:
             method = replace(method, solve=partial(method.solve, monitor=monitor))
         if scene.time is None:
             outcomes = self._at_rest(method, grids, near)
-            last = outcomes[-1]
+            last, solved = outcomes[-1], len(outcomes) > 1
             counts = {"newton_total": sum(o.iterations for o in outcomes),
                       "krylov_total": sum(o.krylov for o in outcomes)}  # fmt: skip
         else:
@@ -222,7 +226,42 @@ class SolverContext:
             self._poisson = poisson_seconds(problem.level)
         certified = None if estimator is None else estimator.bound()
         answer = self._answer(options, last, counts, method, state, seconds, certified, time_history)
+        if uncertainty:
+            record = {**answer.record, "uncertainty": self._uncertainty(answer, grids, options, solved=solved)}
+            answer = replace(answer, record=record)
         return self.measured(answer) if errors else answer
+
+    def _uncertainty(
+        self, answer: Answer, grids: Sequence[Multigrid | Problem], options: SolverOptions, *, solved: bool
+    ) -> dict[str, Any]:
+        """What coarser meshes say of each quantity, or why they say nothing (collective)."""
+        from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
+
+        start, scene, comm = time.perf_counter(), self.scene, self.problem.level.comm
+        if scene.time is not None:
+            return {"reason": "scenes with [time] have none"}
+
+        def report(problem: Problem, state: State) -> dict[str, float | None]:
+            if not scene.report:
+                return {}
+            from fenicsx_obstacle.scenes.functionals import Report
+
+            return Report(problem.data, scene).evaluate(
+                state.u, state.pressure, state.touching, problem.elastic.array_r
+            )
+
+        try:
+            found = uncertainty.on_coarser_meshes(grids, options, answer.eps, report, solved=solved)
+            for coarser, its_options in [] if found else uncertainty.coarser_scenes(scene, options, answer.eps):
+                with closing(SolverContext(coarser, comm, options=its_options)) as context:
+                    found.append(uncertainty.quantities(context.answer(errors=False).record))
+        except (NotConverged, InputError) as error:
+            _log.info("no uncertainty: %s", error)
+            return {"reason": "a coarser mesh could not be solved"}
+        if not found:
+            return {"reason": uncertainty.REASON}
+        three = [*found, uncertainty.quantities(answer.record)]
+        return comm.bcast({**uncertainty.compared(three), "seconds": time.perf_counter() - start})
 
     def measured(self, answer: Answer) -> Answer:
         """The answer with its errors, if the scene has an exact solution (collective)."""

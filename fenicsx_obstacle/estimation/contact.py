@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from dolfinx import fem
 
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, total
 
 TOUCHES = 1e-8  # of the largest distance
 PRESSES = 1e-10  # of the largest pressure
+ON_OBSTACLE = 1e-10  # of the largest distance: a boundary value is the obstacle's
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,7 @@ class Contact:
         pressure: p_i at owned points of I, negative against the upper obstacle.
         lower: Whether a node presses against the lower obstacle.
         upper: Whether a node presses against the upper obstacle.
-        area: Sum of D_i over the contact nodes; of obstacles on the boundary the length there.
+        area: Of the contact set, see `contact_shares`; of obstacles on the boundary the length there.
         lower_force: Sum of D_i p_i there, >= 0.
         upper_force: Sum of -D_i p_i there, >= 0.
         penetration: Largest distance beyond an obstacle.
@@ -67,13 +71,78 @@ def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
     free = problem.touchable
     lower = free & at_lower & (pressure > least)
     upper = free & at_upper & (-pressure > least)
+    shares = contact_shares(problem, pressure, lower, upper)
     beyond = largest(comm, np.concatenate([-above_lower[free], -below_upper[free]]))
     return Contact(
         pressure=pressure,
         lower=lower,
         upper=upper,
-        area=total(comm, D[lower | upper]) / problem.thickness,
+        area=total(comm, D * shares) / problem.thickness,
         lower_force=total(comm, (D * pressure)[lower]),
         upper_force=total(comm, -(D * pressure)[upper]),
         penetration=max(beyond, 0.0) + 0.0,  # no negative zero
     )
+
+
+def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """The part of D_i that is in contact, at each owned point of I, dimensionless, between 0 and 1 (collective).
+
+    Inside the contact set it is 1. Along the free boundary contact ends between nodes, and a node carries the load of
+    the part of its surroundings that is in contact. With R(v) = a(v, .) - f its share is R_i(u)/R_i(v), v being u with
+    the neighbours on the obstacle, too. Both R_i(u), the pressure, and R_i(v) - R_i(u), which is linear in their gaps,
+    change continuously with the free boundary. For a uniform load on a string the area then has order 2 in h.
+
+    Nodes at which u is given carry no pressure. Where the value is the obstacle's, they have the mean share of the
+    nodes in contact in the cells around them. Where the points of I are not nodes, the share is 1 in contact.
+
+    Args:
+        problem: Holds the solution, and holds it afterwards.
+        pressure: Contact pressure at owned points of I.
+        lower: Whether a point presses against the lower obstacle.
+        upper: Whether it presses against the upper one.
+    """
+    shares = (lower | upper).astype(float)
+    if not problem.constrained or not problem.level.pair.nodal:
+        return shares
+    w, own = problem.w.x, len(shares)
+    kept, gaps = w.array.copy(), problem.gaps()
+    here, there = problem.forms.vector(), problem.forms.vector()
+    problem.forms.elastic(here)
+    for inside, obstacle, gap, sign in (
+        (lower, problem.below, gaps[0], 1.0), (upper, problem.above, gaps[1], -1.0)
+    ):  # fmt: skip
+        if obstacle is None:
+            continue
+        w.array[:own] -= np.where(~inside & np.isfinite(gap), sign * np.maximum(gap, 0.0), 0.0)
+        w.scatter_forward()
+        problem.forms.elastic(there)
+        w.array[:] = kept
+        force = problem.weights[inside] * np.abs(pressure[inside])
+        more = sign * (there.array_r - here.array_r)[:own][inside]
+        shares[inside] = force / (force + np.where(np.isfinite(more), np.maximum(more, 0.0), 0.0))
+    for vector in (here, there):
+        vector.destroy()
+    return shares if problem.data.thin else _with_boundary(problem, shares, np.minimum(*gaps))
+
+
+def _with_boundary(problem: Problem, shares: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """The shares, with those of fixed nodes on an obstacle beside the contact set (collective)."""
+    level, comm = problem.level, problem.level.comm
+    most = largest(comm, np.abs(gap[np.isfinite(gap)]))
+    touching = problem.fixed & (problem.weights > 0) & (gap <= ON_OBSTACLE * most)
+    if total(comm, np.count_nonzero(touching)) == 0:
+        return shares
+    known, sums, counts = (fem.Function(level.V) for _ in range(3))
+    known.x.array[: len(shares)] = shares
+    known.x.scatter_forward()
+    dofs = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
+    local = known.x.array[dofs]
+    pressing = np.count_nonzero(local, axis=1)
+    beside = pressing > 0
+    for column in dofs[beside].T:
+        np.add.at(sums.x.array, column, local[beside].sum(axis=1) / pressing[beside])
+        np.add.at(counts.x.array, column, 1.0)
+    for function in (sums, counts):
+        releases.add_ghosts(function)
+    count = counts.x.array[: len(shares)]
+    return np.where(touching & (count > 0), sums.x.array[: len(shares)] / np.maximum(count, 1.0), shares)

@@ -42,8 +42,27 @@ def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
     places, found = record.get("report_places", {}), {}
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
-        found[name] = "not finite" if value is None else f"{value:.6g}{where}"
+        found[name] = "not finite" if value is None else f"{value:.6g}{uncertain(record, 'report', name)}{where}"
     return found
+
+
+def uncertain(record: Mapping[str, Any], *keys: str, short: bool = False) -> str:
+    """What follows the value of a field: its uncertainty, in words; nothing where none was asked for.
+
+    Args:
+        record: Of a solution, or a row of a study.
+        keys: The field, and the fields in it.
+        short: Without the order and the last change.
+    """
+    found: Any = record.get("uncertainty", {})
+    for key in keys:
+        found = found.get(key, {})
+    if not found:
+        return ""
+    if found["error"] is None:
+        return f" ({found['verdict']}{'' if short else ': the last change is {:.2g}'.format(found['change'])})"
+    order = "no order" if found["order"] is None else f"order {found['order']:.1f}"
+    return f" +- {found['error']:.2g}{'' if short else f' ({order})'}"
 
 
 @dataclass(frozen=True)
@@ -64,7 +83,7 @@ class Seconds:
     """Wall-clock time.
 
     Attributes:
-        total: From the mesh to the solution.
+        total: From the mesh to the solution; of the command `solve` all of it, its files and pictures included.
         mesh: To make the mesh; 0 for the caller's own.
         solve: Set-up, assembly and iteration.
     """
@@ -221,7 +240,7 @@ class Solution:
 
     @property
     def area(self) -> float:
-        """Of the contact set: the sum of D_i over the contact nodes; of obstacles on the boundary the length there."""
+        """Of the contact set, which ends between nodes; of obstacles on the boundary the length there."""
         return self.record["contact"]["area"]
 
     @property
@@ -480,7 +499,7 @@ class Solution:
             f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
             *self._steps(),
             f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
-            f"{r['memory_mb']:.0f} MB",
+            f"{r['seconds']['total']:.2f} s in all, {r['memory_mb']:.0f} MB",
             "  " + "; ".join(figures),
             *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
             *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
@@ -492,6 +511,8 @@ class Solution:
                 f"  penetration is {share} range of u: for accurate values take a smaller eps, or the method vi"
             )
         lines += self._round_off()
+        if "reason" in r.get("uncertainty", {}):
+            lines.append(f"  no uncertainty: {r['uncertainty']['reason']}")
         if "errors" in r:
             lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
         if "bound" in r:
@@ -573,11 +594,12 @@ class Solution:
         """Energy and contact, in words."""
         r, contact = self.record, self.record["contact"]
         sides = [side for side in ("lower", "upper") if side in contact]
-        figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}"]
+        figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}{uncertain(r, 'energy')}"]
         if sides:
-            figures.append(f"contact area {contact['area']:.6g}")
-            figures += [f"force on {side} obstacle {contact[side]['force']:.6g}" for side in sides]
-            figures.append(f"penetration {r['penetration']:.3g}")
+            figures.append(f"contact area {contact['area']:.6g}{uncertain(r, 'contact', 'area')}")
+            figures += [f"force on {side} obstacle {contact[side]['force']:.6g}{uncertain(r, 'contact', side, 'force')}"
+                        for side in sides]  # fmt: skip
+            figures.append(f"penetration {r['penetration']:.3g}{uncertain(r, 'penetration')}")
         return figures
 
     # files and pictures

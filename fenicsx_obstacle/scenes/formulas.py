@@ -37,6 +37,7 @@ FUNCTIONS = {
     "where": (3, 3),
 }
 FUNCTIONALS = {"integral": (1, 3), "at": (2, 4), "sup": (1, 1), "inf": (1, 1)}  # in [report] only
+OVER_NODES = {"max": "sup", "min": "inf"}  # there, of one argument
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
     Args:
         text: The formula.
         place: Where it stands.
-        functionals: Whether `integral`, `at`, `sup` and `inf` may be called.
+        functionals: Whether `integral`, `at`, `sup` and `inf` may be called; `max` and `min` of one argument are these.
 
     Raises:
         InputError: With the place and the column of what cannot be read.
@@ -135,6 +136,10 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
         raise InputError(_caret(bare, offset, "cannot read this formula")) from None
     except (MemoryError, RecursionError, ValueError):
         raise InputError(f"{place}: this formula is nested too deeply or has invalid characters") from None
+    if functionals:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) == 1:
+                node.func.id = OVER_NODES.get(node.func.id, node.func.id)
     formula = Formula(text, place, tree)
     _check(formula, tree, 0, {**FUNCTIONS, **FUNCTIONALS} if functionals else FUNCTIONS)
     return formula
@@ -167,8 +172,8 @@ def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str,
             least, most = functions[name]
             if not least <= len(args) <= most:
                 wanted = counted(least, "argument") if least == most else f"{least} to {most} arguments"
-                over = {"max": "sup", "min": "inf"}.get(name) if len(args) == 1 else None
-                hint = f"; over the whole domain it is {over}(...), in [report]" if over else ""
+                over = len(args) == 1 and name in OVER_NODES
+                hint = f"; in [report] {name} of one argument is over the whole domain" if over else ""
                 raise InputError(formula.pointing(node, f"{name} takes {wanted}, not {len(args)}{hint}"))
             children = args
             if name == "integral":

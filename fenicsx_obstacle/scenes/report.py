@@ -80,7 +80,7 @@ class _Checker:
         if name in (self.varying if inside else self.constant):
             return
         if name in self.varying:
-            message = f"'{name}' is a field: use integral, at, sup or inf of it"
+            message = f"'{name}' is a field: use integral, at, max or min of it"
         else:
             message = f"unknown name '{name}'" + nearest(name, self.varying)
         raise InputError(self.formula.pointing(node, message))

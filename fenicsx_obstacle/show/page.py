@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle.parallel import write_text
-from fenicsx_obstacle.problems.solution import report_in_words
+from fenicsx_obstacle.problems.solution import report_in_words, uncertain
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
@@ -225,14 +225,18 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("h, longest edge", f"{record['h']:.4g}, {record['h_max']:.4g}"),
         ("eps", "none" if record["eps"] is None else f"{record['eps']:.4g}"),
         ("iterations", f"{newton}, {krylov} of conjugate gradients (CG), on the finest mesh"),
-        ("energy", "none" if record["energy"] is None else f"{record['energy']:.10g}"),
-        ("contact area", f"{contact['area']:.6g}"),
+        ("energy", "none" if record["energy"] is None else f"{record['energy']:.10g}{uncertain(record, 'energy')}"),
+        ("contact area", f"{contact['area']:.6g}{uncertain(record, 'contact', 'area')}"),
     ]
-    facts += [(f"force on {side} obstacle", f"{contact[side]['force']:.6g}")
-              for side in ("lower", "upper") if side in contact]  # fmt: skip
-    facts.append(("penetration", f"{record['penetration']:.4g}"))
+    for side in [side for side in ("lower", "upper") if side in contact]:
+        error = uncertain(record, "contact", side, "force")
+        facts.append((f"force on {side} obstacle", f"{contact[side]['force']:.6g}{error}"))
+    facts.append(("penetration", f"{record['penetration']:.4g}{uncertain(record, 'penetration')}"))
+    if "reason" in record.get("uncertainty", {}):
+        facts.append(("no uncertainty", record["uncertainty"]["reason"]))
     facts += [(f"error, {norm}", f"{value:.4g}") for norm, value in (record.get("errors") or {}).items()]
-    facts.append(("seconds", f"{seconds['solve']:.3g} for the solve, {seconds['mesh']:.3g} for the mesh"))
+    spent = f"{seconds['solve']:.3g} for the solve, {seconds['mesh']:.3g} for the mesh, {seconds['total']:.3g} in all"
+    facts += [("seconds", spent), ("memory of all ranks", f"{record['memory_mb']:.0f} MB")]
     return facts
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -12,7 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.io.folder import STEPS, gather
 from fenicsx_obstacle.io.origin import command
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root, peak_memory_mb, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.free_boundary import write_free_boundary
@@ -38,6 +41,30 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
     Raises:
         InputError: If the folder cannot be written.
     """
+    return _drawn(answer, folder, None, picture=picture, newton=newton)[1]
+
+
+def report_command(
+    answer: Answer, folder: Path, started: float, *, picture: bool, newton: bool = False
+) -> tuple[Answer, str]:
+    """The same at the end of a command: page and answer.json get its seconds and its memory (collective).
+
+    Args:
+        answer: That was saved in the folder.
+        folder: As for `report_answer`.
+        started: `time.perf_counter()` at the beginning of the command.
+        picture: As for `report_answer`.
+        newton: As for `report_answer`.
+
+    Returns:
+        The answer with these values in its record, and what `report_answer` returns.
+    """
+    return _drawn(answer, folder, started, picture=picture, newton=newton)
+
+
+def _drawn(
+    answer: Answer, folder: Path, started: float | None, *, picture: bool, newton: bool
+) -> tuple[Answer, str]:
     comm = answer.level.comm
     write_free_boundary(answer, folder / "free_boundary.csv")
     file = folder / PICTURE if picture and _has_picture(answer) else None
@@ -62,8 +89,13 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
     if answer.time_history is not None:
         moving, words = on_root(comm, _draw_course, answer, gather(answer), folder, picture)
         said += words
+    if started is not None:
+        seconds = {**answer.record["seconds"], "total": time.perf_counter() - started}
+        spent = {"seconds": comm.bcast(seconds), "memory_mb": peak_memory_mb(comm)}
+        answer = replace(answer, record={**answer.record, **spent})
+        on_root(comm, write_text, folder / "answer.json", json.dumps(dict(answer.record), indent=1) + "\n")
     on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn, others)
-    return said
+    return answer, said
 
 
 def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
@@ -84,6 +116,7 @@ def report_study(
     folder: Path,
     say: Say,
     *,
+    uncertainty: bool = False,
     fresh: bool = False,
     latex: Path | None = None,
 ) -> list[Row]:
@@ -95,6 +128,7 @@ def report_study(
         options: Fixed values.
         folder: Where rows.jsonl, rows.csv, the plots, the page and the last answer go.
         say: Prints a line on rank 0.
+        uncertainty: Of each quantity in each row.
         fresh: Forget the rows that are there.
         latex: File for the table in LaTeX.
 
@@ -103,7 +137,7 @@ def report_study(
         NotConverged: With PETSc's reason; the rows before it are on the disk.
     """
     comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
-    study = Study(scene, vary, options, comm)
+    study = Study(scene, vary, options, comm, uncertainty=uncertainty)
     stores: list[RowStore] = []  # on rank 0 alone: it holds a lock
     run = on_root(comm, _open_store, stores, folder, fresh)
     try:

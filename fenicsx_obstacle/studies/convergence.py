@@ -28,7 +28,12 @@ OnRow = Callable[[Row, Answer | None], None]
 
 @checked(scene=SCENE, vary='values by keys such as {"cells": [16, 32]}')
 def study(
-    scene: Scene | str | Path, vary: Mapping[str, Sequence[Any]], *, comm: MPI.Comm = MPI.COMM_WORLD, **options: Any
+    scene: Scene | str | Path,
+    vary: Mapping[str, Sequence[Any]],
+    *,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    uncertainty: bool = False,
+    **options: Any,
 ) -> list[Row]:
     """Solve a scene for all combinations of values (collective).
 
@@ -40,6 +45,7 @@ def study(
         scene: A Scene, its file, or its name in the catalogue.
         vary: Values of each key: cells, refine, eps, method, or a dotted key of the scene such as "define.ecc".
         comm: Communicator.
+        uncertainty: Estimate the error of each quantity in each row, as in `solve`.
         **options: Fixed values, as in `solve`.
 
     Returns:
@@ -51,7 +57,7 @@ def study(
     """
     if not vary:
         raise InputError('study: vary = {}: name a key and its values, as in {"cells": [16, 32]}; one solve is solve()')
-    return [flat(row) for row in Study(scene_of(scene), vary, options, comm).run()]
+    return [flat(row) for row in Study(scene_of(scene), vary, options, comm, uncertainty=uncertainty).run()]
 
 
 class Study:
@@ -70,6 +76,8 @@ class Study:
         vary: Mapping[str, Sequence[Any]],
         options: Mapping[str, Any],
         comm: MPI.Comm = MPI.COMM_WORLD,
+        *,
+        uncertainty: bool = False,
     ):
         """Check all scenes of the study before the first is solved.
 
@@ -78,10 +86,12 @@ class Study:
             vary: Values of each key.
             options: Fixed values.
             comm: Communicator; a mesh of the scene's own brings its own.
+            uncertainty: Of each quantity in each row.
 
         Raises:
             InputError: If a value does not fit its key.
         """
+        self._uncertainty = uncertainty
         for key, values in vary.items():
             if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or len(values) == 0:
                 raise InputError(f"{scene.source}: {key} = {values!r} cannot vary: expected a list of values")
@@ -132,7 +142,7 @@ class Study:
 
     def solve(self, combination: Mapping[str, Any], scene: Scene) -> Answer:
         """The answer of a scene with these values of the keys (collective)."""
-        return self._solves.answer(combination, scene)
+        return self._solves.answer(combination, scene, uncertainty=self._uncertainty)
 
     def keep_in(self, store: RowStore | None) -> None:
         """Let finished rows be kept: on rank 0, None elsewhere or for none (collective)."""
@@ -156,7 +166,8 @@ class Study:
         on_root(self.comm, self._write_table, rows)
 
     def _key(self, scene: Scene) -> str:
-        return on_root(self.comm, row_key, scene, self.by, self.comm.size) if self._stored else ""
+        kind = self.by + " uncertainty" * self._uncertainty
+        return on_root(self.comm, row_key, scene, kind, self.comm.size) if self._stored else ""
 
     def _find(self, key: str) -> Row | None:
         return None if self._store is None else self._store.find(key)

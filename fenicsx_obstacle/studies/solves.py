@@ -43,12 +43,13 @@ class Solves:
             self.work.close()
         self.work = None
 
-    def answer(self, values: Mapping[str, Any], scene: Scene) -> Answer:
+    def answer(self, values: Mapping[str, Any], scene: Scene, *, uncertainty: bool = False) -> Answer:
         """The solution of a scene (collective).
 
         Args:
             values: In which the scenes differ.
             scene: With these values.
+            uncertainty: Of each quantity.
         """
         near = None
         if self.work is None:
@@ -61,7 +62,7 @@ class Solves:
             else:
                 self.close()  # the old mesh goes before the new one comes
                 self.work = SolverContext(scene, self.comm)
-        answer = self.work.answer(scene.options, yardstick=True, near=near)
+        answer = self.work.answer(scene.options, yardstick=True, near=near, uncertainty=uncertainty)
         self._measure(values, answer)
         self._last = values, answer
         return answer

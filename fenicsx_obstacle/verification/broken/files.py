@@ -102,7 +102,7 @@ def contradictions() -> Iterator[Broken]:
         ("at a place outside", {"[report] q": '"at(u, 7, 7)"'}, ["[report] q", "(7, 7)"]),
         ("at with one coordinate", {"[report] q": '"at(u, 0.5)"'}, ["[report] q", "coordinate"]),
         ("at a place that is no number", {"[report] q": '"at(u, 0/0, 0)"'}, ["[report] q"]),
-        ("max of one argument", {"[report] q": '"max(u)"'}, ["[report] q", "sup"]),
+        ("max of no argument", {"[report] q": '"max()"'}, ["[report] q", "max"]),
         ("normal flux in the domain", {"[report] q": '"integral(normal_flux)"'}, ["[report] q", "normal_flux"]),
         ("an exact solution with a pole", {"[exact] u": '"1/x"'}, ["[exact] u"]),
         ("an exact solution that is NaN", {"[exact] u": '"sqrt(x - 2)"'}, ["[exact] u"]),

@@ -1,0 +1,165 @@
+"""An uncertainty for each output quantity, from its values on the last three meshes of nested iteration.
+
+Nested iteration has a problem on each coarser mesh already, with a state near its solution. Two of them are solved to
+the end, with eps scaled as h^2. Where the changes from mesh to mesh have a consistent ratio, Richardson extrapolation
+says how far the last value is from the limit for h and eps to 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.galerkin import GalerkinProblem
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.problems.state import State, state_of
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.choose import method_of
+from fenicsx_obstacle.solvers.multigrid import Multigrid
+from fenicsx_obstacle.solvers.nested import begin_from
+from fenicsx_obstacle.solvers.options import SolverOptions
+
+MESHES = 3
+EPS_TIMES = (16.0, 4.0)  # that of the finest mesh: eps is scaled as h^2
+FEWEST = 4  # cells along x on the coarsest of them
+ROUND_OFF = 1e-9  # relative change that is the solver's tolerance
+ORDERS = (0.4, 4.0)  # observed orders that count as consistent; above, and between meshes, contact sets have jumped
+HIGHEST = 2.0  # order that is believed at most
+SAFETY = 1.5  # times what extrapolation says
+WITHOUT_ORDER = 1.0  # times the larger change, where the changes become smaller without a consistent ratio
+SHRINKS = 0.85  # last change over the one before, from which on it does not become smaller
+GROWS = 0.03  # last change over the value, from which on a value that grows is called unbounded
+REASON = "it takes two coarser meshes: a number of cells that 4 divides, or --refine 2 for a file"
+Values = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Of one quantity; units are its own.
+
+    Attributes:
+        values: On the three meshes, the finest last.
+        change: From the last mesh but one to the last.
+        error: Estimated distance of the last value from its limit for h and eps to 0; None where nothing is settled.
+        order: Observed order in h; None where the three values have none.
+        verdict: settled; 'not settled', where changes do not become smaller; or 'unbounded', where the value grows by
+            changes of one sign that do not become smaller.
+    """
+
+    values: tuple[float, ...]
+    change: float
+    error: float | None
+    order: float | None
+    verdict: str
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Uncertainty:
+        """What three values on meshes whose h halves say of the last."""
+        coarse, middle, fine = values
+        before, last = middle - coarse, fine - middle
+        size, a, b = max(map(abs, values)), abs(before), abs(last)
+        found = tuple(values), last
+        if max(a, b) <= ROUND_OFF * size or size == 0:
+            return cls(*found, ROUND_OFF * size, None, "settled")
+        same = before * last > 0
+        if b >= SHRINKS * a:
+            grows = same and abs(fine) > abs(middle) > abs(coarse) and b >= GROWS * size
+            return cls(*found, None, None, "unbounded" if grows else "not settled")
+        order, next_one = (math.log2(a / b) if same and b > 0 else None), max(b, a / 2**HIGHEST)
+        if order is None or not ORDERS[0] <= order <= ORDERS[1]:
+            return cls(*found, WITHOUT_ORDER * next_one, None, "settled")
+        return cls(*found, SAFETY * next_one / (2 ** min(order, HIGHEST) - 1), order, "settled")
+
+
+def quantities(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The output quantities in the record of a solution, by the same fields."""
+    contact = {name: record[name] for name in ("penetration", "contact")} if len(record["contact"]) > 1 else {}
+    return {"energy": record["energy"], **contact, "report": dict(record.get("report") or {})}
+
+
+def compared(found: Sequence[Any], *, bounded: bool = False) -> Any:
+    """What values on three meshes say, by the same fields; those that are not finite somewhere are left out.
+
+    Args:
+        found: On each mesh.
+        bounded: Whether they are known to be.
+    """
+    if isinstance(found[0], Mapping):
+        parts = {key: compared([one[key] for one in found], bounded=bounded or key == "area") for key in found[0]}
+        return {key: part for key, part in parts.items() if part}
+    if any(value is None for value in found):
+        return None
+    said = Uncertainty.of(found)
+    return asdict(replace(said, verdict="not settled") if bounded and said.error is None else said)
+
+
+def on_coarser_meshes(
+    grids: Sequence[Multigrid | Problem],
+    options: SolverOptions,
+    eps: float | None,
+    report: Callable[[Problem, State], Values],
+    *,
+    solved: bool,
+) -> list[dict[str, Any]]:
+    """The output quantities on the two next coarser meshes, the coarser first (collective).
+
+    Args:
+        grids: Of the last solve, the coarsest first; left with other states and active sets, except for the finest.
+        options: Of the last solve.
+        eps: On the finest mesh, or None.
+        report: The values of [report] of a problem that is in this state.
+        solved: Whether nested iteration has left a state near the solution on each mesh.
+
+    Returns:
+        The quantities; none where there are no two such meshes.
+
+    Raises:
+        NotConverged: With PETSc's reason.
+    """
+    meshes = [grid for grid in grids if not isinstance(_problem(grid), GalerkinProblem)]
+    pair = _problem(meshes[-1]).level.pair if meshes else None
+    of_degree_2 = pair is not None and pair.has_p1_coarse_space
+    coarser = meshes[: -2 if of_degree_2 else -1][1 - MESHES :]
+    if len(coarser) < MESHES - 1:
+        return []
+    found, below = [], None
+    for times, grid in zip(EPS_TIMES, coarser, strict=True):
+        problem, multigrid = _problem(grid), grid if isinstance(grid, Multigrid) else None
+        if of_degree_2:
+            assert pair is not None and multigrid is not None
+            fine = Problem(Data(problem.model, levels.of_pair(problem.level, pair)))
+            begin_from(fine, problem)
+            problem, multigrid = fine, Multigrid(fine, multigrid)
+        elif below is not None and not solved:
+            begin_from(problem, below)
+        method = method_of(problem, _scaled(options, eps, times))
+        method.solve(problem, multigrid=multigrid)
+        state = state_of(problem, method)
+        found.append(quantities({
+            "energy": state.energy, "penetration": state.contact.penetration, "report": report(problem, state),
+            "contact": {"area": state.contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
+        }))  # fmt: skip
+        below = problem
+    return found
+
+
+def coarser_scenes(scene: Scene, options: SolverOptions, eps: float | None) -> list[tuple[Scene, SolverOptions]]:
+    """The scene on two coarser meshes of its shape, the coarser first; none where the mesh is no such shape."""
+    mesh = scene.tables.mesh
+    if mesh.shape is None or scene.mesh is not None or mesh.refine or mesh.cells % 4 or mesh.cells < 4 * FEWEST:
+        return []
+    cells = [mesh.cells // 4, mesh.cells // 2]
+    return [(scene.change({"mesh.cells": n}), _scaled(options, eps, times))
+            for n, times in zip(cells, EPS_TIMES, strict=True)]  # fmt: skip
+
+
+def _scaled(options: SolverOptions, eps: float | None, times: float) -> SolverOptions:
+    return options if eps is None else replace(options, eps=times * eps)
+
+
+def _problem(grid: Multigrid | Problem) -> Problem:
+    return grid.problem if isinstance(grid, Multigrid) else grid

@@ -1,0 +1,117 @@
+"""The contact area between nodes, and the uncertainty of each quantity from three meshes."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from conftest import membrane, slow_except
+
+from fenicsx_obstacle import InputError, Scene, solve, study
+from fenicsx_obstacle.answers.uncertainty import SAFETY, Uncertainty
+from fenicsx_obstacle.scenes import catalogue
+
+STRING = math.sqrt(0.3 / 4)  # where string_parabola with f = 8, c = 0.3, k = 0 leaves its ceiling
+DISK = 0.5777150035509267  # contact radius of disk_flat
+
+
+def test_contact_area_of_a_string():
+    """Without a penalty the error of the contact area is below h^2 wherever contact ends between nodes; a count
+    of nodes is off by up to h."""
+    scene = catalogue.read("string_parabola").change({"report": {"counted": "integral(contact)"}})
+    area, off = 1 - 2 * STRING, []
+    for cells in (20, 26, 44, 90):
+        answer = solve(scene, cells=cells, method="vi")
+        assert abs(answer.area - area) < 1 / cells**2
+        off.append(abs(answer.report["counted"] - area) * cells)
+    assert max(off) > 1
+
+
+def test_contact_area_has_order_1_5():
+    """In the plane the contact area converges with order 1.5 at least, where a count of nodes has order 1."""
+    scene = catalogue.read("disk_flat").change({"report": {"counted": "integral(contact)"}})
+    found = [solve(scene, cells=n, method="vi") for n in (32, 128)]
+    errors = [abs(answer.area - math.pi * DISK**2) for answer in found]
+    assert math.log(errors[0] / errors[1], 4) > 1.5
+    assert abs(found[1].report["counted"] - math.pi * DISK**2) > 10 * errors[1]
+
+
+def test_contact_area_reaches_boundary_values_on_the_obstacle():
+    """Where u lies on the obstacle up to the boundary, nodes at which u is given belong to the contact: area 1, but
+    for the two corners whose only cell has no node inside."""
+    answer = solve(membrane(load=-1, lower=0, mesh={"shape": "rectangle", "cells": 8}))
+    assert np.isclose(answer.area, 1 - 2 / (6 * 8**2), rtol=1e-12)
+
+
+@pytest.mark.parametrize("order", [0.5, 1, 1.5, 2, 3])
+def test_richardson(order):
+    """Values q + c h^k have order k and an error of `SAFETY` times the true one; of order 2 at most is believed."""
+    values = [5 + 0.3 * h**order for h in (1 / 8, 1 / 16, 1 / 32)]
+    found, true = Uncertainty.of(values), 0.3 / 32**order
+    assert found.verdict == "settled" and abs(found.order - order) < 1e-9
+    assert np.isclose(found.error, SAFETY * true) if order <= 2 else found.error > true
+
+
+def test_what_is_not_settled():
+    """Powers of 1/h and log(1/h) are unbounded, changes that stay are not settled, round-off is settled."""
+    levels = (8, 16, 32)
+    assert Uncertainty.of([n**0.5 for n in levels]).verdict == "unbounded"
+    assert Uncertainty.of([math.log(n) for n in levels]).verdict == "unbounded"
+    wild = Uncertainty.of([1.0, 1.01, 0.999])
+    assert wild.verdict == "not settled" and wild.error is None and wild.order is None
+    less = Uncertainty.of([1.0, 1.01, 1.006])
+    assert less.verdict == "settled" and less.order is None and less.error >= 0.004
+    assert Uncertainty.of([3.0, 3 + 1e-13, 3.0]).error < 1e-8
+    assert Uncertainty.of([0.0, 0.0, 0.0]).error == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    slow_except([("ball", {"cells": 64}), ("ball", {"cells": 32, "element": "P2"}), ("string_parabola", {"cells": 64}),
+                 ("disk_flat", {"cells": 32, "method": "vi"})], ("ball", {"cells": 64})),
+)  # fmt: skip
+def test_true_errors(name, change):
+    """True errors lie within 3 times the stated ones, on geometric levels, on meshes of their own, and with P2; u is
+    what it is without."""
+    force = {"ball": 2 * math.pi * 0.680259411891719, "disk_flat": 4 * math.pi * DISK**2,
+             "string_parabola": 8 * (1 - 2 * STRING)}[name]  # fmt: skip
+    area = {"ball": math.pi * 0.697965148223374**2}.get(name, force / (4 if name == "disk_flat" else 8))
+    scene = catalogue.read(name).change({"report": {"held": "integral(abs(p))"}})
+    answer, plain = solve(scene, uncertainty=True, **change), solve(scene, **change)
+    assert np.array_equal(answer.u.x.array, plain.u.x.array)
+    found = answer.record["uncertainty"]
+    side = "lower" if name == "ball" else "upper"
+    for one, truth in ((found["contact"][side]["force"], force), (found["contact"]["area"], area),
+                       (found["report"]["held"], force)):  # fmt: skip
+        if one["error"] is not None:
+            assert abs(one["values"][-1] - truth) <= 3 * one["error"]
+    assert found["energy"]["order"] > 1 and found["energy"]["values"][-1] == plain.energy
+    assert found["contact"]["area"]["values"][-1] == plain.area
+    json.dumps(dict(answer.record))
+    assert " +- " in answer.summary() and "(order " in answer.summary()
+    assert "uncertainty" not in plain.record and "+-" not in plain.summary()
+
+
+def test_peaks_are_unbounded():
+    """The pressure under a circular edge is a measure: its largest value grows like 1/h."""
+    scene = catalogue.read("ring_wedge").change({"report": {"peak": "sup(abs(p))"}})
+    assert solve(scene, cells=64, uncertainty=True).record["uncertainty"]["report"]["peak"]["verdict"] == "unbounded"
+
+
+def test_quadrilaterals_and_rows():
+    """Q1 has no geometric levels: two coarser meshes are made; rows of a study have the uncertainties."""
+    scene = Scene(mesh={"shape": "rectangle", "cell": "quadrilateral"}, tension=1, load=8, upper=0.2,
+                  boundary=[{"value": 0}])  # fmt: skip
+    rows = study(scene, {"effects.load": [8, 10]}, cells=16, uncertainty=True)
+    assert all(row["uncertainty.energy.order"] > 1 for row in rows)
+    assert all(row["uncertainty.contact.upper.force.values"][-1] == row["contact.upper.force"] for row in rows)
+
+
+def test_no_uncertainty():
+    """Two meshes are too few; scenes in time have none; with a tolerance there is the bound."""
+    answer = solve(membrane(load=-1, lower=-0.01), cells=6, uncertainty=True)
+    assert "two coarser meshes" in answer.record["uncertainty"]["reason"] and "no uncertainty" in answer.summary()
+    moving = membrane(load="-t", lower=-0.1, time={"end": 1, "steps": 1})
+    assert "[time]" in solve(moving, uncertainty=True).record["uncertainty"]["reason"]
+    with pytest.raises(InputError, match="with a tolerance there is the bound"):
+        solve(membrane(load=-1, lower=-0.1), tol=0.5, uncertainty=True)
