@@ -172,3 +172,15 @@ def test_a_load_that_no_sample_sees():
     answer = solve(membrane(load=load, boundary=[{"value": "1e-6*x"}]), element="P2", bound=True)
     # of a point force F: u of the order of F/(2 pi) log(1/h)
     assert 10 * np.pi * 0.01**2 / 20 < largest(COMM, answer.u.x.array) < 10 * np.pi * 0.01**2
+
+
+def test_a_load_of_two_signs_in_one_cell():
+    """Samples see the positive part of a load alone; a bound makes the solver use all of it, and u is negative."""
+    scene = Scene(
+        mesh={"shape": "interval", "cells": 2}, tension=1, load="where(x < 0.781, 1.45, -1.94)", upper=0,
+        boundary=[{"on": "left", "value": 0}],
+    )  # fmt: skip
+    for method in ("penalty", "vi"):
+        answer = solve(scene, method=method, bound=True)
+        # u is 0 at 1/2, and its value at 1 the integral of (x - 1/2) f(x) from there
+        assert answer.at([[1.0]])[0] == pytest.approx(1.45 * 0.281**2 / 2 - 1.94 * (0.5**2 - 0.281**2) / 2, rel=0.05)

@@ -28,6 +28,7 @@ NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
 FAR = 1e300  # an infinite distance, in a form
 HELD = 1e16  # times the diagonal of a row that is to answer zero
 MOSTLY = 0.25  # of the sum of the forces: those of P2 at vertices have either sign
+ROUND_OFF = 1e-12  # of the sum of the forces
 
 
 class Forms:
@@ -275,9 +276,13 @@ class Nodal(Forms):
         self.set_reference()
 
     def pushes(self, side: int) -> bool:
-        """Whether forces at nodes push mostly to a side, -1 or 1, whatever samples of the load say (collective)."""
+        """Whether forces at nodes push to a side, -1 or 1, whatever samples of the load say (collective).
+
+        Mostly to that side; where forces were added at vertices, any beyond round-off counts.
+        """
         forces, comm = -self._minus_load.array_r, self.data.level.comm
-        return total(comm, np.maximum(side * forces, 0.0)) > MOSTLY * total(comm, np.abs(forces))
+        share = ROUND_OFF if self.forces is not None and self.data.level.pair.at_vertices else MOSTLY
+        return total(comm, np.maximum(side * forces, 0.0)) > share * total(comm, np.abs(forces))
 
     def weights(self) -> np.ndarray:
         return self._D
