@@ -22,8 +22,8 @@ from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.effects.domain.load import Load
+from fenicsx_obstacle.estimation.exact_contact import contact_truth
 from fenicsx_obstacle.estimation.quadrature import gauss
-from fenicsx_obstacle.estimation.truth import contact_truth
 from fenicsx_obstacle.scenes import catalogue, meshes
 
 FINE = {1: 200_000, 2: 1500}  # cells of the grid for the true values, along each axis
