@@ -5,7 +5,7 @@
 
 Each scene is solved with `uncertainty=True` on several meshes, by several elements and methods. The true values are
 integrals of the exact solution over a fine grid, its values at a point, its largest value, and contact area and force
-from `contact_truth`. Where they are not known a quantity is not judged. `--each` prints every quantity.
+from `exact_contact`. Where they are not known a quantity is not judged. `--each` prints every quantity.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.effects.domain.load import Load
-from fenicsx_obstacle.estimation.exact_contact import contact_truth
+from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.estimation.quadrature import gauss
 from fenicsx_obstacle.scenes import catalogue, meshes
 
@@ -111,7 +111,7 @@ def truths(scene: Scene) -> dict[str, float]:
              "report.bottom": min(bottom for _, bottom in tops)}  # fmt: skip
     bounded = exact.pressure is not None and scene.name != "cone"
     known["report.peak"] = max(peaks) if bounded else np.inf
-    contact = contact_truth(scene.model, exact, meshes.coarsest(scene, MPI.COMM_WORLD))
+    contact = exact_contact(scene.model, exact, meshes.coarsest(scene, MPI.COMM_WORLD))
     if scene.name not in NO_AREA:
         known["contact.area"] = contact["area"]
     one_side = (scene.model.lower is None) != (scene.model.upper is None)
