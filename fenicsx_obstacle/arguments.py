@@ -1,4 +1,4 @@
-"""Options that commands share; values, lists of values and settings as they stand on the command line."""
+"""Options that commands share; parsing of values, lists of values and settings."""
 
 from __future__ import annotations
 

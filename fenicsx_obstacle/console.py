@@ -1,4 +1,4 @@
-"""Where commands print and write: on rank 0, after the places have been checked. Nothing heavy is imported before.
+"""Printing and writing of the commands, on rank 0; imports nothing heavy.
 
 Standard output and standard error never raise: a full disk or a closed pipe must not end a command that still has
 files to write, on one rank and not on the others. What was lost is told at the end.

@@ -1,4 +1,4 @@
-"""Acting as one on all ranks: errors, sums over owned values, writing by rank 0."""
+"""MPI: errors on all ranks, sums over owned values, writing by rank 0."""
 
 from __future__ import annotations
 

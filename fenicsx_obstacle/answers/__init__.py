@@ -1,4 +1,4 @@
-"""From a scene to an answer: the choice of solver, the frozen result, the saved folder.
+"""Solutions of scenes: solver context, adaptive refinement, time stepping, saved folders.
 
 Enters: what puts levels, solvers and estimates together for one answer. Stays out: several answers in a row; pictures,
 but for the late import of `Answer.plot`.

@@ -1,4 +1,4 @@
-"""What a solve may take: seconds, memory, unknowns."""
+"""Limits of a solve: seconds, memory, unknowns."""
 
 from __future__ import annotations
 

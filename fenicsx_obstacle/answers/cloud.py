@@ -1,4 +1,4 @@
-"""A solution as points with weights: how far any answer is from it, on whatever mesh, and without one of its own."""
+"""A solution sampled at quadrature points, for distances to solutions on other meshes."""
 
 from __future__ import annotations
 

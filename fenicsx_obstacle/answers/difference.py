@@ -1,4 +1,4 @@
-"""What distinguishes two answers: norms of u and p, contact sets, forces, energy; on one mesh or on two."""
+"""Differences of two solutions, on one mesh or on two: norms of u and p, contact sets, forces, energy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Newton at work: the active set of each step, on all levels, found by solving once more for who wants to see it."""
+"""The active set of each Newton step on all levels, from a second solve; for animations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lines and curves of [profile.NAME]: where they are on a mesh, and what a solution is along them."""
+"""Lines and curves of [profile.NAME]: their points, and the solution along them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a scene to an answer: mesh, problem, solver, figures."""
+"""Solves a scene: mesh, problem, solver, output quantities."""
 
 from __future__ import annotations
 

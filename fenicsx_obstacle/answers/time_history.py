@@ -1,4 +1,4 @@
-"""What a scene did in time: a row of figures for each step, and its fields at some moments."""
+"""Results of a scene with [time]: a row of output quantities for each step, and fields at the saved times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene with [time]: one static problem after the other, each on the same mesh and matrices."""
+"""Time stepping of a scene: a sequence of stationary problems with the same mesh and matrices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether any u can satisfy a model: boundary values between the obstacles, obstacles that do not cross."""
+"""Checks that the admissible set is not empty: obstacles do not cross, boundary values are between them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two ways to evaluate (3.4) on one level: the UFL forms each time, and matrices assembled once.
+"""Evaluation of (3.4) on one level, by UFL forms or by matrices that are assembled once.
 
 With the nodal rule the penalty (3.6) is a diagonal, so whenever all effects are affine the residual is
 A w + (A r - f) + D chi (w - gap) / eps, and a Newton step changes nothing but the diagonal of its matrix. That makes

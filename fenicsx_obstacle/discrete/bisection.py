@@ -1,4 +1,4 @@
-"""Meshes refined where an indicator says so: marked triangles cut in four, their neighbours bisected to fit.
+"""Local refinement: marked triangles are cut into four, and neighbours are bisected for conformity.
 
 A triangle with a marked edge has its longest edge marked too, so that angles stay bounded (Rivara). DOLFINx's own
 refinement gives no parents in 0.5, and omits ghosts in 0.9.

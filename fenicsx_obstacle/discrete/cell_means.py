@@ -1,4 +1,4 @@
-"""Means of a tension that jumps within cells.
+"""Cell means of a tension that jumps within cells.
 
 Of all numbers in a cell the mean makes the energy error least: with it the solution in P1 is that of Galerkin's method.
 A soft value in a cell that is partly hard is the worst, its error is not bounded as the contrast grows.

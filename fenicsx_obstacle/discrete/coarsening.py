@@ -1,4 +1,4 @@
-"""Coarse levels without coarse meshes: which nodes stay, and how the others are interpolated from them.
+"""Algebraic coarse levels: choice of the coarse nodes, and interpolation from them.
 
 The coarse nodes are a maximal independent set of the graph of A. The others are interpolated from those within two
 edges of them by moving least squares, so that linear functions are interpolated exactly. Then the coarse problem is

@@ -1,4 +1,4 @@
-"""Whether the parts of a mesh that touch are connected: facets that lie on each other without shared nodes.
+"""Checks that the parts of a mesh that touch are connected, and that none overlap.
 
 CAD bodies that were not fragmented are meshed one by one. Where they touch, each has nodes of its own, so that they are
 separate membranes: no error shows in the solution.

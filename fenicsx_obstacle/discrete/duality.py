@@ -1,4 +1,4 @@
-"""Between V_h and Q_h: values at the points of I as functions, and functions of Q_h at the nodes of V_h."""
+"""Maps between V_h and Q_h: functions of Q_h from values at the points of I, and their values at the nodes of V_h."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes: as they are given, refined, and how a fine one hangs on the coarse one it came from."""
+"""Levels: meshes with their spaces, and refined meshes with the levels that they come from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limit loads: where the force per length of an elastic effect is bounded, so is the load that it can carry."""
+"""Limit loads of elastic effects whose force per length is bounded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The signs of a stiffness matrix: with none positive off the diagonal it obeys the maximum principle."""
+"""Checks that a stiffness matrix is an M-matrix, so that the maximum principle holds."""
 
 from __future__ import annotations
 

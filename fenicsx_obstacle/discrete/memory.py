@@ -1,4 +1,4 @@
-"""Whether a mesh, with all that a solve needs on it, has room in memory."""
+"""Checks that a mesh and a solve on it fit into memory."""
 
 from __future__ import annotations
 

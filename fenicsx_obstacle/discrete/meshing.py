@@ -1,4 +1,4 @@
-"""Gmsh reads and meshes in a process of its own: what it cannot read may end the process.
+"""Gmsh in a separate process, since a file that it cannot read may end the process.
 
 `python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo or .msh file as NumPy arrays; if
 that fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours).

@@ -1,4 +1,4 @@
-"""What is to be solved, before there is a mesh: effects, obstacles, boundary conditions, time."""
+"""The problem data without a mesh: effects, obstacles, boundary conditions, time."""
 
 from __future__ import annotations
 

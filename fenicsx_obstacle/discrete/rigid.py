@@ -1,4 +1,4 @@
-"""Rigid body motions: near-null vectors of multigrid for elasticity, and what holds a body."""
+"""Rigid body motions: near-null space of multigrid for elasticity, and a check that supports hold a body."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forces on a membrane as a whole: what holds a part of it that is fixed nowhere, and the forces at work in a step."""
+"""Solvability: total forces on connected parts of the mesh on which u is given nowhere."""
 
 from __future__ import annotations
 

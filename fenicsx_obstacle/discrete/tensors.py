@@ -1,4 +1,4 @@
-"""Matrices of data sampled in cells, and checked."""
+"""Matrix-valued data, sampled in cells and checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Derivatives in time as differences: c u - past, with a number and a function that the march sets before each step.
+"""Time derivatives as differences c u - past; time stepping sets the number c and the Function before each step.
 
 A step in time is a static problem with a foundation c and a load `past`; so forms know nothing of steps or schemes.
 """

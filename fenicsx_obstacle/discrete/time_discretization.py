@@ -1,4 +1,4 @@
-"""The moments of a problem, from 0 to the end, and what it begins with."""
+"""Time discretization: end, steps, scheme and initial values."""
 
 from __future__ import annotations
 

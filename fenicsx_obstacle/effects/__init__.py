@@ -1,4 +1,4 @@
-"""One class for each physical effect a scene can name; nothing else is ever assembled.
+"""Effects: one class for each physical term that a scene can name.
 
 Each effect is a file: `domain/KEY.py` for a key of [effects], `boundary/KEY.py` for one of [[boundary]].
 

@@ -1,4 +1,4 @@
-"""What an effect is, and the register of those that have a name.
+"""The protocol of effects, and their register.
 
 An effect is one class: its data, and its part of the residual. Residual, energy and the choice of the solver are folds
 over the effects of a model; what no scene names is not even imported.

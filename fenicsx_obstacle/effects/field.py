@@ -1,4 +1,4 @@
-"""A datum of a problem: a tension, a load, an obstacle, a boundary value. One class, whoever gives it.
+"""Fields: the data of a problem, such as tension, load, obstacle or boundary value, in any form the user gives.
 
 A `Field` is a scalar function of place and time. `discrete.fields` makes one of what users of DOLFINx have; formulas of
 a scene are another class of it, and a plug-in may have one of its own.

@@ -1,4 +1,4 @@
-"""What error bounds take from boundary values; that of intervals, whose boundary values are all nodal ones."""
+"""Boundary values in error bounds: the base class, which is enough for intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tension, load and obstacles in the cells: as the solver has them, and as they are."""
+"""Tension, load and obstacles in the cells: the samples of the solver, and enclosures of the data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an error bound rests on: certified, for sampled data or the polygon of the mesh only, or an indicator."""
+"""Certification of an error bound: certified, certified for sampled data or for the polygon, or an indicator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where u touches, how hard, and how far the penalty lets it through."""
+"""Contact set, contact forces and penetration."""
 
 from __future__ import annotations
 

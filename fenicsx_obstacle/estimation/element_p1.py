@@ -1,4 +1,4 @@
-"""P1 with the vertex rule: v_h is the nodal maximum of u_h and the obstacle, raised by what nodes do not see of it."""
+"""The error bound for P1: v_h is the nodal maximum of u_h and the obstacle, plus a bound of the obstacle's excess."""
 
 from __future__ import annotations
 

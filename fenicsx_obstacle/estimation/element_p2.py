@@ -1,4 +1,4 @@
-"""P2 with contact at the middles of edges.
+"""The error bound for P2 with contact at midpoints of edges.
 
 The multiplier, linear in each cell, may be negative near the free boundary: lambda_+ is what of it is left when its
 slope is reduced there, and the difference, of mean zero, counts like the oscillation of the load. And v is u_h with,

@@ -1,4 +1,4 @@
-"""Contact area and contact force of an exact solution: cells that the free boundary crosses are cut again and again."""
+"""Contact area and contact force of an exact solution, by repeated subdivision at the free boundary."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Multiplier and equilibrated flux of a P1 state: what proves how far it is from the solution.
+"""Multipliers and equilibrated flux of a P1 solution, for the error bound.
 
 For any P1 function u_h, converged or not, nodal multipliers lambda >= 0 (lower obstacle), nu >= 0 (upper) and a rest
 rho come from its residual alone, eps-free, and a flux sigma in RT0 with continuous normal parts and

@@ -1,4 +1,4 @@
-"""Multiplier and equilibrated flux of a P2 state with contact at the middles of edges.
+"""Multipliers and equilibrated flux of a P2 solution with contact at midpoints of edges.
 
 The multiplier is the Crouzeix-Raviart function lambda with nodal values at these middles, so that int lambda psi_a is
 what the rule makes of it for every hat psi_a: patches of free vertices are compatible but for rho_a, the force that is

@@ -1,4 +1,4 @@
-"""Distances: to the exact solution, between two states on one mesh, and the dual norm of the pressure error."""
+"""Error norms: to the exact solution, between two functions on one mesh, and the dual norm of the pressure error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Obstacles between the nodes.
+"""The excess of an obstacle over its nodal interpolant.
 
 The highest point of an obstacle above its nodal interpolant is added at the nodes around. Bernstein coefficients of the
 polynomials that stand for it bound that height; where it is rough cells are divided for this. All this is done where u

@@ -1,4 +1,4 @@
-"""Digits of the contact pressure: how many floating point leaves it, and how many who divides heights by eps.
+"""Round-off of the contact pressure: computed from u - g, and from stored values of u.
 
 (3.7)-(3.8), p = -(u - g)^+/eps, taken literally subtracts heights: the last digit of g, divided by eps, is a relative
 error of about machine epsilon |g|/(eps |p|) in p. The unknown w = u - g avoids that. What is left does not depend on

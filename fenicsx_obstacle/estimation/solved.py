@@ -1,4 +1,4 @@
-"""A solved problem, frozen: what it answered, and how far that may be from the discrete solution.
+"""Reference problems: computed solutions with bounds of their distance from the discrete solution.
 
 A state w leaves the residual r = A w + ... + D (u - g)^+/eps - f at free dofs. Its distance e to the solution satisfies
 (A + theta D/eps) e = r with some 0 <= theta_i <= 1, since t^+ is monotone and Lipschitz; for the inequality likewise

@@ -1,4 +1,4 @@
-"""The triangles around each vertex in their order.
+"""Vertex patches of triangles, ordered around the vertex.
 
 A corner is a vertex a of an owned triangle with the other two, b and c, counter-clockwise after it. The patches are
 fans: the corner after (a, b, c) is the one across its edge a-c, which begins with (a, c). Fans end at the boundary, and

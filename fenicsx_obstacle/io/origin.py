@@ -1,4 +1,4 @@
-"""Where figures come from: the command and the versions."""
+"""Origin of results: the command and the versions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a table of heights tells of itself: values at points, and bounds over segments and triangles."""
+"""Surfaces of measured data: values at points, and bounds over segments and triangles."""
 
 from __future__ import annotations
 

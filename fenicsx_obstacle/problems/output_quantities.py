@@ -1,4 +1,4 @@
-"""The figures of a solution: what was solved, what came out, how it was found."""
+"""Output quantities of a solution."""
 
 from __future__ import annotations
 

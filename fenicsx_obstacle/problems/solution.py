@@ -1,4 +1,4 @@
-"""A solution: the frozen result of a converged solve."""
+"""Solution: the frozen result of a converged solve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`solve_form`: an ObstacleProblem solved once, in the form that it had in version 0.1."""
+"""`solve_form`: solves an ObstacleProblem once, with the arguments of version 0.1."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The present state of a solved problem: its fields, and the figures that all scenes have."""
+"""Fields and contact of a solved problem."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""[[boundary]]: what contradicts itself there, told without a mesh."""
+"""Checks of [[boundary]] that need no mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a scene made in Python has that TOML cannot say: data that are objects, a mesh with tags."""
+"""Scenes from Python: data that are objects, and meshes with tags, which TOML cannot represent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures of [report]: integrals, point values and extremes of the solution, by NumPy alone.
+"""Output quantities of [report]: integrals, point values and extremes of the solution, by NumPy only.
 
 A functional needs values of Lagrange functions at chosen places of chosen cells, so that a report compiles nothing.
 """

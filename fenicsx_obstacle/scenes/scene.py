@@ -1,4 +1,4 @@
-"""A scene: what is to be solved, from a TOML file or from Python, before any mesh exists."""
+"""Scene: an obstacle problem from a TOML file or from Python, without a mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of a scene and their keys, as typed structures; unknown keys and wrong types are refused."""
+"""The tables of a scene and their keys, as typed structures; unknown keys and wrong types are rejected."""
 
 from __future__ import annotations
 

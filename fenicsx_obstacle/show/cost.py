@@ -1,4 +1,4 @@
-"""`cost` for people: lines while it runs, tables at the end, pictures and one page (see `studies.cost`)."""
+"""Output of `cost`: lines while it runs, tables at the end, pictures and a page (see `studies.cost`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of `cost`: rows, the next digit, the cheapest choices, the best eps, and what is not there (one rank)."""
+"""Tables of `cost`: rows, time for one more digit, fastest methods, best eps, where methods end (one rank)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene in words: the equation that is assembled, its signs, the solver, and what is left out."""
+"""`explain`: the equation that is assembled, its signs, the solver, and what is not included."""
 
 from __future__ import annotations
 

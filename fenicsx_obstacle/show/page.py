@@ -1,4 +1,4 @@
-"""One page that holds a whole result: scene, equation, figures, table, pictures, versions, command.
+"""The page of a result: scene, equation, output quantities, tables, pictures, versions, command.
 
 The page is one file: it fetches nothing, needs no JavaScript, and prints.
 """

@@ -1,4 +1,4 @@
-"""Views in space drawn by pyvista, in a process of its own: VTK may crash where there is no display.
+"""Views in space by pyvista, in a separate process, since VTK may crash without a display.
 
 `python -m fenicsx_obstacle.show.render FOLDER` is that process; `rendered` starts it. Nothing else imports pyvista.
 """

@@ -1,4 +1,4 @@
-"""What a person finds in the folder of a result, beyond its figures: pictures, plots, tables, a page."""
+"""Files in the folder of a result for people: pictures, plots, tables, a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The steps in time of a scene, in words."""
+"""Text about the time steps of a scene."""
 
 from __future__ import annotations
 

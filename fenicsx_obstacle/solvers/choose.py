@@ -1,4 +1,4 @@
-"""Rules that choose for the user, each in one place: the value of eps, the solver."""
+"""Choice of eps and of the solver."""
 
 from __future__ import annotations
 

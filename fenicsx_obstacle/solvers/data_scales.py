@@ -1,4 +1,4 @@
-"""Whether a state in balance means anything: how large it is beside the data, and the forces that the data exert.
+"""Scales of the data: range of u, forces; checks that the data and not round-off determine a solution.
 
 Round-off of the residual is an epsilon of |A| |u|. Heights that the data give cause some of it: boundary values,
 obstacles in contact, the heights at which supports rest. The rest is due to how far u lies beyond all of these. Where

@@ -1,4 +1,4 @@
-"""How far to solve the linear systems: not far while contact changes, then until forces balance.
+"""Inexact Newton: tolerances of the linear systems, loose while the contact set changes, then by the balance of forces.
 
 The multigrid cycle is the dearest part of a solver, so it is applied once per step of CG and never for a norm alone:
 the residual of the system is the unbalanced force that the Newton step will leave, if no more contact changes.

@@ -1,4 +1,4 @@
-"""Linear systems: PETSc options by default, which the user's own override."""
+"""Linear solvers: default PETSc options, which the user's options override."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""On an M-matrix the active sets of (3.4)* shrink from the second step on: a theorem, hence a check at run time.
+"""Check of a theorem at run time: on M-matrices the active sets of (3.4)* decrease from the second step on.
 
 The systems of two steps, with active sets chi and remainders r of the linear solver, differ by
 

@@ -1,4 +1,4 @@
-"""Truncated multigrid: the preconditioner for a membrane that is held at its contact nodes.
+"""Truncated multigrid: the preconditioner for a matrix with contact nodes.
 
 Contact is a spring at a node: D/eps for the penalty, an infinite one for the variational inequality. A coarse
 correction must not move a node that its spring holds, so the rows of the prolongation there are zero (Kornhuber's

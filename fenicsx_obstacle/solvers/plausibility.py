@@ -1,4 +1,5 @@
-"""Whether a solution is in the range of its data: comparison with constants, sensitivity to round-off, films."""
+"""Checks that a state in balance is a solution: maximum principle, sensitivity to round-off, limit load, trapped
+drift."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Relaxation: each node goes to its own balance between membrane, load and obstacle, its neighbours resting.
+"""Damped Jacobi relaxation of the penalised problem or of the inequality.
 
 Interpolated heights are wrong where they bend: along the edge of contact, and over obstacles that only the finer mesh
 resolves. Relaxation mends that node by node for the price of a few residuals, where Newton steps would peel off one

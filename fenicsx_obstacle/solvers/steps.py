@@ -1,4 +1,4 @@
-"""Steps in time: the differences that make each a static problem, and what a step adds to the error."""
+"""Time steps: difference formulas, and estimates of the local error."""
 
 from __future__ import annotations
 

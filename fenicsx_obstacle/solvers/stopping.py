@@ -1,4 +1,4 @@
-"""When a solver may stop: the state satisfies the discrete problem in an absolute, physical scale.
+"""Stopping test: active set unchanged, and unbalanced forces small relative to the acting forces.
 
 PETSc's own tests compare with the first residual, which for a small eps is ~ 1/eps and makes anything look small.
 Here the unbalanced force, summed over the free nodes, is compared with the forces that act: load, supports, contact.

@@ -1,4 +1,4 @@
-"""The ways to an answer that `cost` compares."""
+"""The methods that `cost` compares."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cost of accuracy: every choice on finer and finer meshes, each row with its errors, time and memory.
+"""Cost of accuracy: each method on a sequence of meshes, with errors, time and memory.
 
 A row is on the disk as soon as it is finished; whatever ends the run, the next one goes on from there.
 """

@@ -1,4 +1,4 @@
-"""A mesh of `cost` with what is measured on it, and when a choice has come as far as the budget goes."""
+"""One mesh of `cost` with its measurements, and the test whether the next mesh exceeds the budget."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a tolerance will take, before it is run: a few seconds of the same run, continued.
+"""Forecast of the cost of a tolerance, by extrapolation from the first meshes.
 
 Meshes that are refined where the error is soon settle: their bound falls like a power of the unknowns, and unknowns
 grow by the same factor from mesh to mesh. A mesh takes some time whatever its size, and some for each unknown: that is

@@ -1,4 +1,4 @@
-"""A grid of several keys, read as lines along one of them."""
+"""Studies over several keys, as lines along one of them."""
 
 from __future__ import annotations
 

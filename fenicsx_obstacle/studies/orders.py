@@ -1,4 +1,4 @@
-"""What the paper proves of the quantities that a study measures: the orders to compare with."""
+"""Orders of the measured quantities according to the paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From rows of `cost` to prices: the cheapest choice for an error, and what the next digit takes.
+"""Evaluation of the rows of `cost`: the fastest method for an error, and the time for one more digit.
 
 Errors are relative. Along the rows of a choice, log error is taken to be linear in log seconds between two rows, and
 beyond the last one with the slope of the last three.

@@ -1,4 +1,4 @@
-"""What errors are measured against: the exact solution, or the finest solution that is affordable, with its bound."""
+"""Reference solutions for errors: the exact solution, or the finest solution within a budget, with its bound."""
 
 from __future__ import annotations
 

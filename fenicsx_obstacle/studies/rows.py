@@ -1,4 +1,4 @@
-"""The rows of a study on disk: each is there for good when it is finished, and found again by what it is.
+"""Rows of a study on disk: saved when finished, and found again by a key of all they depend on.
 
 rows.jsonl is the store: one line per row ever computed in this folder. rows.csv is the table of the present study.
 """

@@ -1,4 +1,4 @@
-"""The solves of a study, one after another: what the next scene has in common with the last is taken over."""
+"""Solves of a study: meshes, matrices and solutions are reused if the next scene allows it."""
 
 from __future__ import annotations
 
