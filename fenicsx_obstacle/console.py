@@ -20,7 +20,7 @@ from fenicsx_obstacle.errors import NOT_REACHED
 
 
 class _GuardedStream(io.FileIO):
-    """A standard stream that keeps the first error of writing instead of raising it."""
+    """A standard stream that records the first error of writing instead of raising it."""
 
     lost: OSError | None = None
 
@@ -39,7 +39,7 @@ _streams: dict[str, _GuardedStream] = {}
 
 
 def guard_streams() -> None:
-    """Let standard output and standard error keep errors of writing; streams that are closed lead nowhere."""
+    """Make standard output and standard error record errors of writing; closed streams discard their output."""
     for number in range(3):  # otherwise a file that is opened next would be standard output to compiled libraries
         try:
             os.fstat(number)
@@ -90,7 +90,7 @@ def tell(text: str) -> None:
 
 
 def check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
-    """Refuse places that cannot be written to before anything is computed (collective)."""
+    """Reject files and folders that cannot be written, before anything is computed (collective)."""
     from mpi4py import MPI
 
     from fenicsx_obstacle.parallel import check_file, check_folder

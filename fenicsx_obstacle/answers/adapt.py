@@ -99,7 +99,7 @@ def solve(
 
 
 class Refinement:
-    """Answers on meshes that grow where the error is, eps so small that the mesh decides.
+    """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates.
 
     Attributes:
         scene: What is solved.
@@ -117,7 +117,7 @@ class Refinement:
 
     @property
     def bulk(self) -> float:
-        """What to refine, for these elements."""
+        """The share of the bound whose cells are refined, for this element."""
         return BULK[self.scene.pair.degree]
 
     def meshes(
@@ -155,7 +155,7 @@ class Refinement:
             close(benches)
 
     def _balanced(self, context: SolverContext) -> Answer:
-        """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
+        """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
         first = not self.path  # there an exact solution that is none is told of
         answer = context.answer(self.options, bound=True, errors=first)
         bound = _bound(answer)
@@ -176,7 +176,7 @@ class Refinement:
         return answer
 
     def _may_lower_eps(self, answer: Answer) -> bool:
-        """Whether eps is ours to choose: what the user gave is kept."""
+        """Whether eps is chosen automatically; a number of the user is kept."""
         return answer.record["eps"] is not None and not self.given
 
 
@@ -213,7 +213,7 @@ class _Adaptation(Refinement):
         return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
     def _share(self, answer: Answer) -> float:
-        """The last mesh need not be finer than it has to be."""
+        """The share of the bound whose cells are refined next, smaller before the last mesh."""
         beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
         return min(self.bulk, max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**self.scene.pair.degree)))
 
@@ -227,7 +227,7 @@ class _Adaptation(Refinement):
         return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
 
     def _finished(self, answer: Answer) -> str | None:
-        """None to go on, "" at the tolerance, otherwise what stopped it (collective)."""
+        """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
         bound, limit = _bound(answer), self._limit(answer)
         if bound.total <= limit:
             return ""
@@ -254,7 +254,7 @@ def _bound(answer: Answer) -> Bound:
 
 
 def _marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:
-    """The fewest owned cells that carry a share of the sum over all ranks (collective)."""
+    """The fewest owned cells that together have a given share of the sum over all ranks (collective)."""
     everything = total(comm, indicator)
     low, high = 0.0, largest(comm, indicator)
     while high - low > 1e-9 * high:

@@ -20,7 +20,7 @@ from fenicsx_obstacle.solvers.stopping import Step
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Where a solver was after a step.
+    """The state of a solver after a step.
 
     Attributes:
         step: Its figures.

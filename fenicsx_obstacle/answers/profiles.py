@@ -51,7 +51,7 @@ def points_of(scene: Scene, level: Level) -> dict[str, np.ndarray]:
 
 
 def profiles_of(answer: Answer) -> dict[str, Profile]:
-    """What a solution is along all profiles of its scene (collective).
+    """The solution along all profiles of its scene (collective).
 
     Raises:
         InputError: As `points_of`.

@@ -45,7 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 class SolverContext:
-    """A scene's mesh and problem, kept for several solves that differ in their options only.
+    """Mesh and discrete problem of a scene, for several solves that differ in their options only.
 
     Attributes:
         scene: What is solved.
@@ -149,11 +149,11 @@ class SolverContext:
         return self._estimator
 
     def forget_estimator(self) -> None:
-        """Free what bounds need, some kB per node, where this mesh is only a level below another from now on."""
+        """Free the estimator, some kB per node, when this mesh becomes a coarse level of another one."""
         self._estimator = None
 
     def forget_levels(self) -> None:
-        """Free problems and multigrid of the levels below, which the next solve would make anew (collective)."""
+        """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""
         self._grids = self._problems = None
         releases.free(level.comm for level in self.problem.level.downward)
         return_freed_memory()
@@ -258,7 +258,7 @@ class SolverContext:
         return TimeStepper(problem, below, solve, partial(state_of, problem, method), self._reported, self._fields)
 
     def _reported(self, state: State) -> dict[str, float | None]:
-        """The figures of [report] (collective)."""
+        """The output quantities of [report] (collective)."""
         if self._report is None:
             return {}
         time_, support = self.problem.model.time, self.problem.elastic.array_r
@@ -333,7 +333,7 @@ class SolverContext:
         )
 
     def _fields(self, state: State) -> Answer:
-        """The fields of an answer, without figures."""
+        """The fields of an answer, without output quantities."""
         problem, data = self.problem, self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
         tension = data.model.elastic.tension_at(state.u, data)

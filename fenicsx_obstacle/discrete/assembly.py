@@ -72,7 +72,7 @@ class Forms:
         self._made: dict[str, Any] = {}
 
     def _set_contact_measure(self) -> None:
-        """Where I is taken, and by which rule."""
+        """Set the measure of the contact integral I, and its rule."""
         data = self.data
         self.measure: Any = data.dx
         self.rule = data.level.pair.rule(releases.cell_name(data.level.mesh))
@@ -139,7 +139,7 @@ class Forms:
             out.array[:] -= forces
 
     def renew(self, A: PETSc.Mat, *, stiffness: bool) -> bool:
-        """Assemble anew what has changed with time, with A of `create_matrix`; whether the stiffness is among it."""
+        """Assemble again the parts that depend on time; returns whether the stiffness has changed."""
         return stiffness
 
     def reaction(self, out: PETSc.Vec) -> None:
@@ -201,7 +201,7 @@ class Forms:
 
 
 class Nodal(Forms):
-    """The same for affine effects, from A, f and D assembled once (all methods collective)."""
+    """The same for affine effects, from A, f and D that are assembled once (all methods collective)."""
 
     def __init__(self, effects: Sequence[Effect], data: Data):
         super().__init__(effects, data)
@@ -251,7 +251,7 @@ class Nodal(Forms):
 
     @cached_property
     def _stiffness_moves(self) -> bool:
-        """Whether anything in it depends on time."""
+        """Whether the stiffness depends on time."""
         form = expand_derivatives(self._slope)
         return bool({*form.coefficients(), *form.constants()} & set(self.data.moving))
 
@@ -275,7 +275,7 @@ class Nodal(Forms):
         self.set_reference()
 
     def pushes(self, side: int) -> bool:
-        """Whether forces at nodes push mostly to a side, -1 or 1, whatever samples of the load say (collective)."""
+        """Whether the nodal forces have the sign of a side, -1 or 1, up to a small part of their sum (collective)."""
         forces, comm = -self._minus_load.array_r, self.data.level.comm
         return total(comm, np.maximum(side * forces, 0.0)) > MOSTLY * total(comm, np.abs(forces))
 
@@ -317,7 +317,7 @@ class Nodal(Forms):
         return value
 
     def penalty_diagonal(self) -> np.ndarray:
-        """Derivative of the penalty, D_i / eps at owned dofs in contact, else 0: what holds a node there."""
+        """The derivative of the penalty: D_i / eps at owned dofs in contact, otherwise 0."""
         penalty_diagonal = self._D * (self._excess() != 0) / float(self.eps.value)
         penalty_diagonal[self.fixed] = 0.0
         return penalty_diagonal

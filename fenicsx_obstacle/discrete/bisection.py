@@ -33,7 +33,8 @@ _CHILDREN: dict[int, dict[tuple[bool, ...], list[tuple[int, ...]]]] = {
 
 
 def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh, np.ndarray, np.ndarray]:
-    """The mesh with all edges of marked cells halved, and as few others as fit; cells stay on their rank (collective).
+    """The mesh with all edges of marked cells halved, and few others for conformity; cells stay on their rank
+    (collective).
 
     Args:
         V: P1 space on intervals or triangles.

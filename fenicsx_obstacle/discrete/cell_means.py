@@ -28,7 +28,7 @@ PARTS = {1: 64, 2: 8, 3: 4}  # of an edge, by dimension
 
 
 def average(data: Data, tension: Field, made: fem.Function) -> None:
-    """Put means into the cells where a positive datum jumps (collective).
+    """Replace the values of a positive datum by its mean in cells in which it jumps (collective).
 
     Args:
         data: Of the mesh.
@@ -62,7 +62,7 @@ def average(data: Data, tension: Field, made: fem.Function) -> None:
 
 
 def _jumps(values: np.ndarray) -> np.ndarray:
-    """Whether positive values at many points of a cell are apart from each other in two groups, not all along."""
+    """Whether positive values at many points of a cell form two separate groups, so that the datum jumps."""
     ordered = np.log(np.sort(values, axis=1))
     return np.diff(ordered, axis=1).max(axis=1, initial=0.0) > 0.5 * np.ptp(ordered, axis=1)
 

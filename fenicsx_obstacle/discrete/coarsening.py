@@ -25,7 +25,7 @@ FREE, BOUNDARY, FIXED = 0, 1, 2  # kinds of nodes, in the order in which they ar
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Owned nodes of a level, as coarsening sees them.
+    """Owned nodes of a level with the data that coarsening needs.
 
     Attributes:
         x: Coordinates, shape (nodes, 3).

@@ -42,7 +42,7 @@ _CELLS = {
 
 
 def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
-    """Reject a mesh that is no domain (collective).
+    """Reject invalid meshes (collective).
 
     Args:
         mesh: From a file, or the caller's own.
@@ -71,7 +71,7 @@ def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
 
 
 def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
-    """What is wrong with the cells of a mesh, with a place: one without volume, or three at a facet (collective)."""
+    """A message about an invalid cell, such as one without volume or three cells at a facet (collective)."""
     dim, own = mesh.topology.dim, slice(own_cells(mesh))
     vertices = corners(mesh, own)
     if releases.cell_name(mesh) in TENSORS:

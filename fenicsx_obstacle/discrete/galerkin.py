@@ -39,7 +39,7 @@ class Values:
 
 @dataclass(frozen=True, eq=False)
 class GalerkinLevel:
-    """What solvers ask of a level, without a mesh.
+    """The attributes of a level that solvers use, without a mesh.
 
     Attributes:
         comm: Communicator.

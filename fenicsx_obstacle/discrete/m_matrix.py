@@ -28,7 +28,7 @@ def is_m_matrix(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
 
 
 def sums_nowhere_negative(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
-    """Whether a unit shift of all free nodes meets no negative force anywhere (collective).
+    """Whether no row sum of the stiffness at free nodes is negative (collective).
 
     A shifted solution is then a super- or subsolution, as maximum principles for the height of u need it beside
     `is_m_matrix`: the angles at edges to fixed nodes count as well.

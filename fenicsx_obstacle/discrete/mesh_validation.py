@@ -16,7 +16,7 @@ _WORDS = {2: ("interval", "length"), 3: ("triangle", "area"), 4: ("tetrahedron",
 
 
 def validate_mesh(points: np.ndarray, cells: np.ndarray) -> None:
-    """Refuse cells that are none (one rank).
+    """Reject invalid cells (one rank).
 
     Args:
         points: Shape (points, 1 to 3).

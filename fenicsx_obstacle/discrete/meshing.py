@@ -74,7 +74,8 @@ def _arrays(file: Path) -> Arrays:
 
 
 def _kept(path: Path) -> Path | None:
-    """Where the mesh of a .geo is kept; None of other files, and of those that name further files."""
+    """The file in which the mesh of a .geo is stored; None for other files, and for those that include further
+    files."""
     if path.suffix != ".geo":
         return None
     try:

@@ -108,7 +108,8 @@ class Problem:
         return self.prefix or f"{solver}_"
 
     def cold_start(self) -> np.ndarray:
-        """Heights, ghosts included: the boundary values, and inside their mean, or the obstacle it would cross.
+        """Initial values of u, ghosts included: the boundary values, and inside their mean, moved between the
+        obstacles.
 
         The mean moves with the heights, so that nothing depends on where they are counted from.
         """
@@ -124,7 +125,7 @@ class Problem:
         return u_values
 
     def move(self, u_values: np.ndarray) -> bool:
-        """Take the data of the present moment; w is the state of these heights then; whether the stiffness has changed.
+        """Update the data for the present time and set u; returns whether the stiffness has changed.
 
         Raises:
             InputError: If no u can satisfy the data.
@@ -135,7 +136,7 @@ class Problem:
         return changed
 
     def renew(self, *, stiffness: bool) -> None:
-        """Take data that the caller has changed; the state is that of a cold start then.
+        """Update data that the caller has changed; the state is that of a cold start afterwards.
 
         Args:
             stiffness: Whether a(., .) is among it.
@@ -160,7 +161,7 @@ class Problem:
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
-        """Heights of the obstacles, ghosts included; -inf and inf where there is none."""
+        """Nodal values of the obstacles, ghosts included; -inf and inf where there is none."""
         lower, upper = self.data.lower, self.data.upper
         return (-np.inf if lower is None else lower.x.array), (np.inf if upper is None else upper.x.array)
 
@@ -177,7 +178,7 @@ class Problem:
         return self.in_q(p)
 
     def set_reference(self, u_values: np.ndarray) -> None:
-        """Count w from the obstacle nearest to `u_values` (ghosts included) and let w be the state of these heights."""
+        """Set the reference r to the obstacle nearest to `u_values` (ghosts included), and store w = u - r."""
         lower, upper = self.obstacles()
         with np.errstate(invalid="ignore"):
             nearer_below = np.abs(u_values - lower) <= np.abs(upper - u_values)
@@ -197,7 +198,7 @@ class Problem:
         self._measure_gaps()
 
     def update_reference(self, *, roundoff_limited: bool = False) -> bool:
-        """Count w from the obstacle that each node touches now; whether that changed any.
+        """Set the reference r to the obstacle that each node touches; returns whether any node has changed.
 
         Args:
             roundoff_limited: Count w of the other nodes from their present values: w has become so large, because an
@@ -269,7 +270,7 @@ class Problem:
         return self.A
 
     def hold(self, penalty_diagonal: np.ndarray) -> None:
-        """Add this diagonal to the stiffness in A; infinite entries hold a dof in place (collective)."""
+        """Add a diagonal to the stiffness in A; infinite entries fix a dof (collective)."""
         self.nodal.add_penalty_diagonal(self.A, penalty_diagonal)
 
     @cached_property
@@ -325,7 +326,7 @@ class Problem:
         return lower, upper
 
     def pressed_gaps(self) -> tuple[np.ndarray, np.ndarray]:
-        """The distances that the penalty sees: those of the augmented obstacles, where there is a multiplier."""
+        """The gaps in the penalty term: those of the augmented obstacles, if there is a multiplier."""
         lower, upper = self.gaps()
         if self.forms.multiplier is not None:
             shift = float(self.eps.value) * self.forms.multiplier.x.array[: len(self.weights)]
@@ -333,7 +334,7 @@ class Problem:
         return lower, upper
 
     def active_dofs(self, active: np.ndarray) -> np.ndarray:
-        """Owned dofs on which contact at these points of I bears (collective)."""
+        """Owned dofs on which contact at these points of I acts (collective)."""
         if self.level.pair.nodal:
             return active
         bears = fem.Function(self.level.V)

@@ -22,7 +22,8 @@ LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a s
 
 
 def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
-    """Check that each part of the mesh is held, and find a start in contact where only contact holds (collective).
+    """Check that each connected part of the mesh is supported, and find a start for parts that only contact supports
+    (collective).
 
     With v = 1 on a connected component where u is given nowhere, (3.4) says that loads, supports and contact add up to
     0. A support whose answer to u = 1 is below the round-off of the stiffness holds nothing; then an obstacle must, and
@@ -104,7 +105,7 @@ def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | N
 
 
 def _between(comm: MPI.Comm, soft: tuple[np.ndarray | None, np.ndarray | None]) -> tuple[float, float]:
-    """A height at which soft obstacles exert nothing, and a shift from there to another one (collective)."""
+    """A constant u between the soft obstacles, and a shift to another such constant (collective)."""
     lower = None if soft[0] is None else largest(comm, soft[0])
     upper = None if soft[1] is None else smallest(comm, soft[1])
     if lower is None and upper is None:
@@ -129,7 +130,7 @@ def _stiffness(problem: Problem, soft: np.ndarray | None, side: int, sums: Sums)
 def _refuse(
     problem: Problem, one: int, up: np.ndarray, down: np.ndarray, net: np.ndarray, held: np.ndarray, count: int
 ) -> None:
-    """Say what is missing for a component."""
+    """Raise the error for a component without support."""
     source = f"{problem.model.source}: "
     where = "u is given nowhere" if count == 1 else f"u is given nowhere on one of {count} separate parts of the mesh"
     if up[one] or down[one]:

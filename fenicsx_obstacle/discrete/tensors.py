@@ -25,7 +25,7 @@ def matrices_of(data: Data, rows: Rows) -> np.ndarray:
 
 
 def check_definite(data: Data, rows: Rows) -> None:
-    """Refuse a matrix that is not symmetric and positive definite everywhere (collective).
+    """Reject a matrix that is not symmetric and positive definite in all cells (collective).
 
     Raises:
         InputError: Naming where it stands.

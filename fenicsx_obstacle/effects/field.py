@@ -52,14 +52,14 @@ class Bounds(Protocol):
 
 @dataclass(frozen=True)
 class Truth:
-    """What a condition may be on each simplex, except on a set of measure zero."""
+    """Whether a condition may hold and whether it may fail on each simplex, up to a set of measure zero."""
 
     may_hold: np.ndarray
     may_fail: np.ndarray
 
 
 class Enclosed(Protocol):
-    """A datum on simplices, known without sampling."""
+    """Enclosure of a datum on simplices."""
 
     def once(self) -> Bounds:
         """Bounds over each simplex."""
@@ -91,7 +91,7 @@ class Enclosed(Protocol):
 
 
 class Field:
-    """A scalar datum, dimension as its user says.
+    """A scalar datum; its user decides on the unit.
 
     Attributes:
         source: Where it stands, for messages: "ball.toml: [obstacle] lower".
@@ -170,7 +170,7 @@ class Field:
 
 
 class ByCells(Field):
-    """One datum for the cells of each name: `tension = {steel = 1, rubber = "2 + x"}`."""
+    """Data by the names of cells: `tension = {steel = 1, rubber = "2 + x"}`."""
 
     def __init__(self, parts: Mapping[str, Field], source: str):
         self.parts, self.source = parts, source

@@ -29,7 +29,7 @@ Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def tension_of(data: Data) -> Field:
-    """mu, of a problem that `check_bound_exists` lets pass."""
+    """mu of a problem that `check_bound_exists` accepts."""
     tension = data.model.elastic.isotropic_tension
     assert tension is not None
     return tension

@@ -15,7 +15,7 @@ PRESSES = 1e-10  # of the largest pressure
 
 @dataclass(frozen=True)
 class Contact:
-    """The contact of a solved problem; figures are the same on every rank.
+    """The contact of a solved problem; values are the same on every rank.
 
     Attributes:
         pressure: p_i at owned points of I, negative against the upper obstacle.

@@ -51,7 +51,7 @@ class FluxP2:
 
 
 class EquilibrationP2:
-    """Everything about flux and multipliers that depends on mesh and data alone.
+    """Equilibrated flux and multipliers; parts that depend on mesh and data only are computed once.
 
     Attributes:
         simplices: The owned cells, with the dofs of P1.

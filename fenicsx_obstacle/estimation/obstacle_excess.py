@@ -30,7 +30,7 @@ LOWEST = -1e300  # a mean of which no bound is known
 
 
 class ObstacleExcess:
-    """One obstacle between its nodes; heights count away from it: times -1 for an upper one.
+    """The excess of one obstacle over its nodal interpolant, times -1 for an upper obstacle.
 
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
@@ -149,7 +149,7 @@ class ObstacleExcess:
         return lifted
 
     def _near(self, u: np.ndarray) -> np.ndarray:
-        """Where u may touch."""
+        """Cells in which u may touch the obstacle."""
         dofs = self.simplices.dofs
         near = (
             _least(u - self.nodal, dofs)

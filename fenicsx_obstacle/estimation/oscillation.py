@@ -58,7 +58,7 @@ def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
 
 
 class Oscillation:
-    """The load beyond Pi f in each cell, without the tension.
+    """The load minus Pi f in each cell, without the tension.
 
     Attributes:
         norm: Bound of ||tau||_T.

@@ -40,7 +40,7 @@ SHARP = 0.1  # of the largest value: what varies so much between samples may jum
 
 @dataclass(frozen=True)
 class Division:
-    """When simplices are divided.
+    """Rules for the subdivision of simplices.
 
     Attributes:
         depth: How often at most, where there are finite bounds.

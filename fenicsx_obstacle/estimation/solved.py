@@ -43,7 +43,7 @@ NONLINEAR_FACTOR = 2.0  # how many times stiffer than between two answers the me
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """An answer of one `ReferenceProblem`; arrays hold owned dofs.
+    """A solution of one `ReferenceProblem`; arrays have values at owned dofs.
 
     Attributes:
         ground: What it is an answer to.
@@ -81,12 +81,12 @@ class Solved:
 
     @property
     def residual(self) -> np.ndarray:
-        """a(u, .) - f - I(p, .): what is unbalanced at free dofs."""
+        """a(u, .) - f - I(p, .), the unbalanced forces at free dofs."""
         return np.where(self.ground.free, self.elastic - self.ground.D * self.p, 0.0)
 
     @property
     def q(self) -> np.ndarray:
-        """How far the pressure may be from that of the discrete solution: D (p - p') = A e - r, row by row."""
+        """A bound of the error of the pressure, from D (p - p') = A e - r, row by row."""
         g = self.ground
         moved = 2 * self.diagonal * self.z + np.abs(self.residual)
         return np.where(g.touchable, moved / np.maximum(g.D, 1e-300), 0.0)
@@ -115,7 +115,8 @@ class Solved:
 
 
 class ReferenceProblem:
-    """What all answers of a problem stand on: its matrix, factorised, and weights (all methods collective).
+    """The factorised matrix and the weights of a problem, with which its solutions are checked (all methods
+    collective).
 
     Attributes:
         problem: With contact at nodes.

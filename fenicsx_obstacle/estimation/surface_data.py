@@ -83,7 +83,7 @@ class _Facets:
 
 
 class SurfaceData(BoundaryValues):
-    """Boundary values on the facets of tetrahedra."""
+    """The extension of boundary values from the facets of tetrahedra into the cells."""
 
     def __init__(self, simplices: Simplices):
         """Enclose the boundary values (collective).

@@ -36,7 +36,7 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def element_of(solution: Solution) -> dict[str, Rows]:
-    """What restores the element of a solution; empty for P1 simplices (collective).
+    """The data from which the element of a solution is restored; empty for P1 simplices (collective).
 
     Returns:
         `cells`, for each cell the rows of the nodal values in the order of its dofs; and by its name each field of Q_h

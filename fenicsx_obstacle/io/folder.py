@@ -36,7 +36,7 @@ DERIVED = ("gap",)  # written for ParaView, not read back
 
 
 def save(solution: Solution, folder: Path) -> None:
-    """Write a solution; of what is in the folder only an older one is replaced (collective).
+    """Write a solution into a folder; other files in the folder are kept (collective).
 
     Each rank writes its own rows of fields.h5: the folder is on a file system that all share.
 
@@ -91,7 +91,7 @@ def _told(folder: Path) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Saved:
-    """What a folder holds.
+    """The contents of a folder.
 
     Attributes:
         fields: Arguments of `Solution`, and `error` where it is there.

@@ -11,7 +11,7 @@ _SNAP = 1e-11  # of its length: an end of a cell so near a line of the grid is o
 
 
 class Grid(Surface):
-    """Heights at the points of a grid, whose lines need not be at equal distances."""
+    """Values z at the points of a grid, whose lines need not be at equal distances."""
 
     def __init__(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray):
         """Take it.

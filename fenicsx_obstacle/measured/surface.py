@@ -18,7 +18,7 @@ _ROUND_OFF = 1e-14  # of the largest height: of sums in an interpolant
 
 
 class Surface(ABC):
-    """Heights over a part of the plane or the line, piecewise polynomial.
+    """Piecewise polynomial values over a part of the plane or the line.
 
     Attributes:
         continuous: Whether it is, for sure.

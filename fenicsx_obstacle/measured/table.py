@@ -27,7 +27,7 @@ _LISTED = 3  # places in a message
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Heights from a file or from arrays.
+    """Measured data from a file or from arrays.
 
     A file holds columns x, y, z or x, z (.csv, .txt; .npy), arrays x, y, z (.npz), heights alone with their extents
     (.npy, .csv, and images, .png), or facets in space (.stl), of which the highest above a point counts. Points of a

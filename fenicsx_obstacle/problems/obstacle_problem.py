@@ -48,7 +48,7 @@ Monitor = Callable[[int, Step], None]
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """What a solve left.
+    """The result of a solve.
 
     Attributes:
         outcome: Of the iteration.
@@ -269,7 +269,7 @@ class ObstacleProblem:
         bound: bool = False,
         monitor: Monitor | None = None,
     ) -> Solution:
-        """Solve from u on, or from coarse levels (collective).
+        """Solve, starting from u or from coarse levels (collective).
 
         Args:
             eps: Penalty parameter in units of u/p, a number or a Constant; "auto" takes a hundredth of the median of
@@ -338,7 +338,7 @@ class ObstacleProblem:
         return Solved(outcome, way, state)
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
-        """Solve from u, or from the coarsest level on where u is no start or a bad one (collective)."""
+        """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
         problem = self._problem
         serves = not self._vector_valued and nested(problem.model.effects, problem.level.pair, options)
         grids = self._levels() if serves else []
@@ -378,7 +378,7 @@ class ObstacleProblem:
 
     @contextmanager
     def _settings(self) -> Iterator[None]:
-        """The options of this problem, and of no other."""
+        """Set the PETSc options of this problem during a solve."""
         prefixes = [self._problem.prefix] if self._problem.prefix else ["penalty_", "vi_"]
         options = {prefix + key: value for prefix in prefixes for key, value in self._options.items()}
         with overriding(options), releases.compiled_with(*self._compiled):
@@ -395,7 +395,7 @@ class ObstacleProblem:
             warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=5)
 
     def _begin(self) -> None:
-        """Take what has changed since the last solve, and start from u (collective)."""
+        """Update changed data, and start from u (collective)."""
         problem = self._problem
         if self._form is not None:
             values = _values_in(self._form.slope)

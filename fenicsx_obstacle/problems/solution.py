@@ -37,7 +37,7 @@ LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces 
 
 
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
-    """The figures of [report], by name; extremes with their places."""
+    """The values of [report], by name; extremes with their places."""
     places, found = record.get("report_places", {}), {}
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
@@ -133,12 +133,12 @@ class Solution:
 
     @property
     def title(self) -> str:
-        """What was solved, in words."""
+        """The title of the problem."""
         return title_of(self.record["title"], self.record["scene"])
 
     @property
     def symbol(self) -> str:
-        """What u is called in pictures."""
+        """The label of u in pictures."""
         return "u"
 
     @property
@@ -153,7 +153,7 @@ class Solution:
 
     @property
     def area(self) -> float:
-        """Of the contact set: the sum of D_i over the contact nodes; of obstacles on the boundary the length there."""
+        """Area of the contact set: the sum of D_i over the contact nodes; for obstacles on the boundary a length."""
         return self.record["contact"]["area"]
 
     @property
@@ -246,7 +246,7 @@ class Solution:
         return self.on(np.linspace(ends[0], ends[1], n))
 
     def on(self, points: np.ndarray) -> Profile:
-        """All quantities at points that follow each other on a curve (collective).
+        """All quantities at consecutive points of a curve (collective).
 
         Args:
             points: Shape (n, gdim), the same on every rank.

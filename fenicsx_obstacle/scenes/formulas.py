@@ -141,7 +141,7 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
 
 
 def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str, tuple[int, int]]) -> None:
-    """Refuse whatever is not arithmetic."""
+    """Reject everything that is not arithmetic."""
     if depth > MAX_DEPTH:
         raise InputError(f"{formula.place}: formula nested deeper than {MAX_DEPTH} operations")
     children: list[ast.expr]

@@ -238,7 +238,7 @@ class Scene(Vocabulary):
 
     @property
     def sides(self) -> list[str]:
-        """The obstacles there are, in the domain or on its boundary: lower, upper."""
+        """The names of the given obstacles, in the domain or on its boundary: lower, upper."""
         places = self.tables.boundary if self.model.thin else [self.tables.obstacle]
         return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
 

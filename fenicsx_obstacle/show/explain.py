@@ -223,7 +223,7 @@ def _solver(scene: Scene) -> list[str]:
 
 
 def _why(scene: Scene) -> str:
-    """What of the equation decides on the solver."""
+    """The properties of the equation that determine the solver."""
     bent = [effect.key for effect in scene.effects if not effect.affine]
     skew = [effect.key for effect in scene.effects if not effect.symmetric]
     linear = f"not linear in u, because of {', '.join(bent)}" if bent else "linear in u"

@@ -48,7 +48,7 @@ class Inexact:
         return SOLVED if left <= self._target else CONTINUE
 
     def _aim(self) -> tuple[int, float]:
-        """Steps of CG to take at least, and the force that may be left (collective)."""
+        """The least number of CG steps, and the tolerance of the residual force (collective)."""
         stopping = self.stopping
         step = stopping.history[-1]
         if not stopping.exact and step.changed > FEW * step.active:

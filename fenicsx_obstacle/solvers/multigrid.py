@@ -54,7 +54,8 @@ class Multigrid:
             self._carried = coarser._force.duplicate()
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
-        """Let springs hold the owned nodes, infinite ones in place, on this level and all below (collective)."""
+        """Truncate the interpolation for a penalty diagonal at owned nodes, on this level and all coarser ones
+        (collective)."""
         nodal = self.problem.nodal
         nodal.add_penalty_diagonal(self.problem.A, penalty_diagonal)
         self._moves.array[:] = ~((penalty_diagonal > STIFFER * nodal.diagonal) | self.problem.fixed)
@@ -67,7 +68,7 @@ class Multigrid:
         self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
 
     def _coarse_penalty_diagonal(self) -> np.ndarray:
-        """At owned coarse nodes, from what is carried down: infinite at the twins of held ones."""
+        """The penalty diagonal at owned coarse nodes: infinite if the coincident fine node is fixed."""
         assert self.coarser is not None
         coarse = self.coarser
         held = self._transfer.inject((self._moves.array_r == 0).astype(float)) > 0
@@ -105,7 +106,7 @@ class Multigrid:
 
 
 class Holding(Protocol):
-    """A preconditioner of the matrix of a problem whose contact nodes are held by its diagonal."""
+    """A preconditioner of the matrix of a problem with a penalty diagonal at contact nodes."""
 
     @property
     def problem(self) -> Problem:
@@ -123,7 +124,7 @@ class Holding(Protocol):
 
 
 class HeldRows:
-    """The preconditioner of a problem that has one of its own, for the whole matrix with contact nodes held.
+    """A PETSc preconditioner of the whole matrix, with contact nodes fixed.
 
     The submatrix of the inactive set would lose blocks and near-null space, which algebraic multigrid needs.
 

@@ -33,7 +33,7 @@ def solve_nested(
     before: Problem | None = None,
     start: np.ndarray | None = None,
 ) -> list[Outcome]:
-    """Solve on each level from the coarsest on (collective).
+    """Nested iteration: solve on each level, from the coarsest to the finest (collective).
 
     Args:
         grids: The multigrid of each level, or its problem where multigrid does not serve; the last problem holds the

@@ -90,7 +90,7 @@ def solve_penalty(
 
 
 def soft_eps(problem: Problem) -> float:
-    """An eps of which contact is as stiff as the membrane around it (collective)."""
+    """The eps for which the penalty diagonal equals the stiffness (collective)."""
     state = problem.state()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
     comm = problem.level.comm
@@ -101,7 +101,7 @@ def soft_eps(problem: Problem) -> float:
 
 
 def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
-    """All attempts, w counting from what a node touches."""
+    """All attempts, with the reference r at the obstacle that each node touches."""
     outcome = _attempts(problem, how, multigrid)
     for _ in range(COUNTED_ANEW):
         # sets also repeat where contact is with an obstacle that w does not count from
@@ -112,7 +112,7 @@ def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None)
 
 
 def _by_continuation(problem: Problem, eps: float, how: dict[str, Any]) -> Outcome:
-    """Solve with obstacles as soft as the membrane, then with harder ones, each from where the last ended."""
+    """Continuation in eps, from a penalty diagonal of the size of the stiffness."""
     outcomes = []
     softer = soft_eps(problem)
     while softer > eps:

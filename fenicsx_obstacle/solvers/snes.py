@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a solver did; the state is in the problem.
+    """The outcome of a solver; the state is in the problem.
 
     Attributes:
         solver: Its name.

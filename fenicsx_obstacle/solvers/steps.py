@@ -33,7 +33,7 @@ class Steps:
         self.impulse: np.ndarray | None = None
 
     def prepare(self, problem: Problem, t: float) -> None:
-        """Give the problem the differences of the step to t; its data follow with `Problem.move`."""
+        """Set the difference formulas of the step to t; `Problem.move` then updates the data."""
         assert problem.data.moment is not None
         assert problem.model.time is not None
         moment, dt, usual = problem.data.moment, t - self.times[0], problem.model.time.step
@@ -56,7 +56,7 @@ class Steps:
             problem.forms.impulse = -self.impulse
 
     def accept(self, t: float, u: np.ndarray) -> None:
-        """Let u be the heights of a new moment."""
+        """Accept u as the solution at a new time."""
         if self.velocity is not None:
             self.velocity = 2 / (t - self.times[0]) * (u - self.u_values[0]) - self.velocity
         self.times = [t, *self.times][: self.depth + 1]

@@ -159,7 +159,7 @@ class Stopping:
         self._krylov = 0
 
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
+        """The obstacle in contact with each node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
         problem = self.problem
         lower, upper = problem.gaps() if self.exact_bounds else problem.pressed_gaps()
         if self.exact_bounds:
@@ -175,7 +175,7 @@ class Stopping:
         return active, residual
 
     def _changes(self, changed: np.ndarray, floor: float) -> bool:
-        """Whether the active set is another one: nodes that press with round-off only are neither in nor out."""
+        """Whether the active set has changed; nodes whose contact force is round-off are not counted."""
         if self.history[-1].changed == 0 or not self.problem.level.pair.nodal:
             return self.history[-1].changed > 0
         pressing = np.where(changed, np.abs(self.problem.reaction.array_r), 0.0)

@@ -62,7 +62,7 @@ def solve_vi(
 
 
 def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
-    """All attempts, w counting from what a node touches."""
+    """All attempts, with the reference r at the obstacle that each node touches."""
     outcome = _attempts(problem, multigrid, how)
     for _ in range(COUNTED_ANEW):
         if not outcome.converged or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
@@ -110,7 +110,7 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any],
 
 
 def _height(problem: Problem) -> float:
-    """Range of w: PETSc's tolerance for 'at the bound' is absolute, and heights come in any unit."""
+    """The range of w, because PETSc's tolerance for 'at the bound' is absolute."""
     w, comm = problem.w.x.array, problem.level.comm
     return max(largest(comm, w) - smallest(comm, w), 0.0)
 

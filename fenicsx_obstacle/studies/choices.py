@@ -16,7 +16,7 @@ MESHES = 20  # more than any budget allows
 
 @dataclass(frozen=True)
 class Choice:
-    """One way.
+    """A method with its eps and mesh.
 
     Attributes:
         name: In tables.

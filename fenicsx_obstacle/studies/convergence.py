@@ -169,7 +169,7 @@ class Study:
             self._store.write_table(rows)
 
     def _extras(self, answer: Answer) -> Row:
-        """What a study measures beyond a single answer (collective)."""
+        """Quantities that a study measures in addition to those of a single answer (collective)."""
         work = self._solves.work
         assert work is not None
         by, eps, extras = self.by, answer.record["eps"], Row()

@@ -101,7 +101,7 @@ class CostStudy:
         return rows
 
     def _find_truth(self) -> Row:
-        """The first row: what errors are measured against (collective)."""
+        """The first row: the reference solution (collective)."""
         coarse = next(uniform_meshes(self.scene))
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
         row = on_root(self.comm, self._find, key)

@@ -34,7 +34,7 @@ Path = Sequence[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Forecast:
-    """What `solve --tol` is expected to take.
+    """The forecast of `solve --tol`.
 
     Attributes:
         dofs: Unknowns on the last mesh.
@@ -87,7 +87,7 @@ def forecast(scene: Scene, tol: float, *, seconds: float = SECONDS, comm: MPI.Co
 
 
 def _larger(work: SolverContext, options: SolverOptions) -> dict[str, float]:
-    """What the mesh with all cells refined takes (collective)."""
+    """Time and memory of the mesh with all cells refined (collective)."""
     start = time.perf_counter()
     work.forget_estimator()
     everywhere = np.ones(own_cells(work.problem.level.mesh), dtype=bool)

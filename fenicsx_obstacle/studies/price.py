@@ -70,7 +70,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Price:
-    """What the next digit costs in one norm.
+    """The cost of one more digit in one norm.
 
     Attributes:
         norm: Key of the norm.
@@ -108,7 +108,7 @@ def failures(rows: Rows) -> list[Mapping[str, Any]]:
 
 
 def truth(rows: Rows) -> Mapping[str, Any]:
-    """The row that says what errors are measured against."""
+    """The row of the reference solution."""
     return next(row for row in rows if row["choice"] == "")
 
 
@@ -203,7 +203,7 @@ def digits(row: Mapping[str, Any], norm: str) -> tuple[float, float, float] | No
 
 
 def unit(rows: Rows) -> float | None:
-    """Seconds of one Poisson solve with linear elements on the finest uniform mesh of the ladder: the common scale."""
+    """Seconds of one Poisson solve with linear elements on the finest uniform mesh, the unit of cost."""
     found = [row for row in solved(rows) if row.get("poisson_seconds") and row["element"] != "P2"]
     return max(found, key=lambda row: row["dofs"])["poisson_seconds"] if found else None
 

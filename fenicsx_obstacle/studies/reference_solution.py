@@ -33,7 +33,7 @@ Errors = dict[str, float]
 
 
 class ExactReference:
-    """Errors against [exact]; of the contact as far as it is known.
+    """Errors relative to [exact], and of the contact if it is known.
 
     Attributes:
         record: What was taken for the truth.

@@ -25,7 +25,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 
 def row_key(scene: Scene, kind: str, ranks: int) -> str:
-    """What a row depends on: the resolved scene, its mesh and data files, PETSc's options, ranks and versions.
+    """The key of a row, of all it depends on: resolved scene, mesh and data files, PETSc's options, ranks, versions.
 
     Args:
         scene: With all values of the row.
