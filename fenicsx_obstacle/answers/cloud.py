@@ -104,7 +104,7 @@ class Cloud:
 
 
 class Nearby:
-    """Distances of functions on one mesh to a cloud; which cells hold its points is found once.
+    """Distances of functions on one mesh to a cloud; the cells that contain its points are found once.
 
     Points outside the mesh, where shapes are curved, count 0; on a side all cells beside it count alike.
     """

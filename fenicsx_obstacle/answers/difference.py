@@ -70,7 +70,7 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
 
 
 def _read(folder: Path) -> Solution:
-    """What a folder holds: the answer of a scene, or the solution of a form (collective).
+    """Read a folder: the answer of a scene, or the solution of a form (collective).
 
     Raises:
         InputError: If it holds neither.

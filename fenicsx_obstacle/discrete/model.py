@@ -58,7 +58,7 @@ class Model:
     source: str = "problem"
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself.
+        """Reject contradictory data.
 
         Raises:
             InputError: If not exactly one effect is elastic, or obstacles are in the domain and on its boundary.

@@ -43,7 +43,7 @@ def check_definite(data: Data, rows: Rows) -> None:
 
 
 def check_between(data: Data, rows: Rows) -> None:
-    """Refuse data whose matrix is indefinite where no cell has a sample (collective).
+    """Reject a matrix that is indefinite at a point between the samples (collective).
 
     Raises:
         InputError: Naming the place.

@@ -180,7 +180,7 @@ class Load:
 
 
 def _near_seen(group: Group, seen: np.ndarray, limit: float) -> Group:
-    """Where a load may be far beyond all that is seen of it, the mean of what is seen stands for it.
+    """Replace a load that may be far outside the range of its samples by the mean of the samples.
 
     The middle of its bounds would do for the bound; but the solver takes this load too.
 

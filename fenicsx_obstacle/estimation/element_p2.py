@@ -490,7 +490,7 @@ class ElementP2(Element):
         return np.maximum(side.sign * (u - side.nodal(self.problem.data)), 0.0)[self.equilibration.nodes].mean(axis=1)
 
     def _lifted(self, nodal: np.ndarray, flux: FluxP2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is added to u on the lattice so that it is above the obstacles (collective).
+        """The function on the lattice that is added to u so that it is above the obstacles (collective).
 
         Args:
             nodal: Values of u at the nodes of cells.

@@ -158,7 +158,7 @@ class ObstacleExcess:
         return near & (_least(u, dofs) <= self._top + self.dirichlet.deviation)
 
     def _cover(self, state: np.ndarray, beside: np.ndarray) -> None:
-        """What is still above the state beside nodes that cannot be raised, because u is given there (collective).
+        """The excess of the obstacle in cells at nodes where u is given, which cannot be raised (collective).
 
         It is the positive part of obstacle - state - cones of boundary values, which is 0 on the boundary. Its gradient
         is bounded on those parts of the cells where it may be positive.

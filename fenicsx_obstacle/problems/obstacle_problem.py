@@ -477,7 +477,7 @@ class ObstacleProblem:
         return problem.eps_share * float(np.median(everywhere))
 
     def _refuse_no_number(self) -> None:
-        """Name the place where F is not finite, if there is one (collective).
+        """Raise an error with the point at which F is not finite, if there is one (collective).
 
         Raises:
             InputError: With the place.

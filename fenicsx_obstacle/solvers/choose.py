@@ -58,7 +58,7 @@ def nested(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> boo
 
 
 def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> bool:
-    """Whether a problem that truncated multigrid does not serve is still solved level by level, for better starts.
+    """Whether nested iteration is used although truncated multigrid is not possible, for better initial values.
 
     Newton's method then has the region of convergence of the coarsest mesh, and few steps on the finest.
     """

@@ -33,7 +33,7 @@ INEXACT = {
 
 
 def direct_first(unknowns: int) -> bool:
-    """Whether systems of so many unknowns are solved directly before anything else is tried.
+    """Whether systems with so many unknowns are solved by a direct solver first.
 
     So it is without hypre: GAMG ends far from the solution where springs of contact are stiff, or drift is strong.
     """

@@ -140,7 +140,7 @@ def smallest_eps(problem: Problem) -> float:
 
 
 def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
-    """Full steps and line searches in turn, each from where the last one gave up, until one converges.
+    """Full steps and line searches in turn, each from the last state of the one before, until one converges.
 
     A line search ends where the round-off of the energy hides any descent: full steps go on from there.
     """

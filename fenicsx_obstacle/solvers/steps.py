@@ -18,7 +18,7 @@ SAME = 1e-9  # of a step: round-off of t
 
 
 class Steps:
-    """The moments so far, and the differences of the next step.
+    """The accepted time steps, and the difference formulas of the next one.
 
     Attributes:
         times: The last moments, the newest first.
@@ -63,7 +63,7 @@ class Steps:
         self.u_values = [u, *self.u_values][: self.depth + 1]
 
     def error(self, problem: Problem, t: float, u: np.ndarray) -> float:
-        """What the step to t adds to the error of u at most, about: from how far it ends from an extrapolation.
+        """An estimate of the local error of the step to t, from its distance to an extrapolation (Milne's device).
 
         A difference of the depth k is wrong by D = u^(k+1)/(k+1)! (t - t_1) ... (t - t_k), which moves u by D/c; the
         extrapolation from k + 1 moments is off by that times (t - t_(k+1)) (Milne's device; collective).

@@ -188,7 +188,7 @@ class Stopping:
         return same and min(step.unbalanced for step in last[1:]) >= last[0].unbalanced
 
     def round_off(self) -> float:
-        """What remains of exact balance in floating point (collective): an epsilon of |A| |w|, row by row.
+        """The round-off of exact balance (collective): machine epsilon times |A| |w|, row by row.
 
         Rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part, and rounds half away.
         """

@@ -44,7 +44,7 @@ class Choice:
 
 
 def choices(scene: Scene) -> list[Choice]:
-    """All of them; those that do not serve a scene say so when they are tried.
+    """All methods; one that is not possible for a scene raises an error when it is tried.
 
     The element is the scene's own; P2 stands beside it.
     """

@@ -43,7 +43,7 @@ def row_key(scene: Scene, kind: str, ranks: int) -> str:
 
 
 class RowStore:
-    """The rows in a folder, held by one process at a time (one rank).
+    """The rows in a folder, locked by one process (one rank).
 
     Attributes:
         folder: Where rows.jsonl and rows.csv are.

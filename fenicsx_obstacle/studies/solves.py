@@ -21,7 +21,7 @@ NEAR = 1.0  # layers of nodes by which contact may move so that the last solutio
 
 
 class Solves:
-    """A solver context, kept where scenes differ in their options, and its mesh where they differ in data.
+    """Reuses the solver context if scenes differ in options only, and its mesh if they differ in data only.
 
     Attributes:
         comm: Communicator.
