@@ -28,7 +28,7 @@ from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
 EVERY = 20.0  # seconds between states on the disk
-CROSSES = 1e-9  # of the heights: what a start may be beyond an obstacle
+CROSSES = 1e-9  # of the range of u: how far initial values may be beyond an obstacle
 
 
 class TimeStepper:

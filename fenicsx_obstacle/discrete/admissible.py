@@ -9,7 +9,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
+ROUND_OFF = 1e-10  # relative to the values: obstacle and boundary value may come from different formulas
 
 
 def check_admissible(data: Data) -> None:

@@ -35,7 +35,7 @@ class Forms:
 
     Attributes:
         w: The unknown.
-        reference: r; the heights are w + r.
+        reference: r; u = w + r.
         below: Distance of the lower obstacle from r, or None.
         above: Distance of the upper obstacle from r, or None.
         eps: Penalty parameter.

@@ -27,7 +27,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
-REACH = 1e3  # an obstacle so many times farther off than heights differ, or than the nearest, is no place to count from
+REACH = 1e3  # times the range of u, or the distance of the nearest obstacle: a farther obstacle is no reference
 
 
 class Problem:
@@ -40,7 +40,7 @@ class Problem:
         model: What is to be solved.
         level: The mesh and V.
         w: The unknown, as a Function.
-        reference: r, the heights from which w counts.
+        reference: r, the reference of w = u - r.
         affine: Whether the elastic residual is linear in u plus a constant.
         fixed: Whether u is given at a dof.
         weights: D_i = I(phi_i, 1), the area that belongs to a point of I. These points are the owned dofs, or where
@@ -111,7 +111,7 @@ class Problem:
         """Initial values of u, ghosts included: the boundary values, and inside their mean, moved between the
         obstacles.
 
-        The mean moves with the heights, so that nothing depends on where they are counted from.
+        The mean changes with a shift of all data, so that results do not depend on the zero of u.
         """
         dofs, values = self.data.fixed
         comm, own = self.level.comm, dofs[dofs < self.level.owned]
@@ -215,7 +215,7 @@ class Problem:
                 continue
             touching = points & (sign * (w - gap.x.array) >= 0)
             wrong = touching & (gap.x.array != 0)
-            # subtract distances, never heights: the excess keeps its digits
+            # differences of gaps, not of u: the excess keeps its digits
             new_w = np.where(wrong, w - gap.x.array, new_w)
             new_r = np.where(wrong, obstacle, new_r)
             free &= ~touching

@@ -150,7 +150,7 @@ def _refuse(
 
 
 def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
-    """a(u, .) - f at owned dofs for these heights, from and back to u = 0 (collective)."""
+    """a(u, .) - f at owned dofs for this u; the state is u = 0 before and after (collective)."""
     problem.w.x.array[:] = u_values
     problem.forms.elastic(problem.elastic)
     forces = problem.elastic.array_r.copy()
@@ -175,7 +175,7 @@ def _reached(problem: Problem, obstacle: np.ndarray | float, sums: Sums) -> np.n
 
 
 def forces_at_work(problem: Problem, load: float) -> float:
-    """The load, or in a step with inertia the sum of |a(u, .) - f| over free dofs at the present heights (collective).
+    """The load, or in a step with inertia the sum of |a(u, .) - f| over free dofs at the present u (collective).
 
     There the residual at u = 0, the load, is no measure of forces: mass over the square of a step outweighs all.
     """

@@ -110,7 +110,7 @@ class Units(Protocol):
 
     @property
     def height(self) -> float:
-        """The same for heights: u and the obstacles."""
+        """The same for u and the obstacles."""
 
     @property
     def force(self) -> float:
@@ -124,7 +124,7 @@ class Units(Protocol):
         """A number or a formula times a factor, at the same places; or each of those in a list or a table."""
 
     def height_of(self, value: Any) -> Any:
-        """A number or a formula for a height."""
+        """A number or a formula for a value of u."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,9 @@ class Effect:
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy
     gives_way: ClassVar[bool] = False  # an obstacle that pushes back in proportion to the distance beyond it
-    pointwise: ClassVar[bool] = False  # each node answers its own height alone, and the more the higher it is
+    pointwise: ClassVar[bool] = (
+        False  # its force at a node depends on u at this node only, and does not decrease with u
+    )
     no_bound: ClassVar[str] = ""  # why there is no bound of the error in energy with it
     # powers of the units of length, height and force in the unit of its value; None: its scene has no other units
     dimension: ClassVar[tuple[int, int, int] | None] = None

@@ -46,7 +46,7 @@ def touching(problem: Problem, reach: tuple[float, float] | None = None) -> tupl
     """
     lower, upper = problem.gaps()
     if reach is not None:
-        low, high = (np.atleast_1d(heights)[: len(lower)] for heights in problem.obstacles())
+        low, high = (np.atleast_1d(values)[: len(lower)] for values in problem.obstacles())
         lower, upper = np.where(low >= reach[0], lower, np.inf), np.where(high <= reach[1], upper, np.inf)
     finite = [np.abs(gap[np.isfinite(gap)]) for gap in (lower, upper)]
     near = TOUCHES * max(largest(problem.level.comm, np.concatenate(finite)), 0.0)

@@ -23,7 +23,7 @@ from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.estimation.surface_data import SurfaceData
 from fenicsx_obstacle.parallel import largest, smallest
 
-MARGIN = 0.1  # of the heights: obstacles are cut off so much farther away than u can be
+MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest
 
-ROUND_OFF = 1e-9  # of the heights
+ROUND_OFF = 1e-9  # relative to the values of u
 
 
 class ElementP1(Element):

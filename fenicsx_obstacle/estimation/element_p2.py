@@ -163,7 +163,7 @@ class Between:
 
 
 class LatticeObstacle:
-    """One obstacle on a lattice of the cells that u may touch; heights count away from it: times -1 for an upper one.
+    """One obstacle on a lattice of the cells in which u may touch it; values are times -1 for an upper obstacle.
 
     On the lattice u is raised by max(obstacle + M - u, N, 0), M and N in P1. In each cell M is at the vertices at least
     what obstacle - u may be above its chords on the small triangles where it may be positive, or N what it may be there

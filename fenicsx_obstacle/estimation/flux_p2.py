@@ -39,7 +39,7 @@ class FluxP2:
         rest: rho at the vertices, shape (cells, 3).
         moments: Of sigma, shape (cells, 8).
         normal: Fluxes out of the edges, shape (cells, 3).
-        incompatible: Largest flux that a fan of a free vertex leaves over.
+        incompatible: Largest unbalanced flux in the patch of a free vertex.
     """
 
     lower: np.ndarray
@@ -92,7 +92,7 @@ class EquilibrationP2:
         self._mu_products = self.simplices.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
 
     def _prepare_patches(self) -> None:
-        """Metric of each corner, and the matrices of the fans."""
+        """Metric of each corner, and the matrices of the patches."""
         simplices = self.simplices
         x = simplices.x
         forms = []
@@ -237,7 +237,7 @@ class EquilibrationP2:
     def _solved(
         self, before: np.ndarray, after: np.ndarray, pulls: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What goes round each vertex, and the moments on its edges, along the fans (local)."""
+        """The circulation around each vertex, and the moments on its edges, along the patches (local)."""
         round_, entering, leaving = (np.zeros_like(before) for _ in range(3))
         pulls = pulls + self._forms[:, 0] * before
         for patches, places, closed in self._groups:

@@ -58,7 +58,7 @@ class Solved:
         forces: Sum of the acting forces: load, support reactions, contact.
         noise: Round-off of the residual at each dof, a force; 0 at fixed dofs.
         diagonal: Of the derivative of a(u, .) at this state; of the whole matrix, fixed rows included.
-        range: Largest minus smallest height.
+        range: Largest minus smallest value of u.
         z: How far u may be from the discrete solution, at each node.
         R: How far in the energy norm; inf where nothing is known.
     """
@@ -97,7 +97,7 @@ class Solved:
         return max(largest(self.ground.comm, -gap[self.ground.touchable]), 0.0)
 
     def minus(self, other: Solved) -> np.ndarray:
-        """u - other.u, in contact without the round-off of heights."""
+        """u - other.u, in contact without the round-off of u."""
         return (self.w - other.w) + (self.r - other.r)
 
     def apart(self, other: Solved) -> tuple[float, float]:
@@ -258,7 +258,7 @@ class ReferenceProblem:
         left = np.where(self.free, np.abs(elastic - self.D * p), 0.0) + noise
         u_values = w + r
         span = largest(self.comm, u_values) + largest(self.comm, -u_values)
-        last = FEW * (np.abs(w) + np.abs(r)) * self.free  # heights themselves are rounded
+        last = FEW * (np.abs(w) + np.abs(r)) * self.free  # the values of u themselves are rounded
         # what SNES VI takes to be at its bound may be this far off
         slip = last if eps is not None else last + TOUCHING * span
         z, R = np.full(own, np.inf), np.inf

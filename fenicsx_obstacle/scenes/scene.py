@@ -329,7 +329,7 @@ class Scene(Vocabulary):
         return None if self.own_mesh is None else self.own_mesh.mesh
 
     def field(self, value: Any, place: str) -> Field:
-        """A number, a formula, a table of heights or an object as a datum; `place` is its table and key."""
+        """A number, a formula, a table of measured data or an object as a datum; `place` is its table and key."""
         if isinstance(value, DataTable):
             return self._table(value, place).on(f"{self.source}: {place}")
         if stands_for_an_object(value):
@@ -340,7 +340,7 @@ class Scene(Vocabulary):
         return FormulaField(self.formula(value, place), self)
 
     def _table(self, given: DataTable, place: str) -> Table:
-        """Measured heights, whose numbers may be formulas of constants."""
+        """Measured data; numbers of their tables may be formulas of constants."""
 
         def number(key: str, value: Any) -> Any:
             if isinstance(value, tuple):

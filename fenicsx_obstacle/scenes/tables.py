@@ -26,7 +26,7 @@ Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
 
 class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Measured heights as a datum, {file = "rough.csv"}: the keys of `measured.table.Table`."""
+    """Measured data, {file = "rough.csv"}: the keys of `measured.table.Table`."""
 
     file: str
     x: Numbers | None = None
@@ -195,7 +195,7 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
 
 
 def data_table(raw: dict[str, Any], place: str) -> DataTable:
-    """A table of measured heights among the values of [effects], typed.
+    """A table of measured data among the values of [effects], typed.
 
     Args:
         raw: As it stands in TOML.

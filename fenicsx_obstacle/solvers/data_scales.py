@@ -1,8 +1,8 @@
 """Scales of the data: range of u, forces; checks that the data and not round-off determine a solution.
 
 Round-off of the residual is an epsilon of |A| |u|. Heights that the data give cause some of it: boundary values,
-obstacles in contact, the heights at which supports rest. The rest is due to how far u lies beyond all of these. Where
-it is a noticeable part of the forces of the data, these do not determine u: A is singular to floating point.
+obstacles in contact, the levels at which supports are at rest. The rest is due to how far u lies beyond all of these.
+Where it is a noticeable part of the forces of the data, these do not determine u: A is singular to floating point.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ NEWTON = {
     "snes_type": "newtonls",
     "snes_max_it": 500,
     "snes_max_funcs": 100000,
-    releases.LONGEST_STEP: 1e100,  # PETSc's 1e8 is a length, and cuts steps where heights are large numbers
+    releases.LONGEST_STEP: 1e100,  # PETSc's default 1e8 is absolute, and cuts steps if u is large
     # `Stopping` decides alone; PETSc's tests return wrong answers as converged for small eps
     "snes_rtol": 0.0,
     "snes_stol": 0.0,

@@ -44,7 +44,7 @@ def violation(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
-    """The maximum principle: with f >= 0 no u is below all boundary values, obstacles and heights of supports.
+    """The maximum principle: with f >= 0 no u is below all boundary values, obstacles and levels of supports.
 
     It holds for the differential equation with each effect that says what it `push`es. A discrete solution obeys it to
     round-off where A is an M-matrix; elsewhere it may overshoot, but by less than it differs from these values on the

@@ -63,8 +63,8 @@ class CostMesh:
 def floor_of(context: SolverContext, answer: Answer) -> float:
     """An estimate of the relative error of u by unbalanced forces and round-off (collective).
 
-    Systems are solved until forces balance to 1e-10 of those that act, and heights are rounded: machine epsilon times
-    the stiffness of each node and its height, with signs at random.
+    Systems are solved until unbalanced forces are 1e-10 of the acting ones. Values of u are rounded, which causes
+    forces of machine epsilon times the stiffness of each node and u there, with random signs.
     """
     problem, comm = context.problem, answer.level.comm
     step = answer.history[-1]

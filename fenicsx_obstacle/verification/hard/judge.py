@@ -100,7 +100,7 @@ class _Verifier:
                     last[method] = self.known[method, eps]
 
     def other_starts(self) -> Iterator[Row]:
-        """The same from another start: cold, and from heights scattered far off."""
+        """The same from another start: cold, and from random values far away."""
         for method, eps in (("vi", None), ("penalty", TRIAL)):
             if (method, eps) not in self.known:
                 continue
