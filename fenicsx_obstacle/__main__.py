@@ -68,7 +68,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         signal.setitimer(signal.ITIMER_REAL, 0)
         number = _received[-1] if _received else signal.SIGINT
         word = "interrupted" if number == signal.SIGINT else "terminated"
-        if _several():  # the others may not end in MPI's way; whoever has started mpirun tells
+        if _several():  # the other ranks may not end in MPI's way; the launcher prints the message
             os._exit(128 + number)
         return _fail(f"{word}{_kept()}", 128 + number)
     except RuntimeError as error:

@@ -33,7 +33,7 @@ def test_explained_and_done(name):
     parts, text = dict(explained(scene)), " ".join(explain(scene).split())
     named = {effect.key for effect in scene.effects}
     assert {line.partition(":")[0] for line in parts["effects"][:-1]} == named
-    left_out = set(parts["left out"][0].split("; "))
+    left_out = set(parts["not included"][0].split("; "))
     assert left_out - {"lower obstacle", "upper obstacle"} == (known() | known("boundary")) - named
     assert all(words in text for words in SCENES[name])
     with closing(SolverContext(scene, COMM)) as context:

@@ -156,7 +156,7 @@ class Refinement:
 
     def _balanced(self, context: SolverContext) -> Answer:
         """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
-        first = not self.path  # there an exact solution that is none is told of
+        first = not self.path  # a wrong exact solution is reported on the first mesh
         answer = context.answer(self.options, bound=True, errors=first)
         bound = _bound(answer)
         while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:

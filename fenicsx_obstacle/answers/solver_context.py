@@ -93,7 +93,7 @@ class SolverContext:
         if scene.tables.profile:
             from fenicsx_obstacle.answers.profiles import points_of  # only where a scene names one
 
-            points_of(scene, level)  # refuses points outside before anything is solved
+            points_of(scene, level)  # rejects points outside before anything is solved
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None
@@ -198,7 +198,9 @@ class SolverContext:
         if problem.forms.multiplier is not None:  # of an earlier solve
             problem.forms.multiplier.x.array[:] = 0.0
         moment = problem.data.moment
-        if scene.time is not None and moment is not None and moment.t > 0:  # an earlier march has left data at its end
+        if (
+            scene.time is not None and moment is not None and moment.t > 0
+        ):  # earlier time stepping has left the data of its end
             moment.go_back(scene.time)
             below = [grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]]
             for one in (problem, *reversed(below)):

@@ -51,7 +51,7 @@ def average(data: Data, tension: Field, made: fem.Function) -> None:
             values = np.where(np.isfinite(values) & (values > 0), values, at_dofs[cells].mean(axis=1)[:, None])
             steep = cells[values.max(axis=1, initial=0.0) > limit * values.min(axis=1, initial=np.inf)]
             within = _values(data, part, places @ x[steep], steep)
-            usable = np.isfinite(within) & (within > 0)  # others are refused where they matter
+            usable = np.isfinite(within) & (within > 0)  # others are rejected where they are used
             if limit == JUMP:
                 jumps = _jumps(np.where(usable, within, at_dofs[steep]))
                 steep, within, usable = steep[jumps], within[jumps], usable[jumps]

@@ -451,7 +451,7 @@ class Data:
         dim = level.mesh.topology.dim - 1
         self._on_dofs(
             where, fem.locate_dofs_topological(level.V, dim, level.boundary_facets)
-        )  # refuses infinite values
+        )  # rejects infinite values
         found = dmesh.locate_entities_boundary(level.mesh, dim, lambda x: self.at(where, x) != 0)
         if total(level.comm, len(found)) == 0:
             raise InputError(f"{where}: holds on no facet of the boundary")

@@ -32,7 +32,7 @@ class Moment:
 
     @classmethod
     def at_start(cls, moments: TimeDiscretization) -> Moment:
-        """Before a first step; with its numbers c, so that what is assembled now serves it."""
+        """The state before the first step, with the constants c of the first step."""
         moment = cls(0.0, 0.0, 0.0)
         moment.go_back(moments)
         return moment

@@ -58,7 +58,7 @@ class Bound:
         data: Load, obstacle and boundary values between nodes.
         guaranteed: Whether all hypotheses hold: the words are 'certified' alone.
         words: What it rests on.
-        indicator: What of the bound goes with each owned cell, to first order; their sum over all ranks is about total.
+        indicator: Contribution of each owned cell to the bound, to first order; the sum over all ranks is about total.
         admissible: v_h.
     """
 

@@ -197,7 +197,7 @@ class Exact:
         Raises:
             InputError: If the exact solution, its gradient or pressure is not a number somewhere.
         """
-        difference = self.problem.data.nodal(self.solution.u, {"eps": eps or 0.0})  # refuses what is not finite there
+        difference = self.problem.data.nodal(self.solution.u, {"eps": eps or 0.0})  # rejects values that are not finite
         np.subtract(u.x.array, difference.x.array, out=difference.x.array)
         self.data.eps.value = eps or 0.0
         self.u.x.array[:], self.p.x.array[:] = u.x.array, pressure.x.array

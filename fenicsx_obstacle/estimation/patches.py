@@ -116,7 +116,7 @@ class Patches:
         return list(self._exchange(rows, self._sent, self._received).T)
 
     def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
-        """Rows in the order of the ranks they go to; those that came, likewise (collective)."""
+        """Send rows in the order of their ranks; returns the received rows in the order of ranks (collective)."""
         kind, width = (MPI.DOUBLE if rows.dtype == np.float64 else MPI.INT64_T), rows.shape[1]
         out = np.empty((received.sum(), width), dtype=rows.dtype)
         send = [np.ascontiguousarray(rows), (sent * width).tolist(), None, kind]

@@ -111,7 +111,7 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
     own = own_cells(level.mesh)
     functions = {name: fem.Function(level.Q if name in OF_Q else level.V) for name in arrays}
     if not element:
-        # where each dof stood when it was saved
+        # the coordinates of each dof when it was saved
         rows = np.asarray(level.mesh.geometry.input_global_indices)[releases.dof_nodes(level.V)]
         for name, function in functions.items():
             function.x.array[:] = arrays[name][rows]

@@ -62,7 +62,7 @@ class Surface(ABC):
 
 @dataclass(frozen=True)
 class SurfaceBounds:
-    """Bounds of heights over simplices, as `effects.field.Bounds` has them.
+    """Bounds of measured data over simplices, as `effects.field.Bounds` has them.
 
     Attributes:
         lower: Lower bound.

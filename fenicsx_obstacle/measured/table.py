@@ -87,7 +87,7 @@ class Table:
 
 
 def in_words(keys: Mapping[str, Any]) -> str:
-    """Keys of a table of heights as they stand in TOML."""
+    """Keys of a table of measured data as in TOML."""
     return "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in keys.items()) + "}"
 
 
@@ -146,7 +146,7 @@ class MeasuredField(Field):
     def _heights(self) -> Heights:
         table = self.table
         if (table.file is None) == (table.z is None):
-            raise InputError(f"{self.source}: a table of heights needs either a file or an array z")
+            raise InputError(f"{self.source}: measured data need either a file or an array z")
         if table.path is None:
             return of_arrays(table.x, table.y, table.z, self._name)
         try:
@@ -155,7 +155,7 @@ class MeasuredField(Field):
             raise InputError(f"{self.source}: {error}") from None
 
     def _check_extents(self, *, used: bool) -> None:
-        """Refuse keys that say nothing about the data."""
+        """Reject keys that do not belong to the data."""
         if self.table.file is None or used:
             return
         for key in ("x", "y", "range"):

@@ -68,7 +68,7 @@ class Formula:
         return bool(called & {"where", "sign", "floor", "atan2"}) or any(isinstance(n, conditions) for n in nodes)
 
     def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
-        """Refuse names that mean nothing here.
+        """Reject unknown names.
 
         Raises:
             InputError: Pointing at the column, with the nearest known name.

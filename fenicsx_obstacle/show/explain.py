@@ -53,7 +53,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
-        ("left out", [_left_out(scene)]),
+        ("not included", [_not_included(scene)]),
     ]
 
 
@@ -277,7 +277,7 @@ def _exact(scene: Scene) -> list[str]:
     return lines + [f"orders in h, by VI and for eps = h^2: {orders}"] * bool(orders)
 
 
-def _left_out(scene: Scene) -> str:
+def _not_included(scene: Scene) -> str:
     named = {effect.key for effect in scene.effects}
     absent = [key for key in (*sorted(known()), *sorted(known("boundary"))) if key not in named]
     absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in scene.sides]

@@ -142,7 +142,7 @@ def smallest_eps(problem: Problem) -> float:
 def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """Full steps and line searches in turn, each from the last state of the one before, until one converges.
 
-    A line search ends where the round-off of the energy hides any descent: full steps go on from there.
+    A line search ends where the round-off of the energy hides any descent: full steps continue from there.
     """
     if user_has_set(problem.options_of("penalty") + "snes_linesearch_type"):
         return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)

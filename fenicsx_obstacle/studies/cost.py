@@ -1,6 +1,6 @@
 """Cost of accuracy: each method on a sequence of meshes, with errors, time and memory.
 
-A row is on the disk as soon as it is finished; whatever ends the run, the next one goes on from there.
+A row is on the disk as soon as it is finished; after any end of the run, the next one continues from there.
 """
 
 from __future__ import annotations

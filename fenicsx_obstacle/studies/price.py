@@ -36,7 +36,7 @@ class Curve:
     Attributes:
         name: Of the choice.
         rows: Those with such an error, cheapest first.
-        error: Relative; of each row the largest of its own and all dearer rows, and none that falls steeper than
+        error: Relative; of each row the largest of its own and all slower rows, and none that falls steeper than
             `STEEPEST`, so that lucky hits do not count.
         slope: Of log error over log seconds at the end; 0 where it does not fall.
         failed: Whether it did not converge on the next mesh: its line is not continued.

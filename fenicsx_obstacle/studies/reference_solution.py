@@ -117,7 +117,7 @@ def make_reference(
     """The finest solution within the limits, times `FINER` (collective).
 
     Refined where the error is, with its bound, where there are bounds for the scene; else on the finest uniform mesh.
-    By quadratic elements, where they serve it.
+    With quadratic elements, if they are possible.
 
     Args:
         scene: On its coarsest mesh.
