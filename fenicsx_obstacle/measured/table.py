@@ -201,7 +201,7 @@ class MeasuredField(Field):
     def _refuse_missing(self, count: int, total: int, places: Sequence[str]) -> None:
         more = " and more" if count > len(places) else ""
         raise InputError(
-            f"{self._name}: {count} of {counted(total, 'height')} are not finite numbers: at "
+            f"{self._name}: {count} of {counted(total, 'value')} are not finite numbers: at "
             f"{'; '.join(places)}{more}; "
             "replace them, or remove these points: the others are then triangulated"
         )

@@ -33,8 +33,8 @@ def explain(scene: Scene) -> str:
     lines = [title_of(scene.tables.title, scene.name)]
     for name, texts in explained(scene):
         for number, text in enumerate(texts):
-            first = f"  {name if number == 0 else '':10}"
-            lines.append(fill(text, 110, initial_indent=first, subsequent_indent=" " * 14, break_on_hyphens=False))
+            first = f"  {name if number == 0 else '':14}"
+            lines.append(fill(text, 110, initial_indent=first, subsequent_indent=" " * 18, break_on_hyphens=False))
     return "\n".join(lines)
 
 
