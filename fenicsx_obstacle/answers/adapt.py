@@ -65,7 +65,7 @@ def solve(
         method: penalty, successive or vi.
         start: nested, from the coarsest level of the mesh on, or cold.
         element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
-        comm: Communicator; a mesh of the scene's own brings its own.
+        comm: Communicator; not used if the scene has a DOLFINx mesh.
         yardstick: Also time a linear Poisson solve on the same mesh, the baseline.
         bound: Bound the error: answer.bound.
         tol: Tolerance for the relative error in the energy norm; the mesh and, if it is auto, eps are chosen.
@@ -78,7 +78,7 @@ def solve(
         The solution, always converged.
 
     Raises:
-        InputError: For bad data.
+        InputError: If the data are invalid.
         NotConverged: With PETSc's reason.
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}

@@ -101,11 +101,11 @@ class Answer(Solution):
         """A saved answer with the element it was computed with, on any number of ranks (collective).
 
         Args:
-            folder: Of `save`.
+            folder: A folder of `save`.
             comm: The ranks that share its mesh.
 
         Raises:
-            InputError: If the folder does not hold one.
+            InputError: If the folder has no saved solution.
         """
         from fenicsx_obstacle.io.folder import read
 

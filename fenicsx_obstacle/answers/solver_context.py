@@ -65,7 +65,7 @@ class SolverContext:
 
         Args:
             scene: What to solve.
-            comm: Communicator; a mesh of the scene's own brings its own.
+            comm: Communicator; not used if the scene has a DOLFINx mesh.
             level: The scene's mesh, where it is made already.
             before: A solver context on the level below, whose solution is the start.
             options: Of the solves, instead of those of the scene.

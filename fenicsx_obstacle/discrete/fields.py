@@ -342,7 +342,7 @@ def field(value: Any, source: str) -> Field:
         source: What messages call it.
 
     Raises:
-        InputError: If it is none of them.
+        InputError: If it is anything else.
     """
     if isinstance(value, Field):
         return value

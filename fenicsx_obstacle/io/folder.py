@@ -106,7 +106,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     """Read a solution (collective).
 
     Args:
-        folder: Of `save`.
+        folder: A folder of `save`.
         comm: The ranks that share its mesh.
         needed: Further files that must be there.
         steps_in_time: Where the steps of the iteration stand if history.csv has the course of time.

@@ -115,14 +115,14 @@ class ObstacleProblem:
             upper: Obstacle above, in the same way.
             energy: The functional whose derivative F is; with it a line search safeguards the iteration. Needed where F
                 is not linear only.
-            J: The derivative of F where UFL's own is not wanted; of linear F it is not used.
-            of: Of vector-valued u, what the obstacles bound: a scalar UFL expression linear in u, such as
+            J: The derivative of F, by default that of UFL; not used if F is linear.
+            of: For vector-valued u, the bounded component: a scalar UFL expression linear in u, such as
                 `ufl.dot(u, n)` with a constant, a field or `ufl.FacetNormal(mesh)` for n; it is sampled once. At each
                 contact node it has one unit normal, the mean over the facets there.
             measure: Where contact can be: `ds(3)` for the facets tagged 3, also a tuple of tags; by default the domain.
                 The pressure is then a force per area of these facets (in the plane, per length). Of vector-valued u
                 facets of the boundary, and there may be a factor, as `x[0] * ds(3)` in axial symmetry.
-            petsc_options_prefix: Of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
+            petsc_options_prefix: Prefix of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
             petsc_options: Options without the prefix; they go before those of the command line, and hold for this
                 problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
                 symmetric, else GMRES; multigrid on algebraic levels where F is linear and symmetric.
@@ -277,8 +277,8 @@ class ObstacleProblem:
                 of a model it is h^2/100 over the largest tension.
             method: penalty; successive, the paper's (3.4)*, which starts without contact; or vi, for the variational
                 inequality by SNES VI, without eps.
-            rtol: Unbalanced force over acting forces to stop at, dimensionless.
-            bound: Bound the energy error, which takes a problem made of effects.
+            rtol: The solver stops if unbalanced forces over acting forces are below it; dimensionless.
+            bound: Bound the energy error; needs a problem made of effects.
             monitor: Called with the number of each Newton step and its `Step`, on all ranks.
 
         Raises:

@@ -109,8 +109,8 @@ class Solution:
         upper: Nodal upper obstacle, or None.
         history: The steps of the iteration.
         record: All values, as in answer.json.
-        bound: Of the energy error, where it was asked for; of a solution read from files only the values in `record`.
-        tension: In UFL, a number or a matrix; None of a form of the caller's own, which hides it, and if read.
+        bound: Bound of the energy error, or None; a solution read from files has only the values in `record`.
+        tension: In UFL, a number or a matrix; None for a form, and for a solution read from files.
     """
 
     level: Level
@@ -187,12 +187,13 @@ class Solution:
 
     @property
     def plain(self) -> Self:
-        """The same on P1 simplices, as it is drawn, and written for ParaView (first use is collective)."""
+        """Its interpolant on P1 simplices, for pictures and ParaView (first use is collective)."""
         return self if self.level.pair.nested_hierarchy else cast("Self", self.cut.plain)
 
     @cached_property
     def cut(self) -> Cut:
-        """How `plain` was made of the cells of another element than P1 (first use is collective)."""
+        """The subdivision of the cells from which `plain` is made, for elements other than P1 (first use is
+        collective)."""
         from fenicsx_obstacle.io.cut import cut
 
         return cut(self)
@@ -204,15 +205,15 @@ class Solution:
             points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
                 as many as the mesh has, or three, as in DOLFINx, the others being 0.
             of: u; pressure; gap, the distance to the nearest obstacle; slope, the gradient of u; or flux, the tension
-                times the slope. Where cells meet and have different values it is their mean.
+                times the slope. On facets between cells with different values it is their mean.
 
         Returns:
             One value for each point, the same on every rank: shape (n,) for points of shape (n, gdim) or (n, 3), and
             shape (), a number, for one point. Of slope and flux (n, gdim) and (gdim,).
 
         Raises:
-            InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh,
-                or there is no such quantity, or the tension is not known of which the flux is made.
+            InputError: If the points have another number of coordinates, or are not on the line or plane of the mesh,
+                or there is no such quantity, or the flux is requested and the tension is not known.
         """
         gdim = self.level.mesh.geometry.dim
         try:
@@ -493,11 +494,11 @@ class Solution:
         """A saved solution with the element it was computed with, on any number of ranks (collective).
 
         Args:
-            folder: Of `save`.
+            folder: A folder of `save`.
             comm: The ranks that share its mesh.
 
         Raises:
-            InputError: If the folder does not hold one.
+            InputError: If the folder has no saved solution.
         """
         from fenicsx_obstacle.io.folder import read
 

@@ -61,14 +61,14 @@ class Scene(Vocabulary):
 
     Attributes:
         name: Short name, for files.
-        tables: The scene as it stands in TOML.
-        model: What is to be solved, as the core takes it.
+        tables: The tables of the scene, as in TOML.
+        model: The problem data without formulas.
         effects: One object per effect that the scene names.
         pair: V_h, the rule I and Q_h.
         report: Output quantities, in order.
         options: The table [solve], without the element.
         own_mesh: A DOLFINx mesh of the caller's own, or None.
-        objects: Data that are no numbers or formulas, by the names that stand for them in the tables.
+        objects: Data that are not numbers or formulas, by their names in the tables.
         folder: Where relative file names start.
     """
 
@@ -121,17 +121,18 @@ class Scene(Vocabulary):
             lower: Lower obstacle, a datum.
             upper: Upper obstacle, a datum.
             boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
-            exact: Exact solution, where known, no callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
+            exact: Exact solution, not a callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
             define: Named numbers and formulas.
-            report: Named figures of the solution: report={"force": "integral(p)"}.
+            report: Named output quantities: report={"force": "integral(p)"}.
             time: The table [time]: time={"end": 1, "steps": 100, "start": 0}.
-            profile: Lines along which all is written, as [profile]: {"middle": {"from": [0, 0.5], "to": [1, 0.5]}}.
+            profile: Lines along which the solution is written, as [profile]: {"middle": {"from": [0, 0.5], "to": [1,
+                0.5]}}.
             title: Title.
             u: Name of the unknown on axes.
             **effects: One datum per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
 
         Raises:
-            InputError: For anything that is wrong without looking at a mesh.
+            InputError: If the data are invalid; checks that need a mesh come later.
         """
         if not isinstance(mesh, dict) and not hasattr(mesh, "topology"):
             wanted = "expected a DOLFINx mesh or a table such as {'shape': 'disk'}"
@@ -370,7 +371,7 @@ class Scene(Vocabulary):
         """A number, a formula, or one of these for each material.
 
         Raises:
-            InputError: If it is none of them.
+            InputError: If it is anything else.
         """
         if isinstance(value, bool) or not isinstance(value, float | int | str | dict) or value == {}:
             wanted = "a number, a formula or {material = value}"
@@ -402,7 +403,7 @@ class Scene(Vocabulary):
         """The scene on its mesh, as a problem that is solved from Python (collective).
 
         Args:
-            comm: Ranks that share the mesh, by default all; a mesh of the caller's own brings its own.
+            comm: Ranks that share the mesh, by default all; not used if the scene has a DOLFINx mesh.
 
         Raises:
             InputError: If the scene has [time], or no u can satisfy the data.

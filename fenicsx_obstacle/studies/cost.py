@@ -61,7 +61,7 @@ class CostStudy:
             options: Changes of the scene, as in `solve`.
             budget: Of one row; by default `DEFAULT_BUDGET`.
             folder: Where a reference solution is kept.
-            comm: Communicator; a mesh of the scene's own brings its own.
+            comm: Communicator; not used if the scene has a DOLFINx mesh.
 
         Raises:
             InputError: If an option does not fit.
