@@ -54,7 +54,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
             _begin(petsc)
         result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
         _name_unread(petsc)
-        if _received:  # swallowed to the end
+        if _received:  # not noticed until the end
             raise KeyboardInterrupt
     except ObstacleError as error:
         return _fail(f"Error: {error}", error.exit_status)

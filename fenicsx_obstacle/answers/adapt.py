@@ -31,8 +31,10 @@ _log = logging.getLogger(__name__)
 BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
 MIN_BULK = 0.1
 SAFETY_OF_BULK = 1.1  # times the share of the bound that should do: cut into four, cells keep 4^-degree of its square
-BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
-PENALTY_SHARE_AHEAD = 0.04  # times that: solvers do not mind, and the next meshes need no smaller one
+BALANCED = 0.2  # ratio of the parts of penalty and mesh above which eps is reduced
+PENALTY_SHARE_AHEAD = (
+    0.04  # times this ratio: eps is reduced further than necessary, so that the next meshes need no smaller one
+)
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
 
 

@@ -87,7 +87,7 @@ class Answer(Solution):
         """
         if self.tension is not None:
             return self.tension
-        from fenicsx_obstacle.discrete.data import Data  # only where it is asked for
+        from fenicsx_obstacle.discrete.data import Data  # only if requested
         from fenicsx_obstacle.discrete.time_differences import Moment
 
         time = self.record.get("time")

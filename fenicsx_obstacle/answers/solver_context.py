@@ -141,7 +141,7 @@ class SolverContext:
             InputError: If there are none for its elements.
         """
         if self._estimator is None:
-            from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
+            from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 
             self._estimator = Estimator(self.problem)
             if self.problem.affine:

@@ -26,7 +26,7 @@ from fenicsx_obstacle.parallel import largest, total
 
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
 FAR = 1e300  # an infinite distance, in a form
-HELD = 1e16  # times the diagonal of a row that is to answer zero
+HELD = 1e16  # times the diagonal of a row whose solution is to be zero
 MOSTLY = 0.25  # of the sum of the forces: those of P2 at vertices have either sign
 
 
@@ -323,7 +323,7 @@ class Nodal(Forms):
         return penalty_diagonal
 
     def add_penalty_diagonal(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
-        """Fill A with the stiffness and a spring at each owned dof; at an infinite one A answers nothing but zero."""
+        """Set A to the stiffness plus a diagonal at owned dofs; an infinite entry fixes the dof at zero."""
         self._changed.array[:] = self.diagonal
         if penalty_diagonal is not None:
             self._changed.array[:] += np.minimum(penalty_diagonal, HELD * self.diagonal)

@@ -21,7 +21,7 @@ from fenicsx_obstacle.parallel import agree
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
 
-JUMP = 1.1  # ratio of values in a cell: what varies less is smooth for all that matters
+JUMP = 1.1  # ratio of values in a cell: a datum that varies less counts as smooth
 STEEP = 3.0  # of quadratics: positive values up to 4 on triangles, 4.5 on squares, 3.09 on cubes make them positive
 INSET = 1e-6  # of the way to the middle: on the boundary of a cell the datum may be that of its neighbour
 PARTS = {1: 64, 2: 8, 3: 4}  # of an edge, by dimension
@@ -38,7 +38,7 @@ def average(data: Data, tension: Field, made: fem.Function) -> None:
     dofs = releases.cell_dofs(made.function_space)
     at_dofs, x = made.x.array[dofs], corners(data.level.mesh)
     limit = JUMP if dofs.shape[1] == 1 else STEEP
-    if not tension.everywhere:  # as Functions of other meshes: what there is must do
+    if not tension.everywhere:  # such as Functions of other meshes: only the given samples are used
         steep = at_dofs.max(axis=1, initial=0.0) > limit * at_dofs.min(axis=1, initial=np.inf)
         made.x.array[dofs[steep]] = at_dofs[steep].mean(axis=1)[:, None]
         return

@@ -18,7 +18,7 @@ def is_m_matrix(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
 
     Args:
         A: The matrix; rows of fixed dofs and their columns are those of the identity.
-        diagonal: Of its owned rows, without what springs add: the scale of round-off.
+        diagonal: Of its owned rows, without the penalty diagonal: the scale of round-off.
         comm: Of the matrix (collective).
     """
     starts, columns, values = A.getValuesCSR()

@@ -1,7 +1,7 @@
 """The discrete problem on one level: the penalised residual (3.4), its Jacobian and energy for PETSc.
 
-The unknown is not u but w = u - r, with r the obstacle that a node may touch ('gap form'). In contact w = -eps p
-is tiny, and exact to its own last digit; computed as a difference of values of order 1 the penalty w/eps would be
+The unknown is w = u - r, where the reference r is the obstacle that a node may touch ('gap form'). In contact w =
+-eps p is small and has full relative accuracy. As a difference u - r of values of order 1 the penalty w/eps would be
 round-off for eps < 1e-12.
 """
 

@@ -425,7 +425,7 @@ class ObstacleProblem:
                 f"{self.name}: bound=True needs tension and load as data, which are not known of a form: use "
                 "Scene(mesh=...)"
             )
-        from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
+        from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 
         estimator = Estimator(self._problem)
         if self._problem.affine:

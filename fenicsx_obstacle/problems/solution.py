@@ -327,7 +327,7 @@ class Solution:
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""
-        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only where it is asked for
+        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only if requested
 
         if self.level.pair.nested_hierarchy and function.function_space == self.level.V:
             return values_at(self.level, function, points)

@@ -53,7 +53,7 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
     if newton:
-        from fenicsx_obstacle.show.newton import animate_newton  # only where it is asked for
+        from fenicsx_obstacle.show.newton import animate_newton  # only if requested
 
         said += "\n  " + animate_newton(answer, folder / STEPS)
         others["Newton steps"] = folder / STEPS
@@ -166,7 +166,7 @@ def _report(
     def on_row(row: Row, answer: Answer | None) -> None:
         for line in table.lines(row):
             say(line)
-        if isinstance(study, Study):  # a search knows which was found
+        if isinstance(study, Study):  # a search has found its last row
             answers[:] = [answer]
 
     rows = study.run(on_row, store)

@@ -1,8 +1,9 @@
 """Scales of the data: range of u, forces; checks that the data and not round-off determine a solution.
 
-Round-off of the residual is an epsilon of |A| |u|. Heights that the data give cause some of it: boundary values,
-obstacles in contact, the levels at which supports are at rest. The rest is due to how far u lies beyond all of these.
-Where it is a noticeable part of the forces of the data, these do not determine u: A is singular to floating point.
+The round-off of the residual is machine epsilon times |A| |u|. A part of it is due to values of u in the data: boundary
+values, obstacles in contact, the levels at which supports are at rest. The rest is due to the part of u outside of the
+range of these values. If it is more than a small part of the forces of the data, the data do not determine u, and A is
+singular in floating point.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EPSILON = float(np.finfo(float).eps)
-ROUNDOFF_MARGIN = 8.0  # round-off may be so many times what is expected of it
+ROUNDOFF_MARGIN = 8.0  # round-off may exceed its estimate by this factor
 
 
 def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:

@@ -52,7 +52,7 @@ class Inexact:
         stopping = self.stopping
         step = stopping.history[-1]
         if not stopping.exact and step.changed > FEW * step.active:
-            # the first step of CG only answers the springs of nodes that have just come into contact
+            # the first step of CG only reduces the residual of nodes that have just come into contact
             return 2, ON_THE_WAY * min(step.unbalanced, step.forces)
         enough = 0.0 if stopping.exact else TO_SPARE * stopping.tolerance * step.forces
         return 1, max(enough, EXACT * step.unbalanced, stopping.round_off())

@@ -20,7 +20,7 @@ from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 
 NEAR = 1e-8  # of the values of the data: not beyond them
-NO_SOLUTION = "which no solution does"  # words of the rejection
+NO_SOLUTION = "which no solution does"  # part of the message
 MAX_DEPTH = 2.0  # in a patch of cells of Pe = 1 all drift flows out by about so much
 TRAPPED = 100.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film

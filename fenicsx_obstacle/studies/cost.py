@@ -68,7 +68,7 @@ class CostStudy:
         """
         self.full = changed(scene, dict(options))
         self.comm = self.full.mesh.comm if self.full.mesh is not None else comm
-        # what the scene knows of its solution costs time that belongs to no solver
+        # the errors of a known solution take time that does not belong to the solver
         self.scene = self.full.change({"exact": None, "report": {}})
         self.budget, self.folder = Budget.of(budget or DEFAULT_BUDGET), folder
         self.choices, self.ends = choices(self.full), dict[str, str]()

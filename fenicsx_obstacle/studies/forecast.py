@@ -25,7 +25,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 
 SECONDS = 3.0  # of calibration, and the larger mesh after it
-SETTLED = 5  # meshes at the end of the calibration that tell how things go on
+SETTLED = 5  # meshes at the end of the calibration from which is extrapolated
 ROUND_OFF = 1e-9  # of a number of meshes
 MIN_MESHES = 4  # meshes at least
 ORDERS = (0.7, 1.1)  # of the bound in 1/unknowns, over that of smooth solutions: what is believed

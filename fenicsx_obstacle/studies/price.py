@@ -23,9 +23,9 @@ NORMS = {
 }
 TOLERANCES = tuple(10.0**-k for k in range(1, 7))
 FAR = 20.0  # times beyond the last error of a choice its line is continued: to a tenth of twice the smallest, at most
-TRUSTED = 3.0  # errors below so many times what the reference itself may be off say nothing
+TRUSTED = 3.0  # smaller errors, relative to the uncertainty of the reference, are not used
 NEGLIGIBLE_SIZE = 1e-9  # of the domain, or of the force scale: no contact to be measured
-STEEPEST = 1.5  # no error is believed to fall faster than unknowns^-1.5, order 3 in h: signs change, and hits are lucky
+STEEPEST = 1.5  # errors that fall faster than unknowns^-1.5, order 3 in h, are accidental: the error changes its sign
 FLAT = 0.02  # slope of log error over log seconds below which it does not fall
 
 
