@@ -1,4 +1,4 @@
-"""The whole collection, on one rank and on three: some cases as processes of their own, all within one."""
+"""Runs all cases on one rank and on three: some in separate processes, all of them in one process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random scenes, judged: `python -m fenicsx_obstacle.verification.hard.draw COUNTS SEED` prints JSON lines."""
+"""Random scenes with verdicts: `python -m fenicsx_obstacle.verification.hard.draw COUNTS SEED` prints JSON lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One scene on one mesh, solved in many ways: a row with a verdict for each answer."""
+"""One scene on one mesh, solved by several methods: a row with a verdict for each result."""
 
 from __future__ import annotations
 

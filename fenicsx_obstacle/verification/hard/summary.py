@@ -1,4 +1,4 @@
-"""What the rows of the suite say, put together: verdicts and figures of each scene, curves for pictures."""
+"""Summary of the rows of the suite: verdicts and values of each scene, curves for pictures."""
 
 from __future__ import annotations
 

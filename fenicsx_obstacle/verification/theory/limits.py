@@ -84,7 +84,7 @@ def approach(scene: Scene, comm: MPI.Comm, epsilons: Sequence[float] = EPS) -> A
     return seen
 
 
-@statement("3.1", "u_eps and p_eps tend to u_h and p_h as eps does to 0, with computable bounds", "3.2")
+@statement("3.1", "u_eps and p_eps converge to u_h and p_h as eps tends to 0, with computable bounds", "3.2")
 def limits(comm: MPI.Comm) -> Found:
     """Down to eps = 1e-10, on M-matrix meshes, and where there is nothing, or everything, to touch (collective)."""
     crossed = sample("disk", 16).change({"mesh.diagonal": "crossed"})

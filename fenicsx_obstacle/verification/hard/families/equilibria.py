@@ -1,4 +1,4 @@
-"""What is held by an obstacle alone, by next to nothing, or by nothing: balance of forces gives the answer."""
+"""Membranes supported by an obstacle only, by weak springs, or not at all: balance of forces gives the solution."""
 
 from __future__ import annotations
 
