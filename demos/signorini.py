@@ -113,6 +113,8 @@ if comm.rank == 0:
     h = 1 / np.array(sizes)
     right.loglog(h, errors, "o-", color="#0072B2", label="energy error")
     right.loglog(h, 1.3 * errors[-1] * h / h[-1], "k:", label="order 1")
+    right.set_xticks(h, [f"1/{1 / side:.0f}" for side in h])
+    right.minorticks_off()
     right.set(xlabel="h", title="error")
     right.legend(frameon=False)
     page.savefig("signorini.png", dpi=120)

@@ -15,7 +15,7 @@ _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "
 
 
 def _kept() -> str:
-    """What to say of the rows of an interrupted command."""
+    """A remark about the saved rows of an interrupted command."""
     has_rows = sys.argv[1:2] in (["study"], ["cost"], ["find"])
     return "; finished rows are kept, and the same command continues from them" if has_rows else ""
 
@@ -54,7 +54,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
             _begin(petsc)
         result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
         _name_unread(petsc)
-        if _received:  # swallowed to the end
+        if _received:  # not noticed until the end
             raise KeyboardInterrupt
     except ObstacleError as error:
         return _fail(f"Error: {error}", error.exit_status)
@@ -68,7 +68,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         signal.setitimer(signal.ITIMER_REAL, 0)
         number = _received[-1] if _received else signal.SIGINT
         word = "interrupted" if number == signal.SIGINT else "terminated"
-        if _several():  # the others may not end in MPI's way; whoever has started mpirun tells
+        if _several():  # the other ranks may not end in MPI's way; the launcher prints the message
             os._exit(128 + number)
         return _fail(f"{word}{_kept()}", 128 + number)
     except RuntimeError as error:
@@ -83,7 +83,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
 
 
 def _name_unread(petsc: list[str]) -> None:
-    """Tell rank 0's user of PETSc options that nothing has asked for."""
+    """Print PETSc options that no solver uses."""
     names = [word[1:] for word in petsc if word[:1] == "-" and word[1:2].isalpha()]
     if names and _RANK == 0:
         from fenicsx_obstacle.solvers.linear import unread

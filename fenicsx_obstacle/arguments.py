@@ -1,4 +1,4 @@
-"""Options that commands share; values, lists of values and settings as they stand on the command line."""
+"""Options that commands share; parsing of values, lists of values and settings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CHANGES = ("set", "cells", "refine", "element", "method", "start", "eps")  # of 
 
 
 class Place(click.Path):
-    """A file or folder; an empty name, as an unset variable of a shell leaves it, is none."""
+    """A file or folder; an empty name, such as that of an unset shell variable, is an error."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)

@@ -163,7 +163,7 @@ def find(
 ) -> None:
     """Find the value of a key for which a quantity reaches a target.
 
-    Solves at both ends of the interval, then where Brent's method asks for. Writes rows, a picture, a page and the
+    Solves at both ends of the interval, then at points of Brent's method. Writes rows, a picture, a page and the
     answer found into out/SCENE/find-KEY; the last row is the one found. An interrupted run continues from its rows.
 
     \b
@@ -188,7 +188,7 @@ def find(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@click.option("--budget", metavar="LIMIT", help="Of each row: 60s, 8GB, '1e6 unknowns'.  [10s, 1.2e6 unknowns]")
+@click.option("--budget", metavar="LIMIT", help="Limit of each row: 60s, 8GB, '1e6 unknowns'.  [10s, 1.2e6 unknowns]")
 @click.option("--fresh", is_flag=True, help="Discard saved rows instead of continuing from them.")
 @options("set", "element", "plugin", "output", "json", "quiet", "log")
 def cost(
@@ -202,7 +202,7 @@ def cost(
 ) -> None:
     """Cost of accuracy: error against time for several methods.
 
-    Also the cost of the next digit. Writes rows, pictures and a page into out/SCENE/cost. Meshes become
+    Also the time for one more digit. Writes rows, pictures and a page into out/SCENE/cost. Meshes become
     finer until a row would exceed the budget; an interrupted run continues from its rows.
     """
     fixed = typed(given)
@@ -270,7 +270,7 @@ def scenes(name: str | None) -> None:
     """List the scenes with exact solutions, or print one.
 
     \b
-    scenes ball > mine.toml    a scene to begin with
+    scenes ball > mine.toml    a copy as a start
     solve ball                 commands take their names as well
     """
     from fenicsx_obstacle.scenes import catalogue
@@ -305,7 +305,7 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 @click.option("--random", "count", type=click.IntRange(1), metavar="N", help="Instead: N random scenes.")
 @click.option("--truths", is_flag=True, help="With --random: only scenes whose true error is known; a table of bounds.")
 @click.option("--broken", is_flag=True, help="Instead: invalid input of every kind, and its messages.")
-@click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, solvers that cannot succeed.")
+@click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, problems without solution.")
 @click.option("--output", type=Place(), default=Path("out/hard"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
 @options("seed", "json", "quiet", "log")
@@ -349,7 +349,7 @@ def hard(
 @click.option("--output", type=Place(), default=Path("out/demo"), metavar="DIR",
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
-    """In a clone: solve scenes of demos/, vary eps and h, draw."""
+    """In a clone: solve scenes of demos/ and draw studies in eps and h."""
     from fenicsx_obstacle.show.demo import run_demo
     from fenicsx_obstacle.show.progress import progress
 

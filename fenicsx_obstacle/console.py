@@ -1,4 +1,4 @@
-"""Where commands print and write: on rank 0, after the places have been checked. Nothing heavy is imported before.
+"""Printing and writing of the commands, on rank 0; imports nothing heavy.
 
 Standard output and standard error never raise: a full disk or a closed pipe must not end a command that still has
 files to write, on one rank and not on the others. What was lost is told at the end.
@@ -23,7 +23,7 @@ STARTED = time.perf_counter()  # of a command
 
 
 class _GuardedStream(io.FileIO):
-    """A standard stream that keeps the first error of writing instead of raising it."""
+    """A standard stream that records the first error of writing instead of raising it."""
 
     lost: OSError | None = None
 
@@ -42,7 +42,7 @@ _streams: dict[str, _GuardedStream] = {}
 
 
 def guard_streams() -> None:
-    """Let standard output and standard error keep errors of writing; streams that are closed lead nowhere."""
+    """Make standard output and standard error record errors of writing; closed streams discard their output."""
     for number in range(3):  # otherwise a file that is opened next would be standard output to compiled libraries
         try:
             os.fstat(number)
@@ -93,7 +93,7 @@ def tell(text: str) -> None:
 
 
 def check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
-    """Refuse places that cannot be written to before anything is computed (collective)."""
+    """Reject files and folders that cannot be written, before anything is computed (collective)."""
     from mpi4py import MPI
 
     from fenicsx_obstacle.parallel import check_file, check_folder

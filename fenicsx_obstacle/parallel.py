@@ -1,4 +1,4 @@
-"""Acting as one on all ranks: errors, sums over owned values, writing by rank 0."""
+"""MPI: errors on all ranks, sums over owned values, writing by rank 0."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fenicsx_obstacle.errors import InputError, ObstacleError
 
 @contextmanager
 def agree(comm: MPI.Comm) -> Iterator[None]:
-    """Leave the block on all ranks with the same error, if any rank raised one (collective).
+    """Raise the same error on all ranks, if any rank raises one in the block (collective).
 
     The block itself must not be collective: a rank that raised has left it.
 
@@ -88,7 +88,7 @@ def new_files(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
 
 
 def check_folder(comm: MPI.Comm, folder: Path) -> None:
-    """Refuse a place that cannot be written to, before anything is computed for it; it is left as it was (collective).
+    """Reject a folder that cannot be written, before anything is computed; it is not changed (collective).
 
     Raises:
         InputError: If the folder cannot be made or written to.

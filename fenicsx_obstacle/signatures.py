@@ -22,7 +22,7 @@ _WORDS = {float: "a number", int: "a whole number", str: "a text", bool: "True o
 
 
 def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Let a function check its arguments before it begins: their names and their types.
+    """Decorator: check the names and types of the arguments of a function.
 
     Args:
         **expected: What to say is expected, where the annotation of an argument does not say it all.

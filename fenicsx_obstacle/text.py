@@ -1,4 +1,4 @@
-"""Numbers and names in sentences."""
+"""Numbers and names in texts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def one_line(text: str, longest: int = LONGEST) -> str:
-    """A user's text in one line: no control or formatting characters, and its beginning only where it is long."""
+    """A user's text in one line, without control or formatting characters, cut if it is long."""
     shown = "".join(" " if _is_control(character) else character for character in text[: 20 * longest])
     shown = " ".join(shown.split())
     return shown if len(shown) <= longest else shown[: longest - 4].rstrip() + " ..."
@@ -44,7 +44,7 @@ def short(value: Any) -> str:
 
 
 def nearest(word: str, known: Any) -> str:
-    """A hint naming the known word most like `word`, or what is known."""
+    """A hint: the known word that is most similar to `word`, or a list of the known words."""
     alike = {name.lower(): name for name in sorted(known)}
     close = difflib.get_close_matches(word.lower(), alike, 1, 0.6)
     if close:

@@ -121,7 +121,10 @@ def test_obstacles_that_cannot_be_taken():
     many = vector(mesh, ("Lagrange", 1)) if vector else fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     x = ufl.SpatialCoordinate(mesh)
     cases = [
-        (function(square(6, low=0.1), bowl), r"upper is a Function on another mesh, .* at \(0, 0\): is that outside"),
+        (
+            function(square(6, low=0.1), bowl),
+            r"upper is a Function on another mesh, .* at \(0, 0\): is this point outside",
+        ),
         (function(square(6, dmesh.CellType.quadrilateral, high=0.9), bowl), r"on another mesh, .* at \(0, 0\.9167\)"),
         (fem.Function(many), "a Function with 2 components"),
         (function(mesh, bowl, "DG", 0), "not continuous"),

@@ -87,7 +87,7 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
 
 
 def test_the_flux_is_in_balance():
-    """div sigma = -(f_0 + lambda - nu + rho) in each cell, its normal part is continuous, and closed fans close."""
+    """div sigma = -(f_0 + lambda - nu + rho) in each cell, its normal part is continuous, and closed patches close."""
     for name, perturb in itertools.product(("ball", "two_obstacle_square", "free side"), (0.0, 0.3)):
         scene = scenes()[name].change({"mesh.perturb": perturb})
         context = SolverContext(scene)
@@ -200,7 +200,8 @@ def distance(problem: Problem, owned: np.ndarray) -> float:
 
 @pytest.mark.slow
 def test_the_same_on_any_number_of_ranks():
-    """Fans cross the ranks: bound and parts agree with those of one rank to 1e-10; ranks without cells are served."""
+    """Patches cross the ranks: bound and parts agree with those of one rank to 1e-10; ranks without cells are
+    served."""
     for name, cells in (("ball", 32), ("two_obstacle_square", 16), ("free side", 1)):
         scene = scenes()[name].change({"mesh.cells": cells, "solve.eps": "h^2"})
         together, alone = (solve(scene, comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))

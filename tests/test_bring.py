@@ -120,7 +120,7 @@ def test_floating_membrane_is_held_by_its_obstacle():
         record = solve(scene, method=method, eps=1e-8).record
         assert np.isclose(record["contact"]["lower"]["force"], 4, rtol=1e-8)
         assert np.isclose(record["energy"], -1.048524, rtol=1e-5)
-    with pytest.raises(InputError, match="given nowhere, and no obstacle holds it"):
+    with pytest.raises(InputError, match="given nowhere, and there is no obstacle"):
         solve(Scene(mesh=shape, tension=1, load=-1, boundary=[]))
 
 

@@ -181,7 +181,7 @@ def test_killed_while_compiling_does_not_block_the_next_run(tmp_path):
 def test_explain(name):
     done = run("explain", DEMOS / f"{name}.toml")
     assert done.returncode == 0
-    for word in ("-div(tension grad u)", "(3.4)", "vertex rule", "SNES", "left out"):
+    for word in ("-div(tension grad u)", "(3.4)", "vertex rule", "SNES", "not included"):
         assert word in done.stdout
 
 

@@ -44,19 +44,16 @@ EVERYWHERE = [
     ),
     Word(r"\b(NOTHING|GREW|ENOUGH|AHEAD|LOST|DEEP)\b", "a constant is named for its quantity"),
     Word(r"\b(what (it|an answer) is worth|how right is|how near it is)\b", "accuracy, error bound, effectivity"),
+    Word(r"\bgives? way\b", "penetrates by, moves by"),
+    Word(r"\bsoonest\b|\bnever pays?\b|\bdearer\b|\bwho had it\b", "the fastest method, never the cheapest choice"),
+    Word(r"\b([Ff]ans|Peaks|Standing|outlets)\b", "vertex patches, ObstacleExcess, Certification, console"),
+    Word(r"\b(Bench|Ladder|Trap|Workbench|OfForm|OfSlope|HeldBoundary)\b", "a class is named by a noun of the field"),
+    Word(r"\bheights (of u|are rounded|differ|resolve)\b|\b(of|these|present) (the )?heights\b", "u, values of u"),
     Word(
-        r"\bgives? way\b",
-        "penetrates by, moves by",
-        {
-            "families/equilibria.py": "scenes of the verification, to be renamed with their module",
-            "cost_page.py": "the page of a study, to be renamed with show",
-        },
+        r"\bholds with room\b|\bnothing has asked for\b|\bis told of\b", "not sharp; that no solver uses; is reported"
     ),
-    Word(
-        r"\bsoonest\b|\bnever pays?\b",
-        "the fastest method, never the cheapest choice",
-        {"cost_page.py": "the page of a study, to be renamed with show"},
-    ),
+    Word(r"\b(march|marches|begun|stood|whoever)\b", "time stepping, started, was, the fastest method"),
+    Word(r"\bgo(es)? on from\b|\bleft out\b", "continue from, not included"),
 ]
 IN_PAGES = [
     *EVERYWHERE,

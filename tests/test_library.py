@@ -228,7 +228,7 @@ def test_models_that_contradict_themselves():
     one = field(1.0, "test: one")
     tension, load = find("tension")(one), find("load")(one)
     for effects in ((load,), (tension, tension)):
-        with pytest.raises(InputError, match="test: one effect must give"):
+        with pytest.raises(InputError, match="test: exactly one effect must be"):
             Model(effects, source="test")
     with pytest.raises(InputError, match="one or the other"):
         Model((tension,), lower=one, boundary=[Part("edge", lower=one)], source="test")

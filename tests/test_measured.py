@@ -233,7 +233,7 @@ def test_wherever_a_datum_stands(files):
         ("x,y,z\n", "", "holds no numbers"),
         ("0,0,1\n1,0,2\n0,1\n", "", "line 3 has 2 columns, the lines before it 3"),
         ("x,y,z\n0,0,1\n1,0,two\n0,1,1\n", "", "line 3: 'two' is no number"),
-        ("0,0,1\n1,0,nan\n0,1,\n1,1,1\n", "", r"2 of 4 heights are not finite numbers: at \(1, 0\); \(0, 1\); fill"),
+        ("0,0,1\n1,0,nan\n0,1,\n1,1,1\n", "", r"2 of 4 values are not finite numbers: at \(1, 0\); \(0, 1\); replace"),
         ("0,0,1\n1,1,2\n2,2,3\n", "", "3 points that span no area"),
         ("0,0,1\n1,0,2\n0,1,3\n0,0,4\n", "", r"two heights or more at \(0, 0\)"),
         ("1,2,3,4\n1,2,3,4\n", "", "heights alone, 2 x 4: give extents, x = "),

@@ -57,7 +57,7 @@ def test_moments_determine_a_flux():
 @pytest.mark.parametrize("perturb", [0.0, 0.3])
 def test_the_flux_is_in_balance(perturb):
     """div sigma = -(Pi_1 f + lambda - nu + rho) in each cell, the normal part and its moment are continuous, and the
-    fans of free vertices close."""
+    patches of free vertices close."""
     for name in ("ball", "two_obstacle_square"):
         with closing(SolverContext(quadratic(name, **{"mesh.perturb": perturb}))) as context:
             context.answer(bound=True)

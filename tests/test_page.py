@@ -76,7 +76,7 @@ def test_study_page_holds_everything(study_page, disk):
     assert disk.tables.title in words
     assert '[obstacle]\nupper = "c"' in words  # the scene
     assert "-div(tension grad u) = load + p" in words  # the equation
-    assert "left out" in words
+    assert "not included" in words
     assert "paper: 1" in words  # orders beside the paper's
     assert len(re.findall(r"<tr><td>(?:8|16)</td>", text)) == 2
     assert "dolfinx" in words

@@ -139,18 +139,18 @@ def test_normal_flux_into_a_curve_inside():
 MISTAKES = {
     "normal flux in the domain": (
         "integral(normal_flux)",
-        r"normal_flux is known on a part of the boundary: integral\(n",
+        r"normal_flux is defined on a part of the boundary only: integral\(n",
     ),
-    "normal flux at a point": ("at(normal_flux, 0, 0)", "normal_flux is known on a part of the boundary"),
-    "normal flux alone": ("1 + normal_flux", "normal_flux is known on a part of the boundary"),
+    "normal flux at a point": ("at(normal_flux, 0, 0)", "normal_flux is defined on a part of the boundary"),
+    "normal flux alone": ("1 + normal_flux", "normal_flux is defined on a part of the boundary"),
     "unknown name": ("integral(v)", r"\[report\] q: unknown name 'v'[\s\S]*\n    integral\(v\)\n             \^"),
     "field outside": (
         "2*u",
         r"'u' is a field: use integral, at, max or min of it\n    2\*u\n      \^",
     ),
-    "define outside": ("1 + f", "'f' differs from place to place"),
+    "define outside": ("1 + f", "'f' is a field"),
     "later entry": ("integral(u)*later", "unknown name 'later'"),
-    "varying point": ("at(u, x, 0)", "'x' differs from place to place"),
+    "varying point": ("at(u, x, 0)", "'x' is a field"),
     "coordinates": ("1 + at(u, 1)", r"at\(\) needs 2 coordinates here, not 1\n    1 \+ at\(u, 1\)\n        \^"),
     "arguments": ("sup(u, 1)", "sup takes 1 argument, not 2"),
     "largest": ("1 + max()", "max takes 2 to 9 arguments, not 0"),
@@ -175,7 +175,7 @@ def test_names_and_places():
         membrane(report={"u": 1})
     with pytest.raises(InputError, match="unknown function 'integral'; it belongs in"):
         membrane(load="integral(x)")
-    with pytest.raises(InputError, match=r"'distance' is known at points only.*not in \[exact\]"):
+    with pytest.raises(InputError, match=r"'distance' has no gradient.*not allowed in \[exact\]"):
         membrane(define={"d": "2*distance"}, exact="d")
     with pytest.raises(InputError, match="'distance' is 0 on the whole boundary"):
         membrane(boundary=[{"where": "distance < 1", "value": 0}])
@@ -265,7 +265,7 @@ def test_distance_where_formulas_stand():
 
 def test_distance_needs_a_boundary_in_the_same_space(folder):
     scene = Scene.read(DEMOS / "bearing.toml").change({"obstacle.lower": "-distance"})
-    with pytest.raises(InputError, match="not for curves and surfaces in space"):
+    with pytest.raises(InputError, match="not available on curves and surfaces in space"):
         solve(scene)
 
 
@@ -373,7 +373,7 @@ def test_flux_through_a_curve_inside(element):
     for text, message in (
         ("integral(normal_flux, 'middle', 'west')", "no material named 'west'"),
         ("integral(normal_flux, 'middle')", "from one side it is integral"),
-        ("integral(jump)", "jump is known on a curve inside"),
+        ("integral(jump)", "jump is defined on a curve inside"),
         ("integral(normal_flux, 'west', 'stiff')", "'stiff' is not beside 'west'"),
     ):
         with pytest.raises(InputError, match=message):

@@ -66,7 +66,7 @@ MISTAKES = {
     "wrong type": (BASE.replace("4", '"many"'), r"\[mesh\] cells = 'many': expected a whole number"),
     "idle key": (
         BASE.replace("cells", "radius"),
-        r"\[mesh\] radius = 4: says nothing about shape = 'rectangle'; these keys do: cells",
+        r"\[mesh\] radius = 4: does not belong to shape = 'rectangle'; its keys are: cells",
     ),
     "one bracket": (BASE + "[boundary]\nvalue = 0\n", r"\[boundary\]: write \[\[boundary\]\], in double brackets"),
     "unknown choice": (BASE.replace("rectangle", "rectangel"), "'rectangel' is not known; did you mean 'rectangle'"),

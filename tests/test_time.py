@@ -316,16 +316,16 @@ def test_saved(folder):
 REFUSED = {
     "needs a table [time]": {"rate": 1},
     "the key 'start' is missing": {"rate": 1, "time": {"end": 1, "steps": 1}},
-    "is an equilibrium of its own": {"time": {"end": 1, "steps": 1, "start": 0}},
+    "an equilibrium is computed at each time": {"time": {"end": 1, "steps": 1, "start": 0}},
     "it needs inertia": {"rate": 1, "time": {"end": 1, "steps": 1, "start": 0, "velocity": 1}},
     "euler and bdf2 are for rate": {"inertia": 1, "time": {"end": 1, "steps": 1, "start": 0, "scheme": "bdf2"}},
     "it needs rate without inertia": {"inertia": 1, "time": {"end": 1, "steps": 1, "start": 0, "tolerance": 1.0}},
     "must be positive": {"time": {"end": "1 - 2", "steps": 1}},
     "unknown name 't'": {"load": "t"},
-    "parts of the boundary stay": {
+    "parts of the boundary cannot depend on time": {
         "boundary": [{"value": 0, "where": "x < t"}], "time": {"end": 1, "steps": 1},
     },
-    "inertia does not go with soft_obstacle": {
+    "inertia cannot be combined with soft_obstacle": {
         "inertia": 1, "soft_obstacle": {"upper": 0, "stiffness": 1}, "time": {"end": 1, "steps": 1, "start": 0},
     },
     "is beyond an obstacle": {"rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"}},
@@ -347,11 +347,11 @@ def test_refused(words):
 
 
 def test_no_bound_and_no_restart():
-    """The bound is for one equilibrium; a scene at rest has nothing to go on from; states are of one mesh."""
+    """The bound is for one equilibrium; a scene at rest has no state to continue from; states are of one mesh."""
     scene = Scene(mesh=INTERVAL, tension=1, lower=-1, time={"end": 1, "steps": 2})
     with pytest.raises(InputError, match="one equilibrium"):
         solve(scene, tol=0.1)
-    with pytest.raises(InputError, match="nothing to go on from"):
+    with pytest.raises(InputError, match="no state to continue from"):
         solve(Scene(mesh=INTERVAL, tension=1, lower=-1), restart="nowhere")
     with pytest.raises(InputError, match="no state to go on from"):
         solve(scene, restart="nowhere")

@@ -10,15 +10,15 @@ from sphinx.util import logging
 from sphinx.writers.html5 import HTML5Translator
 
 LOG = logging.getLogger(__name__)
+FRACTION = re.compile(r"\\frac\s*([0-9A-Za-z])\s*([0-9A-Za-z])")  # docutils takes both digits of \frac12 as one number
 DELIMITER = re.compile(r'<mo(?: class="mathopen"| stretchy="false")?>([‖{}|])</mo>')
 
 
 def _convert(node: nodes.Element, *, block: bool) -> str:
+    formula = FRACTION.sub(r"\\frac{\1}{\2}", node.astext())
     try:
         # without attributes browsers stretch delimiters beyond their contents, and space bars as operators
-        return DELIMITER.sub(
-            r'<mo stretchy="false" lspace="0" rspace="0">\1</mo>', tex2mathml(node.astext(), as_block=block)
-        )
+        return DELIMITER.sub(r'<mo stretchy="false" lspace="0" rspace="0">\1</mo>', tex2mathml(formula, as_block=block))
     except MathError as error:
         LOG.warning("formula %r: %s", node.astext(), error, location=node)
         return ""

@@ -1,5 +1,5 @@
-"""From a scene to an answer: the choice of solver, the frozen result, the saved folder.
+"""Solutions of scenes: solver context, adaptive refinement, time stepping, saved folders.
 
-Enters: what puts levels, solvers and estimates together for one answer. Stays out: several answers in a row; pictures,
-but for the late import of `Answer.plot`.
+Contents: levels, solvers and estimates combined for one solution. Not here: several solutions in a row, which are
+`studies`; pictures, except for the late import in `Answer.plot`.
 """

@@ -31,8 +31,10 @@ _log = logging.getLogger(__name__)
 BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
 MIN_BULK = 0.1
 SAFETY_OF_BULK = 1.1  # times the share of the bound that should do: cut into four, cells keep 4^-degree of its square
-BALANCED = 0.2  # penalty part over that of the mesh, from which a smaller eps pays
-PENALTY_SHARE_AHEAD = 0.04  # times that: solvers do not mind, and the next meshes need no smaller one
+BALANCED = 0.2  # ratio of the parts of penalty and mesh above which eps is reduced
+PENALTY_SHARE_AHEAD = (
+    0.04  # times this ratio: eps is reduced further than necessary, so that the next meshes need no smaller one
+)
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
 
 
@@ -66,7 +68,7 @@ def solve(
         method: penalty, successive or vi.
         start: nested, from the coarsest level of the mesh on, or cold.
         element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
-        comm: Communicator; a mesh of the scene's own brings its own.
+        comm: Communicator; not used if the scene has a DOLFINx mesh.
         yardstick: Also time a linear Poisson solve on the same mesh, the baseline.
         bound: Bound the error: answer.bound.
         tol: Tolerance for the relative error in the energy norm; the mesh and, if it is auto, eps are chosen.
@@ -80,7 +82,7 @@ def solve(
         The solution, always converged.
 
     Raises:
-        InputError: For bad data.
+        InputError: If the data are invalid.
         NotConverged: With PETSc's reason.
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
@@ -104,7 +106,7 @@ def solve(
 
 
 class Refinement:
-    """Answers on meshes that grow where the error is, eps so small that the mesh decides.
+    """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates.
 
     Attributes:
         scene: What is solved.
@@ -122,7 +124,7 @@ class Refinement:
 
     @property
     def bulk(self) -> float:
-        """What to refine, for these elements."""
+        """The share of the bound whose cells are refined, for this element."""
         return BULK[self.scene.pair.degree]
 
     def meshes(
@@ -160,8 +162,8 @@ class Refinement:
             close(benches)
 
     def _balanced(self, context: SolverContext) -> Answer:
-        """The answer on one mesh, with eps so small that it is the mesh that bounds the accuracy (collective)."""
-        first = not self.path  # there an exact solution that is none is told of
+        """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
+        first = not self.path  # a wrong exact solution is reported on the first mesh
         answer = context.answer(self.options, bound=True, errors=first)
         bound = _bound(answer)
         while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
@@ -181,7 +183,7 @@ class Refinement:
         return answer
 
     def _may_lower_eps(self, answer: Answer) -> bool:
-        """Whether eps is ours to choose: what the user gave is kept."""
+        """Whether eps is chosen automatically; a number of the user is kept."""
         return answer.record["eps"] is not None and not self.given
 
 
@@ -218,7 +220,7 @@ class _Adaptation(Refinement):
         return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
     def _share(self, answer: Answer) -> float:
-        """The last mesh need not be finer than it has to be."""
+        """The share of the bound whose cells are refined next, smaller before the last mesh."""
         beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
         return min(self.bulk, max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**self.scene.pair.degree)))
 
@@ -232,7 +234,7 @@ class _Adaptation(Refinement):
         return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
 
     def _finished(self, answer: Answer) -> str | None:
-        """None to go on, "" at the tolerance, otherwise what stopped it (collective)."""
+        """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
         bound, limit = _bound(answer), self._limit(answer)
         if bound.total <= limit:
             return ""
@@ -265,7 +267,7 @@ def _indicator(answer: Answer) -> np.ndarray:
 
 
 def _marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:
-    """The fewest owned cells that carry a share of the sum over all ranks (collective)."""
+    """The fewest owned cells that together have a given share of the sum over all ranks (collective)."""
     everything = total(comm, indicator)
     low, high = 0.0, largest(comm, indicator)
     while high - low > 1e-9 * high:

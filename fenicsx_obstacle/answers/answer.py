@@ -87,7 +87,7 @@ class Answer(Solution):
         """
         if self.tension is not None:
             return self.tension
-        from fenicsx_obstacle.discrete.data import Data  # only where it is asked for
+        from fenicsx_obstacle.discrete.data import Data  # only if requested
         from fenicsx_obstacle.discrete.time_differences import Moment
 
         time = self.record.get("time")
@@ -101,11 +101,11 @@ class Answer(Solution):
         """A saved answer with the element it was computed with, on any number of ranks (collective).
 
         Args:
-            folder: Of `save`.
+            folder: A folder of `save`.
             comm: The ranks that share its mesh.
 
         Raises:
-            InputError: If the folder does not hold one.
+            InputError: If the folder has no saved solution.
         """
         from fenicsx_obstacle.io.folder import read
 

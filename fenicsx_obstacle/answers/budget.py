@@ -1,4 +1,4 @@
-"""What a solve may take: seconds, memory, unknowns."""
+"""Limits of a solve: seconds, memory, unknowns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _UNITS = {"s": ("seconds", 1.0), "min": ("seconds", 60.0), "h": ("seconds", 3600
 
 @dataclass(frozen=True)
 class Budget:
-    """Limits; infinite ones are none.
+    """Limits of a solve; inf means no limit.
 
     Attributes:
         seconds: Of the solve, all meshes together.

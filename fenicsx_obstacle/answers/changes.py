@@ -1,4 +1,4 @@
-"""What a caller changes of a scene: keys by their names in TOML, the usual ones by short names."""
+"""Changes of a scene: keys by their names in TOML, frequent ones by short names."""
 
 from __future__ import annotations
 

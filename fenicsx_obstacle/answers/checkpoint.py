@@ -1,4 +1,4 @@
-"""Where a scene with [time] stands, in a file from which it goes on, on any number of ranks."""
+"""Checkpoints of scenes with [time], from which any number of ranks can continue."""
 
 from __future__ import annotations
 

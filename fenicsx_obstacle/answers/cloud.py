@@ -1,4 +1,4 @@
-"""A solution as points with weights: how far any answer is from it, on whatever mesh, and without one of its own."""
+"""A solution sampled at quadrature points, for distances to solutions on other meshes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ AT_ONCE = 300_000  # points that are looked up together
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Values and slopes of a solution at the quadrature points of its own cells, the same on every rank.
+    """Values and gradients of a solution at the quadrature points of its cells, the same on every rank.
 
     Attributes:
         points: Coordinates, shape (n, 3).
@@ -104,7 +104,7 @@ class Cloud:
 
 
 class Nearby:
-    """Distances of functions on one mesh to a cloud; which cells hold its points is found once.
+    """Distances of functions on one mesh to a cloud; the cells that contain its points are found once.
 
     Points outside the mesh, where shapes are curved, count 0; on a side all cells beside it count alike.
     """
@@ -153,7 +153,7 @@ def _along(tension: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 
 
 def _data(answer: Answer) -> Data:
-    """What the effects are on its mesh; of a scene with time at the end."""
+    """The data of an answer on its mesh; with [time] those at the end."""
     moments = answer.scene.time
     if moments is None:
         return Data(answer.scene.model, answer.level)

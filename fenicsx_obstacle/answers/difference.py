@@ -1,4 +1,4 @@
-"""What distinguishes two answers: norms of u and p, contact sets, forces, energy; on one mesh or on two."""
+"""Differences of two solutions, on one mesh or on two: norms of u and p, contact sets, forces, energy."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
 
 
 def _read(folder: Path) -> Solution:
-    """What a folder holds: the answer of a scene, or the solution of a form (collective).
+    """Read a folder: the answer of a scene, or the solution of a form (collective).
 
     Raises:
         InputError: If it holds neither.

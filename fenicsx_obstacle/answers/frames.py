@@ -1,4 +1,4 @@
-"""The course of a scene with [time] in the folder of its answer: history.csv, and frames for ParaView."""
+"""Files of a scene with [time]: history.csv, and fields at the saved times for ParaView."""
 
 from __future__ import annotations
 

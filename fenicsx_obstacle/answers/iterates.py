@@ -1,4 +1,4 @@
-"""Newton at work: the active set of each step, on all levels, found by solving once more for who wants to see it."""
+"""The active set of each Newton step on all levels, from a second solve; for animations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fenicsx_obstacle.solvers.stopping import Step
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Where a solver was after a step.
+    """The state of a solver after a step.
 
     Attributes:
         step: Its figures.

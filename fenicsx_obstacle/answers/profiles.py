@@ -1,4 +1,4 @@
-"""The lines and curves of [profile.NAME]: where they are on a mesh, and what a solution is along them."""
+"""Lines and curves of [profile.NAME]: their points, and the solution along them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def points_of(scene: Scene, level: Level) -> dict[str, np.ndarray]:
 
 
 def profiles_of(answer: Answer) -> dict[str, Profile]:
-    """What a solution is along all profiles of its scene (collective).
+    """The solution along all profiles of its scene (collective).
 
     Raises:
         InputError: As `points_of`.

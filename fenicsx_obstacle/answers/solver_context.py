@@ -1,4 +1,4 @@
-"""From a scene to an answer: mesh, problem, solver, figures."""
+"""Solves a scene: mesh, problem, solver, output quantities."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _log = logging.getLogger(__name__)
 
 
 class SolverContext:
-    """A scene's mesh and problem, kept for several solves that differ in their options only.
+    """Mesh and discrete problem of a scene, for several solves that differ in their options only.
 
     Attributes:
         scene: What is solved.
@@ -67,7 +67,7 @@ class SolverContext:
 
         Args:
             scene: What to solve.
-            comm: Communicator; a mesh of the scene's own brings its own.
+            comm: Communicator; not used if the scene has a DOLFINx mesh.
             level: The scene's mesh, where it is made already.
             before: A solver context on the level below, whose solution is the start.
             options: Of the solves, instead of those of the scene.
@@ -95,7 +95,7 @@ class SolverContext:
         if scene.tables.profile:
             from fenicsx_obstacle.answers.profiles import points_of  # only where a scene names one
 
-            points_of(scene, level)  # refuses points outside before anything is solved
+            points_of(scene, level)  # rejects points outside before anything is solved
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None
@@ -143,7 +143,7 @@ class SolverContext:
             InputError: If there are none for its elements.
         """
         if self._estimator is None:
-            from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
+            from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 
             self._estimator = Estimator(self.problem)
             if self.problem.affine:
@@ -151,11 +151,11 @@ class SolverContext:
         return self._estimator
 
     def forget_estimator(self) -> None:
-        """Free what bounds need, some kB per node, where this mesh is only a level below another from now on."""
+        """Free the estimator, some kB per node, when this mesh becomes a coarse level of another one."""
         self._estimator = None
 
     def forget_levels(self) -> None:
-        """Free problems and multigrid of the levels below, which the next solve would make anew (collective)."""
+        """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""
         self._grids = self._problems = None
         releases.free(level.comm for level in self.problem.level.downward)
         return_freed_memory()
@@ -202,7 +202,9 @@ class SolverContext:
         if problem.forms.multiplier is not None:  # of an earlier solve
             problem.forms.multiplier.x.array[:] = 0.0
         moment = problem.data.moment
-        if scene.time is not None and moment is not None and moment.t > 0:  # an earlier march has left data at its end
+        if (
+            scene.time is not None and moment is not None and moment.t > 0
+        ):  # earlier time stepping has left the data of its end
             moment.go_back(scene.time)
             below = [grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]]
             for one in (problem, *reversed(below)):
@@ -297,7 +299,7 @@ class SolverContext:
         return TimeStepper(problem, below, solve, partial(state_of, problem, method), self._reported, self._fields)
 
     def _reported(self, state: State) -> dict[str, float | None]:
-        """The figures of [report] (collective)."""
+        """The output quantities of [report] (collective)."""
         if self._report is None:
             return {}
         time_, support = self.problem.model.time, self.problem.elastic.array_r
@@ -372,7 +374,7 @@ class SolverContext:
         )
 
     def _fields(self, state: State) -> Answer:
-        """The fields of an answer, without figures."""
+        """The fields of an answer, without output quantities."""
         problem, data = self.problem, self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
         tension = data.model.elastic.tension_at(state.u, data)

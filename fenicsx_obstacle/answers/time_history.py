@@ -1,4 +1,4 @@
-"""What a scene did in time: a row of figures for each step, and its fields at some moments."""
+"""Results of a scene with [time]: a row of output quantities for each step, and fields at the saved times."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TimeHistory:
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
 
     def renumbered(self, old: np.ndarray, new: np.ndarray | None) -> TimeHistory:
-        """With frames in the order of points `new`, their nodes stood at `old`."""
+        """With frames in the order of points `new`, whose nodes were at `old`."""
         return TimeHistory(self.rows, tuple(renumbered(self.frames, old, new)))
 
 
@@ -61,7 +61,7 @@ def from_groups(groups: Iterable[Any]) -> list[Frame]:
 
 
 def renumbered(frames: Sequence[Frame], old: np.ndarray, new: np.ndarray | None) -> list[Frame]:
-    """Frames whose nodes stood at points `old`, in the order of points `new`; empty ones where there are none."""
+    """Frames whose nodes were at points `old`, in the order of points `new`; empty ones where there are none."""
     if new is None:
         return [Frame(frame.t, {}) for frame in frames]
     order = cKDTree(old).query(new)[1]

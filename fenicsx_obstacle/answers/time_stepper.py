@@ -1,4 +1,4 @@
-"""A scene with [time]: one static problem after the other, each on the same mesh and matrices."""
+"""Time stepping of a scene: a sequence of stationary problems with the same mesh and matrices."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
 EVERY = 20.0  # seconds between states on the disk
-CROSSES = 1e-9  # of the heights: what a start may be beyond an obstacle
+CROSSES = 1e-9  # of the range of u: how far initial values may be beyond an obstacle
 
 
 class TimeStepper:
@@ -85,7 +85,7 @@ class TimeStepper:
 
     @contextmanager
     def _at(self, t: float) -> Iterator[None]:
-        """Errors within the block say at which time they were met."""
+        """Add the present time to the message of an error in the block."""
         when = f"at {one_line(self.moments.name)} = {t:g}"
         try:
             yield
@@ -217,7 +217,7 @@ class TimeStepper:
         return self._solve()
 
     def _move(self, t: float, u_values: np.ndarray) -> None:
-        """Let all levels have the data of a moment."""
+        """Set the data of a time on all levels."""
         assert self.problem.data.moment is not None
         self.problem.data.moment.t = t
         changed = self.problem.move(u_values)
@@ -241,7 +241,7 @@ class TimeStepper:
             out.destroy()
 
     def _row(self, t: float, dt: float | None, outcomes: Sequence[Outcome]) -> None:
-        """Put down the figures of a step, and its fields where their turn has come."""
+        """Append the output quantities of a step, and its fields if they are to be saved."""
         self._remember()
         last = outcomes[-1] if outcomes else None
         row = {

@@ -1,4 +1,4 @@
-"""Whether any u can satisfy a model: boundary values between the obstacles, obstacles that do not cross."""
+"""Checks that the admissible set is not empty: obstacles do not cross, boundary values are between them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-ROUND_OFF = 1e-10  # of the heights: obstacle and boundary value may come from different formulas
+ROUND_OFF = 1e-10  # relative to the values: obstacle and boundary value may come from different formulas
 
 
 def check_admissible(data: Data) -> None:
-    """Refuse obstacles that cross and boundary values beyond them: no u could satisfy both (collective).
+    """Reject obstacles that cross, and boundary values that are not between them (collective).
 
     Where a boundary value is beyond an obstacle by round-off only, the obstacle is moved to it.
 
@@ -47,7 +47,7 @@ def check_admissible(data: Data) -> None:
 
 
 def _check_parts(data: Data) -> None:
-    """Refuse what acts where u is given (collective)."""
+    """Reject fluxes, springs and obstacles on parts where u is given (collective)."""
     if all(part.value is not None for part in data.model.boundary):
         return
     held = np.unique(np.concatenate([np.empty(0, np.int32), *data.held]))
@@ -67,7 +67,7 @@ def _check_parts(data: Data) -> None:
 def _refuse_beyond(
     data: Data, beyond: np.ndarray, tolerance: float, values: fem.Function, obstacle: fem.Function, where: str
 ) -> None:
-    """Reject boundary values beyond an obstacle, naming who gave the value (collective)."""
+    """Reject boundary values beyond an obstacle, naming the table that gives the value (collective)."""
     found = _worst(data, beyond, tolerance)
     if found is not None:
         _, point, dof = found

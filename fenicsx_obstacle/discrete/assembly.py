@@ -1,4 +1,4 @@
-"""Two ways to evaluate (3.4) on one level: the UFL forms each time, and matrices assembled once.
+"""Evaluation of (3.4) on one level, by UFL forms or by matrices that are assembled once.
 
 With the nodal rule the penalty (3.6) is a diagonal, so whenever all effects are affine the residual is
 A w + (A r - f) + D chi (w - gap) / eps, and a Newton step changes nothing but the diagonal of its matrix. That makes
@@ -26,7 +26,7 @@ from fenicsx_obstacle.parallel import largest, total
 
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
 FAR = 1e300  # an infinite distance, in a form
-HELD = 1e16  # times the diagonal of a row that is to answer zero
+HELD = 1e16  # times the diagonal of a row whose solution is to be zero
 MOSTLY = 0.25  # of the sum of the forces: those of P2 at vertices have either sign
 ROUND_OFF = 1e-12  # of the sum of the forces
 
@@ -36,7 +36,7 @@ class Forms:
 
     Attributes:
         w: The unknown.
-        reference: r; the heights are w + r.
+        reference: r; u = w + r.
         below: Distance of the lower obstacle from r, or None.
         above: Distance of the upper obstacle from r, or None.
         eps: Penalty parameter.
@@ -73,7 +73,7 @@ class Forms:
         self._made: dict[str, Any] = {}
 
     def _set_contact_measure(self) -> None:
-        """Where I is taken, and by which rule."""
+        """Set the measure of the contact integral I, and its rule."""
         data = self.data
         self.measure: Any = data.dx
         self.rule = data.level.pair.rule(releases.cell_name(data.level.mesh))
@@ -140,7 +140,7 @@ class Forms:
             out.array[:] -= forces
 
     def renew(self, A: PETSc.Mat, *, stiffness: bool) -> bool:
-        """Assemble anew what has changed with time, with A of `create_matrix`; whether the stiffness is among it."""
+        """Assemble again the parts that depend on time; returns whether the stiffness has changed."""
         return stiffness
 
     def reaction(self, out: PETSc.Vec) -> None:
@@ -202,7 +202,7 @@ class Forms:
 
 
 class Nodal(Forms):
-    """The same for affine effects, from A, f and D assembled once (all methods collective)."""
+    """The same for affine effects, from A, f and D that are assembled once (all methods collective)."""
 
     def __init__(self, effects: Sequence[Effect], data: Data):
         super().__init__(effects, data)
@@ -252,7 +252,7 @@ class Nodal(Forms):
 
     @cached_property
     def _stiffness_moves(self) -> bool:
-        """Whether anything in it depends on time."""
+        """Whether the stiffness depends on time."""
         form = expand_derivatives(self._slope)
         return bool({*form.coefficients(), *form.constants()} & set(self.data.moving))
 
@@ -276,9 +276,9 @@ class Nodal(Forms):
         self.set_reference()
 
     def pushes(self, side: int) -> bool:
-        """Whether forces at nodes push to a side, -1 or 1, whatever samples of the load say (collective).
+        """Whether the nodal forces have the sign of a side, -1 or 1, up to a small part of their sum (collective).
 
-        Mostly to that side; where forces were added at vertices, any beyond round-off counts.
+        Where forces were added at vertices, any beyond round-off counts.
         """
         forces, comm = -self._minus_load.array_r, self.data.level.comm
         share = ROUND_OFF if self.forces is not None and self.data.level.pair.at_vertices else MOSTLY
@@ -322,13 +322,13 @@ class Nodal(Forms):
         return value
 
     def penalty_diagonal(self) -> np.ndarray:
-        """Derivative of the penalty, D_i / eps at owned dofs in contact, else 0: what holds a node there."""
+        """The derivative of the penalty: D_i / eps at owned dofs in contact, otherwise 0."""
         penalty_diagonal = self._D * (self._excess() != 0) / float(self.eps.value)
         penalty_diagonal[self.fixed] = 0.0
         return penalty_diagonal
 
     def add_penalty_diagonal(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
-        """Fill A with the stiffness and a spring at each owned dof; at an infinite one A answers nothing but zero."""
+        """Set A to the stiffness plus a diagonal at owned dofs; an infinite entry fixes the dof at zero."""
         self._changed.array[:] = self.diagonal
         if penalty_diagonal is not None:
             self._changed.array[:] += np.minimum(penalty_diagonal, HELD * self.diagonal)

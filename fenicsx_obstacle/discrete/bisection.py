@@ -1,4 +1,4 @@
-"""Meshes refined where an indicator says so: marked triangles cut in four, their neighbours bisected to fit.
+"""Local refinement: marked triangles are cut into four, and neighbours are bisected for conformity.
 
 A triangle with a marked edge has its longest edge marked too, so that angles stay bounded (Rivara). DOLFINx's own
 refinement gives no parents in 0.5, and omits ghosts in 0.9.
@@ -33,7 +33,8 @@ _CHILDREN: dict[int, dict[tuple[bool, ...], list[tuple[int, ...]]]] = {
 
 
 def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh, np.ndarray, np.ndarray]:
-    """The mesh with all edges of marked cells halved, and as few others as fit; cells stay on their rank (collective).
+    """The mesh with all edges of marked cells halved, and few others for conformity; cells stay on their rank
+    (collective).
 
     Args:
         V: P1 space on intervals or triangles.

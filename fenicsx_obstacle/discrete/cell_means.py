@@ -1,4 +1,4 @@
-"""Means of a tension that jumps within cells.
+"""Cell means of a tension that jumps within cells.
 
 Of all numbers in a cell the mean makes the energy error least: with it the solution in P1 is that of Galerkin's method.
 A soft value in a cell that is partly hard is the worst, its error is not bounded as the contrast grows.
@@ -21,14 +21,14 @@ from fenicsx_obstacle.parallel import agree
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
 
-JUMP = 1.1  # ratio of values in a cell: what varies less is smooth for all that matters
+JUMP = 1.1  # ratio of values in a cell: a datum that varies less counts as smooth
 STEEP = 3.0  # of quadratics: positive values up to 4 on triangles, 4.5 on squares, 3.09 on cubes make them positive
 INSET = 1e-6  # of the way to the middle: on the boundary of a cell the datum may be that of its neighbour
 PARTS = {1: 64, 2: 8, 3: 4}  # of an edge, by dimension
 
 
 def average(data: Data, tension: Field, made: fem.Function) -> None:
-    """Put means into the cells where a positive datum jumps (collective).
+    """Replace the values of a positive datum by its mean in cells in which it jumps (collective).
 
     Args:
         data: Of the mesh.
@@ -38,7 +38,7 @@ def average(data: Data, tension: Field, made: fem.Function) -> None:
     dofs = releases.cell_dofs(made.function_space)
     at_dofs, x = made.x.array[dofs], corners(data.level.mesh)
     limit = JUMP if dofs.shape[1] == 1 else STEEP
-    if not tension.everywhere:  # as Functions of other meshes: what there is must do
+    if not tension.everywhere:  # such as Functions of other meshes: only the given samples are used
         steep = at_dofs.max(axis=1, initial=0.0) > limit * at_dofs.min(axis=1, initial=np.inf)
         made.x.array[dofs[steep]] = at_dofs[steep].mean(axis=1)[:, None]
         return
@@ -51,7 +51,7 @@ def average(data: Data, tension: Field, made: fem.Function) -> None:
             values = np.where(np.isfinite(values) & (values > 0), values, at_dofs[cells].mean(axis=1)[:, None])
             steep = cells[values.max(axis=1, initial=0.0) > limit * values.min(axis=1, initial=np.inf)]
             within = _values(data, part, places @ x[steep], steep)
-            usable = np.isfinite(within) & (within > 0)  # others are refused where they matter
+            usable = np.isfinite(within) & (within > 0)  # others are rejected where they are used
             if limit == JUMP:
                 jumps = _jumps(np.where(usable, within, at_dofs[steep]))
                 steep, within, usable = steep[jumps], within[jumps], usable[jumps]
@@ -62,7 +62,7 @@ def average(data: Data, tension: Field, made: fem.Function) -> None:
 
 
 def _jumps(values: np.ndarray) -> np.ndarray:
-    """Whether positive values at many points of a cell are apart from each other in two groups, not all along."""
+    """Whether positive values at many points of a cell form two separate groups, so that the datum jumps."""
     ordered = np.log(np.sort(values, axis=1))
     return np.diff(ordered, axis=1).max(axis=1, initial=0.0) > 0.5 * np.ptp(ordered, axis=1)
 

@@ -1,4 +1,4 @@
-"""Weights D_i of pairs that have others than those of their rule: sums of what the cells at a node give it."""
+"""Weights D_i of pairs that define them cell by cell, such as Voronoi areas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coarse levels without coarse meshes: which nodes stay, and how the others are interpolated from them.
+"""Algebraic coarse levels: choice of the coarse nodes, and interpolation from them.
 
 The coarse nodes are a maximal independent set of the graph of A. The others are interpolated from those within two
 edges of them by moving least squares, so that linear functions are interpolated exactly. Then the coarse problem is
@@ -25,7 +25,7 @@ FREE, BOUNDARY, FIXED = 0, 1, 2  # kinds of nodes, in the order in which they ar
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Owned nodes of a level, as coarsening sees them.
+    """Owned nodes of a level with the data that coarsening needs.
 
     Attributes:
         x: Coordinates, shape (nodes, 3).

@@ -1,4 +1,4 @@
-"""Whether the parts of a mesh that touch are connected: facets that lie on each other without shared nodes.
+"""Checks that the parts of a mesh that touch are connected, and that none overlap.
 
 CAD bodies that were not fragmented are meshed one by one. Where they touch, each has nodes of its own, so that they are
 separate membranes: no error shows in the solution.
@@ -42,7 +42,7 @@ _CELLS = {
 
 
 def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
-    """Reject a mesh that is no domain (collective).
+    """Reject invalid meshes (collective).
 
     Args:
         mesh: From a file, or the caller's own.
@@ -71,7 +71,7 @@ def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
 
 
 def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
-    """What is wrong with the cells of a mesh, with a place: one without volume, or three at a facet (collective)."""
+    """A message about an invalid cell, such as one without volume or three cells at a facet (collective)."""
     dim, own = mesh.topology.dim, slice(own_cells(mesh))
     vertices = corners(mesh, own)
     if releases.cell_name(mesh) in TENSORS:

@@ -46,7 +46,7 @@ class Weighted:
 
 
 class Data:
-    """What the effects of a model are on one mesh, with its boundary values and obstacles.
+    """The data of a model on one mesh: samples of the effects, boundary values and obstacles.
 
     Everything is sampled on first use, which is collective, and kept.
 
@@ -119,7 +119,7 @@ class Data:
         return other
 
     def follow(self, fields: Iterable[Field], sample: Callable[[], Sampled]) -> Sampled:
-        """What is sampled of some data; if they depend on time it is renewed whenever time goes on (collective)."""
+        """Samples of some data, updated for each time step if the data depend on time (collective)."""
         made = sample()
         if self._live or any(field.moves for field in fields):
             self.moving[made] = sample
@@ -451,7 +451,7 @@ class Data:
         dim = level.mesh.topology.dim - 1
         self._on_dofs(
             where, fem.locate_dofs_topological(level.V, dim, level.boundary_facets)
-        )  # refuses infinite values
+        )  # rejects infinite values
         found = dmesh.locate_entities_boundary(level.mesh, dim, lambda x: self.at(where, x) != 0)
         if total(level.comm, len(found)) == 0:
             raise InputError(f"{where}: holds on no facet of the boundary")
@@ -502,7 +502,7 @@ class Data:
         return made
 
     def _check_between(self, field: Field, bound: float, what: str) -> None:
-        """Refuse values below a bound where no cell has its midpoint (collective)."""
+        """Reject values below a bound at points that are no midpoints of cells (collective)."""
         parts: Mapping[str | None, Field] = field.parts or {None: field}  # type: ignore[assignment]
         for material, part in parts.items():
             if part.uniform:

@@ -1,4 +1,4 @@
-"""Between V_h and Q_h: values at the points of I as functions, and functions of Q_h at the nodes of V_h."""
+"""Maps between V_h and Q_h: functions of Q_h from values at the points of I, and their values at the nodes of V_h."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ def in_q(level: Level, values: np.ndarray) -> fem.Function:
 
 
 def at_nodes(level: Level) -> np.ndarray:
-    """What each node of V_h in a cell sees of the dofs of Q_h there, shape (nodes, dofs of Q_h); rows sum to 1."""
+    """Weights of the dofs of Q_h in a cell in the value at each node of V_h, shape (nodes, dofs of Q_h); rows sum to
+    1."""
     nodes, points = releases.cell_dofs(level.V).shape[1], releases.cell_dofs(level.Q).shape[1]
     if level.Q is level.V:
         return np.eye(nodes)

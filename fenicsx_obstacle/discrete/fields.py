@@ -337,7 +337,7 @@ class OfExpression(Field):
 
 
 def field(value: Any, source: str) -> Field:
-    """A datum from what a user of DOLFINx has.
+    """A Field from a number, Constant, Function, UFL expression, callable or Table.
 
     Args:
         value: A number, a Constant, a Function, a UFL expression, a callable of x or of (x, t), a Table, a Field, or a
@@ -345,7 +345,7 @@ def field(value: Any, source: str) -> Field:
         source: What messages call it.
 
     Raises:
-        InputError: If it is none of them.
+        InputError: If it is anything else.
     """
     if isinstance(value, Field):
         return value

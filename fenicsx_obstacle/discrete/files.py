@@ -28,7 +28,7 @@ CELLS = {2: "interval", 3: "triangle", 4: "tetrahedron"}  # by vertices
 
 @dataclass(frozen=True)
 class MeshFile:
-    """What a file holds.
+    """The contents of a mesh file.
 
     Attributes:
         mesh: The mesh.

@@ -22,9 +22,9 @@ from fenicsx_obstacle.discrete.transfer import Transfer
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.parallel import total
 
-# unknowns, by dimension, that a direct solver takes in no time, and contact crosses in few steps from a cold start
+# unknowns, by dimension, below which a direct solver is fast, and a cold start takes few steps
 COARSEST = {1: 30, 2: 600, 3: 600}
-SMALLEST = 1500  # of a mesh for which coarse levels pay
+SMALLEST = 1500  # unknowns of a mesh from which coarse levels reduce the time
 SLOWEST = 0.7  # of the unknowns may be left by a coarsening
 
 
@@ -39,7 +39,7 @@ class Values:
 
 @dataclass(frozen=True, eq=False)
 class GalerkinLevel:
-    """What solvers ask of a level, without a mesh.
+    """The attributes of a level that solvers use, without a mesh.
 
     Attributes:
         comm: Communicator.

@@ -1,4 +1,4 @@
-"""From the recipe of a shape to its coarsest grid."""
+"""The coarsest grid of a shape."""
 
 from __future__ import annotations
 

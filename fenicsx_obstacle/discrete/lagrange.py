@@ -1,4 +1,4 @@
-"""Lagrange functions within simplices: values and slopes at barycentric places."""
+"""Values and gradients of Lagrange functions in simplices at barycentric coordinates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes: as they are given, refined, and how a fine one hangs on the coarse one it came from."""
+"""Levels: meshes with their spaces, and refined meshes with the levels that they come from."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ INWARD = 1e-6  # of the way to the middle of the cell
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """A mesh with its nodal space, and what is known of its boundary; what is not the mesh is made on first use.
+    """A mesh with its spaces and named parts, which are created on first use.
 
     Attributes:
         mesh: Cells of one kind.
@@ -197,7 +197,8 @@ class Level:
 
 
 def of_pair(level: Level, pair: Pair) -> Level:
-    """The same mesh with the spaces of another pair: P2 hangs on the level itself, what does not nest stands alone."""
+    """The same mesh with the spaces of another pair; P2 takes this level as its coarse one, pairs without nesting
+    none."""
     if pair is level.pair:
         return level
     if not pair.nested_hierarchy:

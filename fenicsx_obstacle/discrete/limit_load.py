@@ -1,4 +1,4 @@
-"""Limit loads: where the force per length of an elastic effect is bounded, so is the load that it can carry."""
+"""Limit loads of elastic effects whose force per length is bounded."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROUNDOFF_MARGIN = 1e-9  # of the force: what a load equal to its limit may be be
 
 
 def check_limit_load(problem: Problem) -> None:
-    """Reject loads that the film cannot carry to its edge (collective).
+    """Reject loads beyond the limit load of an elastic effect with bounded force per length (collective).
 
     With |tension| < s, the equation tested with v = 1, and with a discrete v that is 1 at free and 0 at fixed dofs,
 

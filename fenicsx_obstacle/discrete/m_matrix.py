@@ -1,4 +1,4 @@
-"""The signs of a stiffness matrix: with none positive off the diagonal it obeys the maximum principle."""
+"""Checks that a stiffness matrix is an M-matrix, so that the maximum principle holds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def is_m_matrix(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
 
     Args:
         A: The matrix; rows of fixed dofs and their columns are those of the identity.
-        diagonal: Of its owned rows, without what springs add: the scale of round-off.
+        diagonal: Of its owned rows, without the penalty diagonal: the scale of round-off.
         comm: Of the matrix (collective).
     """
     starts, columns, values = A.getValuesCSR()
@@ -28,7 +28,7 @@ def is_m_matrix(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
 
 
 def sums_nowhere_negative(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:
-    """Whether a unit shift of all free nodes meets no negative force anywhere (collective).
+    """Whether no row sum of the stiffness at free nodes is negative (collective).
 
     A shifted solution is then a super- or subsolution, as maximum principles for the height of u need it beside
     `is_m_matrix`: the angles at edges to fixed nodes count as well.

@@ -1,4 +1,4 @@
-"""Whether a mesh, with all that a solve needs on it, has room in memory."""
+"""Checks that a mesh and a solve on it fit into memory."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ OTHERS = 1.5  # times as much with effects beside tension and load, measured
 
 
 def fits(unknowns: float, dim: int, comm: MPI.Comm) -> bool:
-    """Whether a mesh of so many unknowns, with all that a solve needs, has room in memory (collective)."""
+    """Whether a mesh with so many unknowns, and a solve on it, fit into memory (collective)."""
     return unknowns * BYTES_PER_VERTEX[dim] < _free_memory(comm) and unknowns * 6 <= 2**31
 
 
 def check_memory(unknowns: float, dim: int, comm: MPI.Comm, source: str, remedy: str) -> None:
-    """Refuse a mesh of so many unknowns where there is no room for it (collective).
+    """Reject a mesh that does not fit into memory (collective).
 
     Raises:
         InputError: Naming the `source`, with the remedy.

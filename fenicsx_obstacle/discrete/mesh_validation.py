@@ -1,4 +1,4 @@
-"""Whether what a mesh file holds is a mesh: finite places, cells with a volume, none twice, none out of range.
+"""Validation of meshes from files: finite coordinates, cells with a volume, no duplicate and no invalid vertices.
 
 DOLFINx takes such files as they come, and the first to notice is a solver, or the system that ends the process.
 """
@@ -16,7 +16,7 @@ _WORDS = {2: ("interval", "length"), 3: ("triangle", "area"), 4: ("tetrahedron",
 
 
 def validate_mesh(points: np.ndarray, cells: np.ndarray) -> None:
-    """Refuse cells that are none (one rank).
+    """Reject invalid cells (one rank).
 
     Args:
         points: Shape (points, 1 to 3).

@@ -1,4 +1,4 @@
-"""Gmsh reads and meshes in a process of its own: what it cannot read may end the process.
+"""Gmsh in a separate process, since a file that it cannot read may end the process.
 
 `python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo or .msh file as NumPy arrays; if
 that fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours).
@@ -74,7 +74,8 @@ def _arrays(file: Path) -> Arrays:
 
 
 def _kept(path: Path) -> Path | None:
-    """Where the mesh of a .geo is kept; None of other files, and of those that name further files."""
+    """The file in which the mesh of a .geo is stored; None for other files, and for those that include further
+    files."""
     if path.suffix != ".geo":
         return None
     try:

@@ -1,4 +1,4 @@
-"""What is to be solved, before there is a mesh: effects, obstacles, boundary conditions, time."""
+"""The problem data without a mesh: effects, obstacles, boundary conditions, time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fenicsx_obstacle.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of the boundary, or a curve or surface inside, and what is given there; all of the boundary by default.
+    """A part of the boundary, or a curve or surface inside, with its data; by default the whole boundary.
 
     Attributes:
         name: What messages call it.
@@ -33,7 +33,7 @@ class Part:
 
     @property
     def bears(self) -> bool:
-        """Whether there is an obstacle on it."""
+        """Whether it has an obstacle."""
         return self.lower is not None or self.upper is not None
 
 
@@ -58,7 +58,7 @@ class Model:
     source: str = "problem"
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself.
+        """Reject contradictory data.
 
         Raises:
             InputError: If not exactly one effect is elastic, or obstacles are in the domain and on its boundary.
@@ -73,7 +73,7 @@ class Model:
         return [effect.key for effect in self.effects if getattr(effect, "part", None) == number]
 
     def instead_of(self, field: Field | None, value: float) -> str:
-        """What to write instead of an infinite value, if the datum is an obstacle, in words that end a sentence."""
+        """The end of a message: the value to use instead of an infinite obstacle."""
         parts: list[Model | Part] = [self, *self.boundary]
         for far, sides in (("-1e20", [one.lower for one in parts]), ("1e20", [one.upper for one in parts])):
             if abs(value) == float("inf") and any(field is side for side in sides if side is not None):
@@ -96,7 +96,7 @@ class Model:
 
     @property
     def elastic(self) -> Effect:
-        """The effect that gives a(u, v) its stiffness."""
+        """The elastic effect, which is the main part of a(u, v)."""
         return next(effect for effect in self.effects if effect.elastic)
 
     @property

@@ -1,4 +1,4 @@
-"""Named parts of a mesh as arrays that depend neither on ranks nor on DOLFINx's numbering: how files hold them.
+"""Named parts of a mesh as arrays for files, independent of ranks and of DOLFINx's numbering.
 
 A part is given by the vertices of its facets, or by the numbers of its cells. `names` says in JSON, for each of the
 other arrays, which are called "0", "1" and so on, whether it holds facets or cells, and of which part.

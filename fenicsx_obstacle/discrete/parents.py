@@ -1,4 +1,4 @@
-"""How a refined mesh hangs on the one it came from: each new cell knows its parent, everything else follows."""
+"""Refinement: parent cells of a refined mesh, and the interpolation that follows from them."""
 
 from __future__ import annotations
 

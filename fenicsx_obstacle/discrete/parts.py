@@ -1,4 +1,4 @@
-"""Parts of the boundary, and curves inside, as measures that a form can be integrated with."""
+"""UFL measures of parts of the boundary and of curves inside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How strong drift is beside tension, cell by cell."""
+"""Cell Peclet numbers, and sources of the drift."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values at points: which cells hold a point, on any number of ranks."""
+"""Values at points: search for the cells that contain a point, on any number of ranks."""
 
 from __future__ import annotations
 

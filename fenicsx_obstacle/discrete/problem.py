@@ -1,7 +1,7 @@
-"""The discrete problem on one level: the penalised residual (3.4) in the shape a PETSc solver takes.
+"""The discrete problem on one level: the penalised residual (3.4), its Jacobian and energy for PETSc.
 
-The unknown is not u but w = u - r, with r the obstacle that a node may touch ('gap form'). In contact w = -eps p
-is tiny, and exact to its own last digit; computed as a difference of heights of order 1 the penalty w/eps would be
+The unknown is w = u - r, where the reference r is the obstacle that a node may touch ('gap form'). In contact w =
+-eps p is small and has full relative accuracy. As a difference u - r of values of order 1 the penalty w/eps would be
 round-off for eps < 1e-12.
 """
 
@@ -27,7 +27,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
-REACH = 1e3  # an obstacle so many times farther off than heights differ, or than the nearest, is no place to count from
+REACH = 1e3  # times the range of u, or the distance of the nearest obstacle: a farther obstacle is no reference
 
 
 class Problem:
@@ -40,7 +40,7 @@ class Problem:
         model: What is to be solved.
         level: The mesh and V.
         w: The unknown, as a Function.
-        reference: r, the heights from which w counts.
+        reference: r, the reference of w = u - r.
         affine: Whether the elastic residual is linear in u plus a constant.
         fixed: Whether u is given at a dof.
         weights: D_i = I(phi_i, 1), the area that belongs to a point of I. These points are the owned dofs, or where
@@ -111,9 +111,10 @@ class Problem:
         return self.prefix or f"{solver}_"
 
     def cold_start(self) -> np.ndarray:
-        """Heights, ghosts included: the boundary values, and inside their mean, or the obstacle it would cross.
+        """Initial values of u, ghosts included: the boundary values, and inside their mean, moved between the
+        obstacles.
 
-        The mean moves with the heights, so that nothing depends on where they are counted from.
+        The mean changes with a shift of all data, so that results do not depend on the zero of u.
         """
         dofs, values = self.data.fixed
         comm, own = self.level.comm, dofs[dofs < self.level.owned]
@@ -127,7 +128,7 @@ class Problem:
         return u_values
 
     def move(self, u_values: np.ndarray) -> bool:
-        """Take the data of the present moment; w is the state of these heights then; whether the stiffness has changed.
+        """Update the data for the present time and set u; returns whether the stiffness has changed.
 
         Raises:
             InputError: If no u can satisfy the data.
@@ -138,7 +139,7 @@ class Problem:
         return changed
 
     def renew(self, *, stiffness: bool) -> None:
-        """Take data that the caller has changed; the state is that of a cold start then.
+        """Update data that the caller has changed; the state is that of a cold start afterwards.
 
         Args:
             stiffness: Whether a(., .) is among it.
@@ -163,7 +164,7 @@ class Problem:
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:
-        """Heights of the obstacles, ghosts included; -inf and inf where there is none."""
+        """Nodal values of the obstacles, ghosts included; -inf and inf where there is none."""
         lower, upper = self.data.lower, self.data.upper
         return (-np.inf if lower is None else lower.x.array), (np.inf if upper is None else upper.x.array)
 
@@ -180,7 +181,7 @@ class Problem:
         return self.in_q(p)
 
     def set_reference(self, u_values: np.ndarray) -> None:
-        """Count w from the obstacle nearest to `u_values` (ghosts included) and let w be the state of these heights."""
+        """Set the reference r to the obstacle nearest to `u_values` (ghosts included), and store w = u - r."""
         lower, upper = self.obstacles()
         with np.errstate(invalid="ignore"):
             nearer_below = np.abs(u_values - lower) <= np.abs(upper - u_values)
@@ -200,7 +201,7 @@ class Problem:
         self._measure_gaps()
 
     def update_reference(self, *, roundoff_limited: bool = False) -> bool:
-        """Count w from the obstacle that each node touches now; whether that changed any.
+        """Set the reference r to the obstacle that each node touches; returns whether any node has changed.
 
         Args:
             roundoff_limited: Count w of the other nodes from their present values: w has become so large, because an
@@ -217,7 +218,7 @@ class Problem:
                 continue
             touching = points & (sign * (w - gap.x.array) >= 0)
             wrong = touching & (gap.x.array != 0)
-            # subtract distances, never heights: the excess keeps its digits
+            # differences of gaps, not of u: the excess keeps its digits
             new_w = np.where(wrong, w - gap.x.array, new_w)
             new_r = np.where(wrong, obstacle, new_r)
             free &= ~touching
@@ -272,7 +273,7 @@ class Problem:
         return self.A
 
     def hold(self, penalty_diagonal: np.ndarray) -> None:
-        """Add this diagonal to the stiffness in A; infinite entries hold a dof in place (collective)."""
+        """Add a diagonal to the stiffness in A; infinite entries fix a dof (collective)."""
         self.nodal.add_penalty_diagonal(self.A, penalty_diagonal)
 
     @cached_property
@@ -328,7 +329,7 @@ class Problem:
         return lower, upper
 
     def pressed_gaps(self) -> tuple[np.ndarray, np.ndarray]:
-        """The distances that the penalty sees: those of the augmented obstacles, where there is a multiplier."""
+        """The gaps in the penalty term: those of the augmented obstacles, if there is a multiplier."""
         lower, upper = self.gaps()
         if self.forms.multiplier is not None:
             shift = float(self.eps.value) * self.forms.multiplier.x.array[: len(self.weights)]
@@ -336,7 +337,7 @@ class Problem:
         return lower, upper
 
     def active_dofs(self, active: np.ndarray) -> np.ndarray:
-        """Owned dofs on which contact at these points of I bears (collective)."""
+        """Owned dofs on which contact at these points of I acts (collective)."""
         if self.level.pair.nodal:
             return active
         bears = fem.Function(self.level.V)

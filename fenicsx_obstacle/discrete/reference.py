@@ -1,4 +1,4 @@
-"""Cells of every kind by their reference cell: Lagrange functions, slopes, measures, sides, all by NumPy alone.
+"""Reference cells of every kind: Lagrange functions, gradients, measures and facets, by NumPy only.
 
 A place in a cell is given by the weights of its vertices, the Lagrange functions of degree 1 there: barycentric
 coordinates in simplices, products of such in quadrilaterals and hexahedra. All functions are local.

@@ -1,4 +1,4 @@
-"""Rigid body motions: near-null vectors of multigrid for elasticity, and what holds a body."""
+"""Rigid body motions: near-null space of multigrid for elasticity, and a check that supports hold a body."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def near_null_space(problem: VectorProblem, motions: np.ndarray, free: np.ndarra
 
 
 def check_held(problem: VectorProblem) -> bool:
-    """Check that supports or contact hold the body; whether it is contact alone (collective).
+    """Check that supports or contact hold the body; returns whether only contact does (collective).
 
     A motion without elastic energy that supports allow does work against no force but contact's. So contact forces,
     which only push, must balance the load on all such motions: there are p_i >= 0 with sum p_i D_i N_i . z = f . z.

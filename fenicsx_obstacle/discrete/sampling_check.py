@@ -1,4 +1,4 @@
-"""Data between their samples: places where a datum is not admissible although no sample shows it.
+"""Search for points between the samples at which a datum is not admissible.
 
 Forms take one value per cell. A spot that no midpoint meets, such as `where(hypot(x - 0.503, y) < 0.004, -1, 1)`, does
 not enter them; the datum is wrong all the same. So data are evaluated at the nodes as well, and at points that a

@@ -1,4 +1,4 @@
-"""Recipes for shapes: points and cells, names of their sides, the projection of their curved boundary."""
+"""Shapes: points and cells, names of sides, projection onto a curved boundary."""
 
 from __future__ import annotations
 

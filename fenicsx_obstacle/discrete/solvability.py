@@ -1,4 +1,4 @@
-"""Forces on a membrane as a whole: what holds a part of it that is fixed nowhere, and the forces at work in a step."""
+"""Solvability: total forces on connected parts of the mesh on which u is given nowhere."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a s
 
 
 def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
-    """Check that each part of the mesh is held, and find a start in contact where only contact holds (collective).
+    """Check that each connected part of the mesh is supported, and find a start for parts that only contact supports
+    (collective).
 
     With v = 1 on a connected component where u is given nowhere, (3.4) says that loads, supports and contact add up to
     0. A support whose answer to u = 1 is below the round-off of the stiffness holds nothing; then an obstacle must, and
@@ -104,7 +105,7 @@ def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | N
 
 
 def _between(comm: MPI.Comm, soft: tuple[np.ndarray | None, np.ndarray | None]) -> tuple[float, float]:
-    """A height at which soft obstacles exert nothing, and a shift from there to another one (collective)."""
+    """A constant u between the soft obstacles, and a shift to another such constant (collective)."""
     lower = None if soft[0] is None else largest(comm, soft[0])
     upper = None if soft[1] is None else smallest(comm, soft[1])
     if lower is None and upper is None:
@@ -129,7 +130,7 @@ def _stiffness(problem: Problem, soft: np.ndarray | None, side: int, sums: Sums)
 def _refuse(
     problem: Problem, one: int, up: np.ndarray, down: np.ndarray, net: np.ndarray, held: np.ndarray, count: int
 ) -> None:
-    """Say what is missing for a component."""
+    """Raise the error for a component without support."""
     source = f"{problem.model.source}: "
     where = "u is given nowhere" if count == 1 else f"u is given nowhere on one of {count} separate parts of the mesh"
     if up[one] or down[one]:
@@ -149,7 +150,7 @@ def _refuse(
 
 
 def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
-    """a(u, .) - f at owned dofs for these heights, from and back to u = 0 (collective)."""
+    """a(u, .) - f at owned dofs for this u; the state is u = 0 before and after (collective)."""
     problem.w.x.array[:] = u_values
     problem.forms.elastic(problem.elastic)
     forces = problem.elastic.array_r.copy()
@@ -174,7 +175,7 @@ def _reached(problem: Problem, obstacle: np.ndarray | float, sums: Sums) -> np.n
 
 
 def forces_at_work(problem: Problem, load: float) -> float:
-    """The load, or in a step with inertia the sum of |a(u, .) - f| over free dofs at the present heights (collective).
+    """The load, or in a step with inertia the sum of |a(u, .) - f| over free dofs at the present u (collective).
 
     There the residual at u = 0, the load, is no measure of forces: mass over the square of a step outweighs all.
     """

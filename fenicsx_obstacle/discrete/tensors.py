@@ -1,4 +1,4 @@
-"""Matrices of data sampled in cells, and checked."""
+"""Matrix-valued data, sampled in cells and checked."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def matrices_of(data: Data, rows: Rows) -> np.ndarray:
 
 
 def check_definite(data: Data, rows: Rows) -> None:
-    """Refuse a matrix that is not symmetric and positive definite everywhere (collective).
+    """Reject a matrix that is not symmetric and positive definite in all cells (collective).
 
     Raises:
         InputError: Naming where it stands.
@@ -43,7 +43,7 @@ def check_definite(data: Data, rows: Rows) -> None:
 
 
 def check_between(data: Data, rows: Rows) -> None:
-    """Refuse data whose matrix is indefinite where no cell has a sample (collective).
+    """Reject a matrix that is indefinite at a point between the samples (collective).
 
     Raises:
         InputError: Naming the place.

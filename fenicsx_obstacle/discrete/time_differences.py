@@ -1,4 +1,4 @@
-"""Derivatives in time as differences: c u - past, with a number and a function that the march sets before each step.
+"""Time derivatives as differences c u - past; time stepping sets the number c and the Function before each step.
 
 A step in time is a static problem with a foundation c and a load `past`; so forms know nothing of steps or schemes.
 """
@@ -18,7 +18,7 @@ from fenicsx_obstacle.discrete.time_discretization import INERTIA, TimeDiscretiz
 
 @dataclass
 class Moment:
-    """Where a model is in time: one for all levels of a mesh.
+    """The present time and the constants of the difference formulas, shared by all levels of a mesh.
 
     Attributes:
         t: Now, in the unit of the end.
@@ -32,13 +32,13 @@ class Moment:
 
     @classmethod
     def at_start(cls, moments: TimeDiscretization) -> Moment:
-        """Before a first step; with its numbers c, so that what is assembled now serves it."""
+        """The state before the first step, with the constants c of the first step."""
         moment = cls(0.0, 0.0, 0.0)
         moment.go_back(moments)
         return moment
 
     def go_back(self, moments: TimeDiscretization) -> None:
-        """To t = 0, after a march."""
+        """Return to t = 0, after time stepping."""
         dt = moments.step
         self.t = 0.0
         self.first, self.second = (2 / dt, 4 / dt**2) if moments.order == INERTIA else (1 / dt, 0.0)
@@ -63,7 +63,7 @@ class Motion:
         self.follow()
 
     def follow(self) -> bool:
-        """Take the numbers of the moment; whether they have changed."""
+        """Update the constants c; returns whether they have changed."""
         wanted = self.moment.first, self.moment.second
         if np.allclose((float(self._first.value), float(self._second.value)), wanted, rtol=ROUND_OFF, atol=0.0):
             return False  # steps alike, up to the last digits of t
@@ -75,7 +75,7 @@ class Motion:
         return self._first * u - self.past
 
     def rate_energy(self, u: Any) -> Any:
-        """What `rate` is the derivative of."""
+        """The functional whose derivative is `rate`."""
         return 0.5 * self._first * u**2 - self.past * u
 
     def acceleration(self, u: Any) -> Any:
@@ -83,5 +83,5 @@ class Motion:
         return self._second * u - self.past_twice
 
     def acceleration_energy(self, u: Any) -> Any:
-        """What `acceleration` is the derivative of."""
+        """The functional whose derivative is `acceleration`."""
         return 0.5 * self._second * u**2 - self.past_twice * u

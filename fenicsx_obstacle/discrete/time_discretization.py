@@ -1,4 +1,4 @@
-"""The moments of a problem, from 0 to the end, and what it begins with."""
+"""Time discretization: end, steps, scheme and initial values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NO_STEP = 1e-9  # of the whole time
 
 @dataclass(frozen=True)
 class TimeDiscretization:
-    """What is known of time.
+    """The time discretization of a problem.
 
     Attributes:
         order: Highest derivative in time: 0, 1 or 2.

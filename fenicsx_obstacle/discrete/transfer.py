@@ -1,4 +1,4 @@
-"""Interpolation from a coarse level to the next finer one, and injection back: what nested levels have in common."""
+"""Interpolation from a level to the next finer one, and its transpose."""
 
 from __future__ import annotations
 

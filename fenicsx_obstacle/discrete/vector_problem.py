@@ -65,7 +65,7 @@ class VectorForms(Nodal):
             self._cartesian.PtAP(self._rotation, result=self.stiffness)
 
     def take_displacement(self) -> None:
-        """Let the forms see the present state."""
+        """Update the displacement in the forms."""
         self.displacement.x.array[:] = self.contact.rotated(self.w.x.array + self.reference.x.array)
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:

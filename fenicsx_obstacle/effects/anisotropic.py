@@ -1,4 +1,4 @@
-"""A tension that differs with the direction: cloth, wood, layered ground."""
+"""A matrix-valued tension, for cloth, wood or layered ground."""
 
 from __future__ import annotations
 

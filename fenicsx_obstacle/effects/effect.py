@@ -1,4 +1,4 @@
-"""What an effect is, and the register of those that have a name.
+"""The protocol of effects, and their register.
 
 An effect is one class: its data, and its part of the residual. Residual, energy and the choice of the solver are folds
 over the effects of a model; what no scene names is not even imported.
@@ -25,7 +25,7 @@ _FOLDERS = {"effects": "domain", "boundary": "boundary"}  # of this package, by 
 
 
 class Reader(Protocol):
-    """Turns what stands in a scene into data."""
+    """Converts entries of a scene into data."""
 
     @property
     def source(self) -> str:
@@ -42,7 +42,7 @@ class Reader(Protocol):
 
 
 class Sampler(Protocol):
-    """Gives an effect its data on a mesh: Functions and Constants, so that all models share compiled forms."""
+    """Samples the data of effects on a mesh: Functions and Constants, so that all models share compiled forms."""
 
     def cellwise(self, value: Field, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
@@ -95,14 +95,14 @@ class Sampler(Protocol):
 
 
 class OutputSampler(Sampler, Protocol):
-    """Gives an effect besides what its output quantities are made of."""
+    """A sampler with the quantities that outputs of effects need."""
 
     def peclet(self, velocity: tuple[Field, ...]) -> float:
         """The largest |velocity| h/(2 tension) of all cells (collective)."""
 
 
 class Units(Protocol):
-    """Other units of length, height and force, and another height of 0: how the data of an effect are written there."""
+    """Conversion of data to other units of length, u and force, and to another zero of u."""
 
     @property
     def length(self) -> float:
@@ -110,7 +110,7 @@ class Units(Protocol):
 
     @property
     def height(self) -> float:
-        """The same for heights: u and the obstacles."""
+        """The same for u and the obstacles."""
 
     @property
     def force(self) -> float:
@@ -124,12 +124,12 @@ class Units(Protocol):
         """A number or a formula times a factor, at the same places; or each of those in a list or a table."""
 
     def height_of(self, value: Any) -> Any:
-        """A number or a formula for a height."""
+        """A number or a formula for a value of u."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One term of the equation. Subclasses give the form; the defaults say 'nothing'.
+    """One term of the equation. Subclasses define the form; the defaults contribute nothing.
 
     Attributes:
         value: Its datum, in the unit `unit`.
@@ -153,7 +153,9 @@ class Effect:
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy
     gives_way: ClassVar[bool] = False  # an obstacle that pushes back in proportion to the distance beyond it
-    pointwise: ClassVar[bool] = False  # each node answers its own height alone, and the more the higher it is
+    pointwise: ClassVar[bool] = (
+        False  # its force at a node depends on u at this node only, and does not decrease with u
+    )
     no_bound: ClassVar[str] = ""  # why there is no bound of the error in energy with it
     # powers of the units of length, height and force in the unit of its value; None: its scene has no other units
     dimension: ClassVar[tuple[int, int, int] | None] = None
@@ -162,7 +164,7 @@ class Effect:
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
-        """The effect from what stands in the scene.
+        """The effect from its entry in the scene.
 
         Args:
             raw: There.
@@ -177,7 +179,7 @@ class Effect:
 
     @classmethod
     def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
-        """What stands in the scene, in other units; only where it has a `dimension`.
+        """The entry of the scene in other units; only for effects with a `dimension`.
 
         Args:
             raw: In the old units.
@@ -189,7 +191,7 @@ class Effect:
         return units.scaled(raw, units.length**length * units.height**height * units.force**force)
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
-        """Why it does not go with the other effects of a scene, naming its key; None where it does."""
+        """A message if it cannot be combined with the other effects of a scene; otherwise None."""
         return None
 
     @property
@@ -209,22 +211,23 @@ class Effect:
 
     @property
     def isotropic_tension(self) -> Field | None:
-        """mu, where its part of a(u, v) is int mu grad u . grad v."""
+        """mu if its part of a(u, v) is int mu grad u . grad v, otherwise None."""
         return None
 
     @property
     def area_load(self) -> Field | None:
-        """f, where its part of f(v) is int f v, and it has none of a(u, v)."""
+        """f if its part of f(v) is int f v and its part of a(u, v) is 0, otherwise None."""
         return None
 
     @property
     def velocity(self) -> tuple[Field, ...] | None:
-        """b, where its part of a(u, v) is int (b . grad u) v."""
+        """b if its part of a(u, v) is int (b . grad u) v, otherwise None."""
         return None
 
     @property
     def in_model_problem(self) -> bool:
-        """Whether (2.2) has it: -div(mu grad u) = f with a linear tension mu, maybe a matrix, and a load per area f."""
+        """Whether it is a term of (2.2), -div(mu grad u) = f: a linear tension mu (or a matrix), or a load per area
+        f."""
         return (self.elastic and self.affine) or self.area_load is not None
 
     def outputs(self, data: OutputSampler) -> dict[str, float]:
@@ -236,23 +239,24 @@ class Effect:
         return None
 
     def derivative(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
-        """The derivative of `terms` with respect to u, a bilinear form, where it is not UFL's own."""
+        """The derivative of `terms` with respect to u, a bilinear form, if it is not computed by UFL."""
         return None
 
     def heights(self, data: Sampler) -> list[Any]:
-        """Local nodal values of u at which its part of a(u, v) is zero, where that is not so for all constants."""
+        """Local nodal values of u at which its part of a(u, v) is zero; empty if it is zero for all constants."""
         return [0.0] if self.holds else []
 
     def sides(self, data: Sampler) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Local nodal values of the lower and the upper obstacle, where it is a soft one."""
+        """Local nodal values of the lower and the upper soft obstacle, or None."""
         return None, None
 
     def greatest(self, data: Sampler) -> Any:
-        """The least upper bound of its force per length, where it is elastic and has one."""
+        """The least upper bound of its force per length, or None if there is none."""
         return None
 
     def push(self, data: Sampler) -> tuple[float, float] | None:
-        """Smallest and largest local value of its part of f, for maximum principles; None where it obeys none.
+        """Smallest and largest local value of its part of f, for the maximum principle; None if there is no such
+        principle.
 
         (0, 0) says that its part of a(., .) lets constants be compared with solutions: it contains gradients of u, or
         draws u towards `heights`.
@@ -260,11 +264,11 @@ class Effect:
         return None
 
     def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
-        """Its part of the energy whose derivative `terms` is, or None."""
+        """The energy whose derivative is `terms`, or None."""
         return None
 
     def vector(self, data: Sampler) -> np.ndarray | None:
-        """Its part of f(v) that is no form: forces at owned nodes (collective)."""
+        """Its part of f(v) that is not a form: forces at owned nodes (collective)."""
         return None
 
     def squared_norm(self, e: Any, data: Sampler) -> ufl.Form | None:
@@ -282,7 +286,7 @@ class Effect:
         return None
 
     def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
-        """What it adds to upwinded test functions (SUPG), or None."""
+        """The term added to upwinded test functions (SUPG), or None."""
         return None
 
     def along(self, direction: Any, data: Sampler) -> Any:
@@ -304,7 +308,7 @@ class Effect:
 
 
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
-    """a(u, v) - f(v): the sum of what the effects say."""
+    """a(u, v) - f(v), the sum over the effects."""
     elastic = next((effect for effect in effects if effect.elastic), None)
     upwinded_test = v
     for effect in effects:

@@ -1,4 +1,4 @@
-"""A datum of a problem: a tension, a load, an obstacle, a boundary value. One class, whoever gives it.
+"""Fields: the data of a problem, such as tension, load, obstacle or boundary value, in any form the user gives.
 
 A `Field` is a scalar function of place and time. `discrete.fields` makes one of what users of DOLFINx have; formulas of
 a scene are another class of it, and a plug-in may have one of its own.
@@ -52,14 +52,14 @@ class Bounds(Protocol):
 
 @dataclass(frozen=True)
 class Truth:
-    """What a condition may be on each simplex, except on a set of measure zero."""
+    """Whether a condition may hold and whether it may fail on each simplex, up to a set of measure zero."""
 
     may_hold: np.ndarray
     may_fail: np.ndarray
 
 
 class Enclosed(Protocol):
-    """A datum on simplices, known without sampling."""
+    """Enclosure of a datum on simplices."""
 
     def once(self) -> Bounds:
         """Bounds over each simplex."""
@@ -94,7 +94,7 @@ class Enclosed(Protocol):
 
 
 class Field:
-    """A scalar datum, dimension as its user says.
+    """A scalar datum; its user decides on the unit.
 
     Attributes:
         source: Where it stands, for messages: "ball.toml: [obstacle] lower".
@@ -173,7 +173,7 @@ class Field:
 
 
 class ByCells(Field):
-    """One datum for the cells of each name: `tension = {steel = 1, rubber = "2 + x"}`."""
+    """Data by the names of cells: `tension = {steel = 1, rubber = "2 + x"}`."""
 
     def __init__(self, parts: Mapping[str, Field], source: str):
         self.parts, self.source = parts, source

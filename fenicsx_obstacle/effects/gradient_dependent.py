@@ -1,4 +1,4 @@
-"""What tensions that depend on the slope have in common."""
+"""Base class of effects whose tension depends on |grad u|."""
 
 from __future__ import annotations
 

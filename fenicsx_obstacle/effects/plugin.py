@@ -1,4 +1,4 @@
-"""Effects and pairs from outside the package: Python files that register their classes."""
+"""Plug-ins: Python files that register effects and pairs."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Accuracy of a solution: error norms, contact sets, forces, bounds, what the theory promises.
+"""Accuracy of a solution: error norms, contact sets, forces, error bounds, reference problems.
 
-Enters: what measures a state that is there. Stays out: what solves or refines; only `answers` sees both solvers and
-estimates.
+Contents: errors, bounds and contact of a given solution. Not here: solving and refining; only `answers` uses both
+solvers and estimates.
 """

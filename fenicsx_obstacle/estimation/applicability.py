@@ -1,4 +1,4 @@
-"""What there is a bound for."""
+"""Problems for which there is an error bound."""
 
 from __future__ import annotations
 

@@ -60,9 +60,9 @@ class Bound:
         data: Load, obstacle and boundary values between nodes.
         guaranteed: Whether all hypotheses hold: the words are 'certified' alone.
         words: What it rests on.
-        indicator: What of the bound goes with each owned cell, to first order; their sum over all ranks is about total.
-            None of a solution read from files.
-        admissible: v_h; None of a solution read from files.
+        indicator: Contribution of each owned cell to the bound, to first order; the sum over all ranks is about total.
+            None for a solution read from files.
+        admissible: v_h; None for a solution read from files.
     """
 
     total: float
@@ -93,7 +93,7 @@ class Bound:
 
 
 class Estimator:
-    """Bounds on one problem: what depends on mesh and data alone is made once."""
+    """Error bounds for one problem; parts that depend on mesh and data only are computed once."""
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective).
@@ -115,13 +115,13 @@ class Estimator:
         self._hypotheses = Hypotheses(simplices, tension.pieces, load.pieces, self.element.dirichlet)
 
     def use_estimator_load(self) -> None:
-        """Let the problem have the load by the quadrature used here, which sees where data jump (collective)."""
+        """Replace the load of the problem by that of the quadrature used here, which resolves jumps (collective)."""
         equilibration = self.element.equilibration
         self.problem.nodal.add_forces(equilibration.missing)
         equilibration.missing = np.zeros_like(equilibration.missing)
 
     def bound(self) -> Bound:
-        """Of the problem's present state (collective)."""
+        """The error bound of the problem's present state (collective)."""
         problem, comm = self.problem, self.problem.level.comm
         terms = self.element.terms(
             problem.w.x.array + problem.reference.x.array, *touching(problem, self.element.reach)
@@ -161,7 +161,7 @@ class Estimator:
         )  # fmt: skip
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
-        """Why the bound is an indicator, as far as it depends on the state and on effects (collective)."""
+        """The violated hypotheses that depend on the state and on effects (collective)."""
         reasons = [f"it covers tension and load, not {effect.key}" for effect in other_effects(self.problem.data)]
         if not self._held_somewhere:
             reasons.append("u is given nowhere")

@@ -1,4 +1,4 @@
-"""What error bounds take from boundary values; that of intervals, whose boundary values are all nodal ones."""
+"""Boundary values in error bounds: the base class, which is enough for intervals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 
 
 class BoundaryValues:
-    """The difference d of boundary values and their nodal interpolant, continued into the domain; here 0.
+    """The difference d of boundary values and their nodal interpolant, extended into the domain; 0 in this class.
 
     Attributes:
         twice: Whether the continuation may leave what d keeps to.

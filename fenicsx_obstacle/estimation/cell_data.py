@@ -1,4 +1,4 @@
-"""Tension, load and obstacles in the cells: as the solver has them, and as they are."""
+"""Tension, load and obstacles in the cells: the samples of the solver, and enclosures of the data."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def tension_of(data: Data) -> Field:
-    """mu, of a problem that `check_bound_exists` lets pass."""
+    """mu of a problem that `check_bound_exists` accepts."""
     tension = data.model.elastic.isotropic_tension
     assert tension is not None
     return tension
@@ -197,7 +197,7 @@ def _far(group: Group, limit: float) -> np.ndarray:
 
 
 def _near_seen(group: Group, mean: np.ndarray, limit: float) -> Group:
-    """Where a load may be far beyond all that is seen of it, the mean of what is seen stands for it.
+    """Replace a load that may be far outside the range of its samples by the mean of the samples.
 
     The middle of its bounds would do for the bound; but the solver takes this load too.
 

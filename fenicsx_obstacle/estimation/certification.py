@@ -1,4 +1,4 @@
-"""What an error bound rests on: certified, for sampled data or the polygon of the mesh only, or an indicator."""
+"""Certification of an error bound: certified, certified for sampled data or for the polygon, or an indicator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Obstacle(Protocol):
 
 @dataclass(frozen=True)
 class Certification:
-    """What a bound rests on.
+    """How far a bound is guaranteed.
 
     Attributes:
         reasons: Why it is an indicator only; empty if it is more.
@@ -52,7 +52,7 @@ class Certification:
 
 
 class Hypotheses:
-    """What is known of the data on one mesh, without sampling."""
+    """The hypotheses of the bound for the data on one mesh, checked without sampling."""
 
     def __init__(self, simplices: Simplices, tension: Pieces | None, load: Pieces | None, dirichlet: BoundaryValues):
         """Look at the parts of the boundary (collective).
@@ -84,7 +84,7 @@ class Hypotheses:
             self._reasons.append(f"the boundary value may be infinite or undefined near {place}")
 
     def certification(self, reasons: Iterable[str], obstacles: Iterable[Obstacle]) -> Certification:
-        """What a bound rests on (collective).
+        """How far a bound is guaranteed (collective).
 
         Args:
             reasons: Further ones for which it is an indicator.

@@ -1,4 +1,4 @@
-"""An obstacle that is cut off where the solution cannot reach it."""
+"""An obstacle that is replaced by a limit where the solution cannot reach it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where u touches, how hard, and how far the penalty lets it through."""
+"""Contact set, contact forces and penetration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ON_OBSTACLE = 1e-10  # of the largest distance: a boundary value is the obstacle
 
 @dataclass(frozen=True)
 class Contact:
-    """The contact of a solved problem; figures are the same on every rank.
+    """The contact of a solved problem; values are the same on every rank.
 
     Attributes:
         pressure: p_i at owned points of I, negative against the upper obstacle.
@@ -50,7 +50,7 @@ def touching(problem: Problem, reach: tuple[float, float] | None = None) -> tupl
     """
     lower, upper = problem.gaps()
     if reach is not None:
-        low, high = (np.atleast_1d(heights)[: len(lower)] for heights in problem.obstacles())
+        low, high = (np.atleast_1d(values)[: len(lower)] for values in problem.obstacles())
         lower, upper = np.where(low >= reach[0], lower, np.inf), np.where(high <= reach[1], upper, np.inf)
     finite = [np.abs(gap[np.isfinite(gap)]) for gap in (lower, upper)]
     near = TOUCHES * max(largest(problem.level.comm, np.concatenate(finite)), 0.0)

@@ -1,4 +1,4 @@
-"""Where u is given: what follows for functions that vanish there.
+"""The part of the boundary where u is given: Friedrichs' constant, and bounds of the displacement by a load.
 
 Friedrichs' constant: ||v||_0 <= c ||grad v||_0 for functions that are 0 where u is given. And the reach of a load: how
 far it can move u.

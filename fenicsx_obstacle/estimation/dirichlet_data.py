@@ -20,7 +20,7 @@ from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EDGES = Division(24, 1e-4, 1e-8)  # what counts is the distance of a boundary value and of its slope to the interpolant
-ROUND_OFF = 1e-14  # of the heights
+ROUND_OFF = 1e-14  # relative to the values of u
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The boundary: where a boundary value jumps, and where a part of the boundary ends inside a facet.
+"""Jumps of boundary values, and parts of the boundary that end inside a facet.
 
 No function of finite energy jumps along the boundary. A datum is divided along each edge where a condition in it is
 undecided, until the place is known to round-off; there, and at the ends of each edge, values on both sides are

@@ -1,4 +1,4 @@
-"""What the error bound takes from a finite element: the flux, the admissible state, and the terms of each cell."""
+"""Base class of elements in the error bound: flux, admissible function, and the terms of each cell."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.estimation.surface_data import SurfaceData
 from fenicsx_obstacle.parallel import largest, smallest
 
-MARGIN = 0.1  # of the heights: obstacles are cut off so much farther away than u can be
+MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class Element(ABC):
         oscillation: Of the load.
         held: Where u is given.
         reach: Numbers that the solution is between, infinite where there is no obstacle or no such number is known.
-        obstacles: Obstacles between the nodes.
+        obstacles: The excess of an obstacle over its nodal interpolant.
     """
 
     equilibration: EquilibrationP1 | EquilibrationP2

@@ -1,4 +1,4 @@
-"""P1 with the vertex rule: v_h is the nodal maximum of u_h and the obstacle, raised by what nodes do not see of it."""
+"""The error bound for P1: v_h is the nodal maximum of u_h and the obstacle, plus a bound of the obstacle's excess."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest
 
-ROUND_OFF = 1e-9  # of the heights
+ROUND_OFF = 1e-9  # relative to the values of u
 
 
 class ElementP1(Element):

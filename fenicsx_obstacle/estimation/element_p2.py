@@ -1,4 +1,4 @@
-"""P2 with contact at the middles of edges.
+"""The error bound for P2 with contact at midpoints of edges.
 
 The multiplier, linear in each cell, may be negative near the free boundary: lambda_+ is what of it is left when its
 slope is reduced there, and the difference, of mean zero, counts like the oscillation of the load. And v is u_h with,
@@ -159,7 +159,7 @@ class Between:
 
 
 class LatticeObstacle:
-    """One obstacle on a lattice of the cells that u may touch; heights count away from it: times -1 for an upper one.
+    """One obstacle on a lattice of the cells in which u may touch it; values are times -1 for an upper obstacle.
 
     On the lattice u is raised by max(obstacle + M - u, N, 0), M and N in P1. In each cell M is at the vertices at least
     what obstacle - u may be above its chords on the small triangles where it may be positive, or N what it may be there
@@ -486,7 +486,7 @@ class ElementP2(Element):
         return np.maximum(side.sign * (u - side.nodal(self.problem.data)), 0.0)[self.equilibration.nodes].mean(axis=1)
 
     def _lifted(self, nodal: np.ndarray, flux: FluxP2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What is added to u on the lattice so that it is above the obstacles (collective).
+        """The function on the lattice that is added to u so that it is above the obstacles (collective).
 
         Args:
             nodal: Values of u at the nodes of cells.

@@ -1,4 +1,4 @@
-"""Contact area and contact force of an exact solution: cells that the free boundary crosses are cut again and again."""
+"""Contact area and contact force of an exact solution, by repeated subdivision at the free boundary."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import cell_name
 
-TOUCHES = 1e-14  # of the heights
+TOUCHES = 1e-14  # relative to the values of u
 DEPTH = {1: 40, 2: 12}  # how often cells are halved; in solids, where contact is not found so, never
 _CHILDREN = {1: [(0, 2), (2, 1)], 2: [(0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5)]}
 

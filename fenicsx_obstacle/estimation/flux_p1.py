@@ -1,4 +1,4 @@
-"""Multiplier and equilibrated flux of a P1 state: what proves how far it is from the solution.
+"""Multipliers and equilibrated flux of a P1 solution, for the error bound.
 
 For any P1 function u_h, converged or not, nodal multipliers lambda >= 0 (lower obstacle), nu >= 0 (upper) and a rest
 rho come from its residual alone, eps-free, and a flux sigma in RT0 with continuous normal parts and
@@ -57,7 +57,7 @@ class FluxP1:
 
 
 class EquilibrationP1(ABC):
-    """Everything about flux and multipliers that depends on mesh and data alone.
+    """Equilibrated flux and multipliers; parts that depend on mesh and data only are computed once.
 
     Attributes:
         simplices: The owned cells.
@@ -154,13 +154,13 @@ class EquilibrationP1(ABC):
     def _multipliers(
         self, residual: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The residual as lambda - nu + rho: what pushes away from an obstacle that is touched, and the rest."""
+        """Split the residual into lambda - nu + rho: contact forces of the right sign, and the rest."""
         lower = np.where(touches_lower, np.maximum(residual, 0.0), 0.0)
         upper = np.where(touches_upper, np.maximum(-residual, 0.0), 0.0)
         return lower, upper, residual - lower + upper
 
     def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
-        """Where u is given and touches, the mean of the neighbours: any value >= 0 will do, 0 is far off in contact."""
+        """At contact nodes where u is given: the mean of the neighbours; any value >= 0 is admissible."""
         level, dofs, values = self.level, self.simplices.dofs, with_ghosts(self.level.V, values)
         wanted = touches & ~self.patches.free
         if total(level.comm, np.count_nonzero(wanted)) == 0:

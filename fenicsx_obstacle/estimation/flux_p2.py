@@ -1,4 +1,4 @@
-"""Multiplier and equilibrated flux of a P2 state with contact at the middles of edges.
+"""Multipliers and equilibrated flux of a P2 solution with contact at midpoints of edges.
 
 The multiplier is the Crouzeix-Raviart function lambda with nodal values at these middles, so that int lambda psi_a is
 what the rule makes of it for every hat psi_a: patches of free vertices are compatible but for rho_a, the force that is
@@ -39,7 +39,7 @@ class FluxP2:
         rest: rho at the vertices, shape (cells, 3).
         moments: Of sigma, shape (cells, 8).
         normal: Fluxes out of the edges, shape (cells, 3).
-        incompatible: Largest flux that a fan of a free vertex leaves over.
+        incompatible: Largest unbalanced flux in the patch of a free vertex.
     """
 
     lower: np.ndarray
@@ -51,7 +51,7 @@ class FluxP2:
 
 
 class EquilibrationP2:
-    """Everything about flux and multipliers that depends on mesh and data alone.
+    """Equilibrated flux and multipliers; parts that depend on mesh and data only are computed once.
 
     Attributes:
         simplices: The owned cells, with the dofs of P1.
@@ -93,7 +93,7 @@ class EquilibrationP2:
         self._mu_products = self.simplices.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
 
     def _prepare_patches(self) -> None:
-        """Metric of each corner, and the matrices of the fans."""
+        """Metric of each corner, and the matrices of the patches."""
         simplices = self.simplices
         x = simplices.x
         forms = []
@@ -238,7 +238,7 @@ class EquilibrationP2:
     def _solved(
         self, before: np.ndarray, after: np.ndarray, pulls: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What goes round each vertex, and the moments on its edges, along the fans (local)."""
+        """The circulation around each vertex, and the moments on its edges, along the patches (local)."""
         round_, entering, leaving = (np.zeros_like(before) for _ in range(3))
         pulls = pulls + self._forms[:, 0] * before
         for patches, places, closed in self._groups:

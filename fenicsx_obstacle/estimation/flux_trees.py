@@ -1,4 +1,4 @@
-"""Fluxes of P1 on the patches of intervals and tetrahedra.
+"""Equilibrated P1 fluxes on vertex patches of intervals and tetrahedra, by spanning trees.
 
 On intervals there is one flux on each patch. On tetrahedra the fluxes without divergence are those of stream functions,
 one number for each edge at the vertex a: with the corner (a, b, c, d) of a cell T turned to the right hand,

@@ -1,4 +1,4 @@
-"""Fluxes of P1 on the patches of triangles: fans, around which they are known up to a number."""
+"""Equilibrated P1 fluxes on vertex patches of triangles: running sums around the vertex, plus one free number."""
 
 from __future__ import annotations
 

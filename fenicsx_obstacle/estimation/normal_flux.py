@@ -1,4 +1,4 @@
-"""The normal flux where u is given: tension du/dn, which is also the force per length by which u is held there."""
+"""The normal flux tension du/dn where u is given, which is the reaction force per length."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distances: to the exact solution, between two states on one mesh, and the dual norm of the pressure error."""
+"""Error norms: to the exact solution, between two functions on one mesh, and the dual norm of the pressure error."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from fenicsx_obstacle.parallel import largest, total
 
 
 class ExactData:
-    """Data as UFL expressions on a mesh: for `Effect.terms` without sampling.
+    """Data as UFL expressions on a mesh, for `Effect.terms` without sampling.
 
     Attributes:
         dx: Integration of high degree.
@@ -117,7 +117,7 @@ def squared_energy_norm(model: Model, e: Any, data: Sampler) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class ExactSolution:
-    """A solution that is known.
+    """A known exact solution.
 
     Attributes:
         u: The solution; may depend on eps.
@@ -129,7 +129,7 @@ class ExactSolution:
 
 
 class Integrals:
-    """Several integrals over the cells of a mesh in one pass: what they share is evaluated once at each point."""
+    """Several integrals over the cells of a mesh in one pass, with common subexpressions evaluated once."""
 
     def __init__(self, level: Level, integrals: Mapping[str, Any]):
         """Compile (collective).
@@ -183,7 +183,7 @@ class Exact:
     def errors(
         self, u: fem.Function, pressure: fem.Function, eps: float | None
     ) -> tuple[dict[str, float], fem.Function]:
-        """How far a solution is from the exact one (collective).
+        """Errors of a solution in several norms (collective).
 
         Args:
             u: Solution, in V.
@@ -197,7 +197,7 @@ class Exact:
         Raises:
             InputError: If the exact solution, its gradient or pressure is not a number somewhere.
         """
-        difference = self.problem.data.nodal(self.solution.u, {"eps": eps or 0.0})  # refuses what is not finite there
+        difference = self.problem.data.nodal(self.solution.u, {"eps": eps or 0.0})  # rejects values that are not finite
         np.subtract(u.x.array, difference.x.array, out=difference.x.array)
         self.data.eps.value = eps or 0.0
         self.u.x.array[:], self.p.x.array[:] = u.x.array, pressure.x.array

@@ -1,8 +1,8 @@
-"""Obstacles between the nodes.
+"""The excess of an obstacle over its nodal interpolant.
 
-The highest point of an obstacle above its nodal interpolant is added at the nodes around. Bernstein coefficients of the
-polynomials that stand for it bound that height; where it is rough cells are divided for this. All this is done where u
-may touch it; elsewhere its bounds are enough.
+The largest excess in the cells at a node is added to the nodal value. Bernstein coefficients of polynomials that
+approximate the obstacle bound the excess; cells are subdivided for this where the obstacle is not smooth. This is
+done in cells in which u may touch the obstacle; elsewhere bounds of the obstacle are enough.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from fenicsx_obstacle.parallel import largest, total
 SHARPER = (Division(0, 2e-3, degree=2), Division(4, 2e-3, 1e-3, 2))
 BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state,
 FEW = 20_000  # while there are so few parts: on fine meshes they matter less
-ROUND_OFF = 1e-14  # of the heights
+ROUND_OFF = 1e-14  # relative to the values of u
 LOWEST = -1e300  # a mean of which no bound is known
 
 
 class ObstacleExcess:
-    """One obstacle between its nodes; heights count away from it: times -1 for an upper one.
+    """The excess of one obstacle over its nodal interpolant, times -1 for an upper obstacle.
 
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
@@ -114,7 +114,7 @@ class ObstacleExcess:
         ) + ROUND_OFF * self._heights
 
     def lift(self, u: np.ndarray) -> np.ndarray:
-        """Nodal heights of an obstacle that is nowhere below this one where u may touch it (collective).
+        """Nodal values of a P1 obstacle that is nowhere below this one where u may touch it (collective).
 
         Beside nodes where u is given it may be below; there `cover_energy` and `cover_volume` are those of the function
         that makes up for it.
@@ -149,7 +149,7 @@ class ObstacleExcess:
         return lifted
 
     def _near(self, u: np.ndarray) -> np.ndarray:
-        """Where u may touch."""
+        """Cells in which u may touch the obstacle."""
         dofs = self.simplices.dofs
         near = (
             _least(u - self.nodal, dofs)
@@ -158,7 +158,7 @@ class ObstacleExcess:
         return near & (_least(u, dofs) <= self._top + self.dirichlet.deviation)
 
     def _cover(self, state: np.ndarray, beside: np.ndarray) -> None:
-        """What is still above the state beside nodes that cannot be raised, because u is given there (collective).
+        """The excess of the obstacle in cells at nodes where u is given, which cannot be raised (collective).
 
         It is the positive part of obstacle - state - cones of boundary values, which is 0 on the boundary. Its gradient
         is bounded on those parts of the cells where it may be positive.

@@ -1,4 +1,4 @@
-"""What the load is beyond the polynomials that the equilibrated flux sigma is in balance with.
+"""Oscillation: the part of the load that the equilibrated flux sigma does not balance.
 
 In each cell T let g = f - Pi f and tau the smallest field with div tau = -g and no normal part on the boundary of
 T: sigma + tau is in balance with the load itself. Up to the mean of g, which quadrature leaves and Friedrichs' constant
@@ -59,7 +59,7 @@ def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
 
 
 class Oscillation:
-    """The load beyond Pi f in each cell, without the tension.
+    """The load minus Pi f in each cell, without the tension.
 
     Attributes:
         norm: Bound of ||tau||_T.

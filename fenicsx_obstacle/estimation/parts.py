@@ -1,4 +1,4 @@
-"""Parts of segments, triangles and tetrahedra, which need not be cells of any mesh: halved, or cut along lines."""
+"""Subdivision of segments, triangles and tetrahedra: halved, or cut along lines."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ class Patches:
         return np.where(found >= 0, found + np.repeat(np.cumsum(self._received) - self._received, self._received), -1)
 
     def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
-        """Rows in the order of the ranks they go to; those that came, likewise (collective)."""
+        """Send rows in the order of their ranks; returns the received rows in the order of ranks (collective)."""
         kind, width = (MPI.DOUBLE if rows.dtype == np.float64 else MPI.INT64_T), rows.shape[1]
         out = np.empty((received.sum(), width), dtype=rows.dtype)
         send = [np.ascontiguousarray(rows), (sent * width).tolist(), None, kind]

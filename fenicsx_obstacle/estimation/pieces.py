@@ -1,4 +1,4 @@
-"""A datum on whole cells without sampling: polynomials on parts of the cells, and how far it may be from them.
+"""Enclosures of a datum in cells: polynomials on parts of the cells, with bounds of the remainder.
 
 A datum that is a polynomial on a cell is that polynomial. Where it is smooth, its interpolant of degree 2 or 4 stands
 for it, with a bound of the remainder from the derivatives of the next order; where a condition changes, a linear
@@ -40,7 +40,7 @@ SHARP = 0.1  # of the largest value: what varies so much between samples may jum
 
 @dataclass(frozen=True)
 class Division:
-    """When simplices are divided.
+    """Rules for the subdivision of simplices.
 
     Attributes:
         depth: How often at most, where there are finite bounds.

@@ -1,9 +1,9 @@
-"""Digits of the contact pressure: how many floating point leaves it, and how many who divides heights by eps.
+"""Round-off of the contact pressure: computed from u - g, and from stored values of u.
 
-(3.7)-(3.8), p = -(u - g)^+/eps, taken literally subtracts heights: the last digit of g, divided by eps, is a relative
-error of about machine epsilon |g|/(eps |p|) in p. The unknown w = u - g avoids that. What is left does not depend on
-eps: A g is a difference of heights as well, so that p = D^-1 (A u - f) is known to machine epsilon |g| A_ii/(D_i |p|) -
-as if eps were D_i/A_ii, about h^2/(4 tension).
+(3.7)-(3.8), p = -(u - g)^+/eps, computed from stored values of u and g, has a relative error of about machine epsilon
+|g|/(eps |p|), from the last digit of g. With the unknown w = u - g this error does not occur. The remaining error
+does not depend on eps: A g is a difference of values of g as well, so that p = D^-1 (A u - f) has a relative error of
+machine epsilon |g| A_ii/(D_i |p|), as if eps were D_i/A_ii, about h^2/(4 tension).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def round_off(problem: Problem, p: np.ndarray, eps: float | None) -> dict[str, f
         eps: Penalty parameter, or None.
 
     Returns:
-        from_heights: Of the pressure that u and obstacle, as they are stored, give: what is lost, as it happens.
-        line: What theory says may be lost, machine epsilon |g| / (eps |p|).
-        left: What round-off may leave in `p`.
+        from_heights: Of the pressure computed from the stored u and obstacle, as measured.
+        line: The same by theory, machine epsilon |g| / (eps |p|).
+        left: Round-off in `p`.
         None without pressure, or without eps.
     """
     comm, own = problem.level.comm, problem.level.owned

@@ -1,4 +1,4 @@
-"""Singular values of a bilinear form between two normed spaces: by LAPACK on rank 0, or by SLEPc on all ranks.
+"""Singular values of a bilinear form between two normed spaces, by LAPACK on rank 0 or by SLEPc on all ranks.
 
 A form b with matrix B, a norm with matrix H on its columns and one with matrix N on its rows:
 

@@ -1,4 +1,4 @@
-"""A solved problem, frozen: what it answered, and how far that may be from the discrete solution.
+"""Reference problems: computed solutions with bounds of their distance from the discrete solution.
 
 A state w leaves the residual r = A w + ... + D (u - g)^+/eps - f at free dofs. Its distance e to the solution satisfies
 (A + theta D/eps) e = r with some 0 <= theta_i <= 1, since t^+ is monotone and Lipschitz; for the inequality likewise
@@ -43,7 +43,7 @@ NONLINEAR_FACTOR = 2.0  # how many times stiffer than between two answers the me
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """An answer of one `ReferenceProblem`; arrays hold owned dofs.
+    """A solution of one `ReferenceProblem`; arrays have values at owned dofs.
 
     Attributes:
         ground: What it is an answer to.
@@ -58,7 +58,7 @@ class Solved:
         forces: Sum of the acting forces: load, support reactions, contact.
         noise: Round-off of the residual at each dof, a force; 0 at fixed dofs.
         diagonal: Of the derivative of a(u, .) at this state; of the whole matrix, fixed rows included.
-        range: Largest minus smallest height.
+        range: Largest minus smallest value of u.
         z: How far u may be from the discrete solution, at each node.
         R: How far in the energy norm; inf where nothing is known.
     """
@@ -81,12 +81,12 @@ class Solved:
 
     @property
     def residual(self) -> np.ndarray:
-        """a(u, .) - f - I(p, .): what is unbalanced at free dofs."""
+        """a(u, .) - f - I(p, .), the unbalanced forces at free dofs."""
         return np.where(self.ground.free, self.elastic - self.ground.D * self.p, 0.0)
 
     @property
     def q(self) -> np.ndarray:
-        """How far the pressure may be from that of the discrete solution: D (p - p') = A e - r, row by row."""
+        """A bound of the error of the pressure, from D (p - p') = A e - r, row by row."""
         g = self.ground
         moved = 2 * self.diagonal * self.z + np.abs(self.residual)
         return np.where(g.touchable, moved / np.maximum(g.D, 1e-300), 0.0)
@@ -97,7 +97,7 @@ class Solved:
         return max(largest(self.ground.comm, -gap[self.ground.touchable]), 0.0)
 
     def minus(self, other: Solved) -> np.ndarray:
-        """u - other.u, in contact without the round-off of heights."""
+        """u - other.u, in contact without the round-off of u."""
         return (self.w - other.w) + (self.r - other.r)
 
     def apart(self, other: Solved) -> tuple[float, float]:
@@ -115,7 +115,8 @@ class Solved:
 
 
 class ReferenceProblem:
-    """What all answers of a problem stand on: its matrix, factorised, and weights (all methods collective).
+    """The factorised matrix and the weights of a problem, with which its solutions are checked (all methods
+    collective).
 
     Attributes:
         problem: With contact at nodes.
@@ -257,7 +258,7 @@ class ReferenceProblem:
         left = np.where(self.free, np.abs(elastic - self.D * p), 0.0) + noise
         u_values = w + r
         span = largest(self.comm, u_values) + largest(self.comm, -u_values)
-        last = FEW * (np.abs(w) + np.abs(r)) * self.free  # heights themselves are rounded
+        last = FEW * (np.abs(w) + np.abs(r)) * self.free  # the values of u themselves are rounded
         # what SNES VI takes to be at its bound may be this far off
         slip = last if eps is not None else last + TOUCHING * span
         z, R = np.full(own, np.inf), np.inf

@@ -38,7 +38,7 @@ FACETS = Division(4, 1e-2, 1e-3)
 HALVED = 3  # how often facets are divided on which bounds of the slope of e' are too large,
 STEEP = 0.02  # in parts of the slope of d,
 MAX_PARTS = 100_000  # while there are so few
-ROUND_OFF = 1e-14  # of the heights
+ROUND_OFF = 1e-14  # relative to the values of u
 INSIDE = 1e-11  # of the way from an edge to the middle of a facet: values there are those of this facet
 ALONG = np.linspace(0.0, 1.0, polynomials.MAX_DEGREE + 1)  # polynomials that agree there agree on the edge
 DEGREE = 4
@@ -83,7 +83,7 @@ class _Facets:
 
 
 class SurfaceData(BoundaryValues):
-    """Boundary values on the facets of tetrahedra."""
+    """The extension of boundary values from the facets of tetrahedra into the cells."""
 
     def __init__(self, simplices: Simplices):
         """Enclose the boundary values (collective).

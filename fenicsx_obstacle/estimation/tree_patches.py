@@ -1,4 +1,4 @@
-"""The intervals or tetrahedra around each vertex as a tree.
+"""Vertex patches of intervals or tetrahedra with spanning trees.
 
 A corner is a vertex a of an owned cell with the d others, of a tetrahedron so that (a, b, c, d) has a positive
 determinant. It has d facets with a, each opposite to one of the others; two corners are neighbours across such a facet,

@@ -1,8 +1,8 @@
-"""The triangles around each vertex in their order.
+"""Vertex patches of triangles, ordered around the vertex.
 
-A corner is a vertex a of an owned triangle with the other two, b and c, counter-clockwise after it. The patches are
-fans: the corner after (a, b, c) is the one across its edge a-c, which begins with (a, c). Fans end at the boundary, and
-on curves inside the domain where u is given.
+A corner is a vertex a of an owned triangle with the other two, b and c, in counter-clockwise order. In a patch the
+corner after (a, b, c) is the one across the edge a-c. Patches are open at the boundary, and on curves inside the domain
+where u is given.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from fenicsx_obstacle.parallel import largest
 
 
 class VertexPatches(Patches):
-    """The fans of all owned vertices, in arrays ordered by step: the first corners of all fans, then the second ones.
+    """The patches of all owned vertices, in arrays ordered by step: the first corners of all patches, then the second
+    ones.
 
-    Fans stand in order of decreasing length, so that step k is one slice, and a walk along all fans at once is a loop
+    Patches are sorted by decreasing length, so that step k is one slice, and running sums over all patches are a loop
     over slices.
 
     Attributes:
         steps: Slice of each step.
-        closed: Whether a fan goes all the way round.
-        last: Place of the last corner of each fan.
-        entry_held: Whether u is given on the edge where a fan begins; open fans only.
-        exit_held: Whether u is given on the edge where a fan ends; open fans only.
+        closed: Whether the patch surrounds its vertex.
+        last: Place of the last corner of each patch.
+        entry_held: Whether u is given on the edge where a patch begins; open patches only.
+        exit_held: Whether u is given on the edge where a patch ends; open patches only.
     """
 
     def __init__(self, simplices: Simplices):
@@ -46,7 +47,7 @@ class VertexPatches(Patches):
         self, a: np.ndarray, b: np.ndarray, c: np.ndarray, after: np.ndarray, entry_held: np.ndarray,
         exit_held: np.ndarray,
     ) -> np.ndarray:  # fmt: skip
-        """The corner after each, -1 where its fan ends (local).
+        """The corner after each, -1 where its patch ends (local).
 
         Args:
             a: Numbers of the vertices of corners.
@@ -72,30 +73,30 @@ class VertexPatches(Patches):
         return after
 
     def _sort(self, a: np.ndarray, after: np.ndarray, entry_held: np.ndarray, exit_held: np.ndarray) -> None:
-        """Walk along all fans at once and lay their corners out by step (local)."""
+        """Walk along all patches at once and lay their corners out by step (local)."""
         first = np.ones(len(after), dtype=bool)
         first[after[after >= 0]] = False
         unseen, patches, steps = np.ones(len(after), dtype=bool), 0, list[tuple[np.ndarray, np.ndarray, int]]()
         starts, closed = np.flatnonzero(first), list[np.ndarray]()
         while True:
-            here, fan, step = starts, patches + np.arange(len(starts)), 0
+            here, patch, step = starts, patches + np.arange(len(starts)), 0
             patches += len(starts)
             while len(here):
-                steps.append((fan, here, step))
+                steps.append((patch, here, step))
                 unseen[here] = False
                 here, step = after[here], step + 1
                 go_on = here >= 0
                 go_on[go_on] = unseen[here[go_on]]
-                here, fan = here[go_on], fan[go_on]
+                here, patch = here[go_on], patch[go_on]
             closed.append(np.full(len(starts), len(closed) > 0))
             left = np.flatnonzero(unseen)
             if not len(left):
                 break
-            # what goes round begins anywhere, one fan of each vertex at a time
+            # what goes round begins anywhere, one patch of each vertex at a time
             starts = left[np.unique(a[left], return_index=True)[1]]
         length = np.zeros(patches, dtype=np.int64)
-        for fan, _, _ in steps:
-            length[fan] += 1
+        for patch, _, _ in steps:
+            length[patch] += 1
         rank = np.empty(patches, dtype=np.int64)
         by_length = np.argsort(-length, kind="stable")
         rank[by_length] = np.arange(patches)
@@ -103,8 +104,8 @@ class VertexPatches(Patches):
         ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         self.steps = [slice(start, end) for start, end in pairwise(ends.tolist())]
         self._order = np.empty(len(after), dtype=np.int64)
-        for fan, here, step in steps:
-            self._order[ends[step] + rank[fan]] = here
+        for patch, here, step in steps:
+            self._order[ends[step] + rank[patch]] = here
         self.closed = np.concatenate(closed)[by_length]
         self.last = ends[length[by_length] - 1] + np.arange(patches)
         head = self._order[:patches]
@@ -112,7 +113,7 @@ class VertexPatches(Patches):
         self.entry_held, self.exit_held = entry_held[head], exit_held[self._order[self.last]]
 
     def sums(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the corners of each fan (local)."""
+        """Sums over the corners of each patch (local)."""
         sums = np.zeros(len(self.vertex))
         for step in self.steps:
             sums[: step.stop - step.start] += values[step]
@@ -137,7 +138,7 @@ class VertexPatches(Patches):
         return found
 
     def walk(self, drops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Running sums of -drops along each fan (local).
+        """Running sums of -drops along each patch (local).
 
         Returns:
             Before and after each corner; what is after one is before the next, the same number.
@@ -151,7 +152,7 @@ class VertexPatches(Patches):
         return before, after
 
     def left_over(self, after: np.ndarray) -> float:
-        """The largest sum that is left after the fan of a free vertex (collective).
+        """The largest sum that is left after the patch of a free vertex (collective).
 
         Args:
             after: Running sums after each corner.
@@ -160,7 +161,7 @@ class VertexPatches(Patches):
         return max(largest(self.comm, ends), 0.0)
 
     def along(self, values: np.ndarray) -> np.ndarray:
-        """One value for each fan at all of its corners (local)."""
+        """One value for each patch at all of its corners (local)."""
         return np.concatenate([values[:0], *(values[: step.stop - step.start] for step in self.steps)])
 
 

@@ -24,7 +24,7 @@ TENSORS = ("quadrilateral", "hexahedron")
 
 @dataclass(frozen=True)
 class Pair:
-    """V_h, I and Q_h on the cells that they are for.
+    """V_h, I and Q_h for some kinds of cells.
 
     Attributes:
         name: On the command line.
@@ -53,7 +53,7 @@ class Pair:
         return self.rules[cell]
 
     def cell_weights(self, corners: np.ndarray) -> np.ndarray:
-        """What D_i gets from each cell at the node i, where D_i is not the sum of the rule's weights; for P1 alone.
+        """Contributions of each cell to the weights D_i, if D_i is not the sum of the rule's weights; P1 only.
 
         Args:
             corners: Coordinates of the vertices of cells, shape (cells, vertices, 3).
@@ -65,7 +65,7 @@ class Pair:
 
     @property
     def own_weights(self) -> bool:
-        """Whether it says what weights D_i the cells give."""
+        """Whether the pair defines the weights D_i by `cell_weights`."""
         return type(self).cell_weights is not Pair.cell_weights
 
     @property
@@ -75,7 +75,7 @@ class Pair:
 
     @property
     def bounded(self) -> bool:
-        """Whether there is a bound of the error in energy, on triangles in the plane."""
+        """Whether there is a bound of the energy error."""
         return self.nested_hierarchy or self.has_p1_coarse_space
 
     @property

@@ -55,7 +55,8 @@ def nodal_rule(cell: str, degree: int = 1) -> Rule:
         degree: Degree of V_h: 1 for simplices (vertex rule), 1 or 2 for tensor cells (trapezoid, Simpson).
 
     Raises:
-        InputError: Where no such rule has positive weights: P2 on triangles weighs its vertices 0, against (3.6).
+        InputError: If no such rule has positive weights (3.6); the rule of P2 on triangles has weights 0 at the
+            vertices.
     """
     if degree == 1 and cell in _VERTICES:
         points = _VERTICES[cell]

@@ -1,4 +1,4 @@
-"""Solutions in files: saved folders, HDF5 and XDMF for ParaView, elements on cut cells.
+"""Solutions in files: saved folders, HDF5 and XDMF for ParaView, elements on subdivided cells.
 
-Enters: what writes and reads the fields of a solution. Stays out: what solves; scenes, which write their own file.
+Contents: writing and reading the fields of a solution. Not here: solving; scenes, which write their own file.
 """

@@ -1,4 +1,4 @@
-"""A solution of any element as one on P1 simplices: what is drawn, saved, compared and looked up.
+"""The P1 interpolant of a solution on subdivided cells, which is drawn and saved.
 
 Cells are cut along the lattice of their nodes, so that u keeps all its nodal values. Where pressures are constant on
 cells the centres become nodes too, or a mean at the vertices would hide what differs from cell to cell.

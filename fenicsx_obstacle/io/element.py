@@ -36,7 +36,7 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def element_of(solution: Solution) -> dict[str, Rows]:
-    """What restores the element of a solution; empty for P1 simplices (collective).
+    """The data from which the element of a solution is restored; empty for P1 simplices (collective).
 
     Returns:
         `cells`, for each cell the rows of the nodal values in the order of its dofs; and by its name each field of Q_h
@@ -112,7 +112,7 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
     functions = {name: fem.Function(_space(level, name)) for name in arrays}
     cells = np.asarray(level.mesh.topology.original_cell_index)[:own]
     if not element:
-        # where each dof stood when it was saved
+        # the coordinates of each dof when it was saved
         rows = np.asarray(level.mesh.geometry.input_global_indices)[releases.dof_nodes(level.V)]
         for name, function in functions.items():
             if name in BY_CELL:

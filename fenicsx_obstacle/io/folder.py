@@ -37,7 +37,7 @@ DERIVED = ("gap",)  # written for ParaView, not read back with scalar solutions
 
 
 def save(solution: Solution, folder: Path) -> None:
-    """Write a solution; of what is in the folder only an older one is replaced (collective).
+    """Write a solution into a folder; other files in the folder are kept (collective).
 
     Each rank writes its own rows of fields.h5: the folder is on a file system that all share.
 
@@ -93,7 +93,7 @@ def _told(folder: Path) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Saved:
-    """What a folder holds.
+    """The contents of a folder.
 
     Attributes:
         fields: Arguments of `Solution`, and `error` where it is there.
@@ -108,7 +108,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     """Read a solution (collective).
 
     Args:
-        folder: Of `save`.
+        folder: A folder of `save`.
         comm: The ranks that share its mesh.
         needed: Further files that must be there.
         steps_in_time: Where the steps of the iteration stand if history.csv has the course of time.

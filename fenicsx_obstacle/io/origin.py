@@ -1,4 +1,4 @@
-"""Where figures come from: the command and the versions."""
+"""Origin of results: the command and the versions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 
 def command(ranks: int) -> str:
-    """The command that this process runs, as one types it."""
+    """The command line of this process."""
     program, *arguments = sys.argv
     if program.endswith(("__main__.py", "fenicsx-obstacle")):
         words = ["./obstacle", *(["--ranks", str(ranks)] if ranks > 1 else []), *arguments]
@@ -20,7 +20,7 @@ def command(ranks: int) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions that figures depend on."""
+    """Versions on which results depend."""
     from importlib.metadata import version
 
     petsc = ".".join(str(part) for part in PETSc.Sys.getVersion())

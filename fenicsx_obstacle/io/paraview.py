@@ -29,7 +29,7 @@ def to_hdf5(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 class Array(Protocol):
-    """What XDMF says of an array, whoever holds it."""
+    """Shape and type of an array for XDMF."""
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""HDF5 files that all ranks write and read, each its own rows, without a parallel HDF5 and without rank 0 in between.
+"""HDF5 files of which each rank writes and reads its rows, without a parallel HDF5.
 
 Rank 0 makes the file with places for the arrays; into these each rank writes its bytes. So a full disk is an error that
 can be told: the library would end the process. A reader maps the arrays, and takes from the disk what it looks at.

@@ -6,12 +6,12 @@ import numpy as np
 
 from fenicsx_obstacle.measured.surface import EDGE, Surface, SurfaceBounds, bounds_of, gradients, parts, runs
 
-_FAR = 1e150  # the ends of the other axis of heights along one axis
+_FAR = 1e150  # the ends of the other axis of data along one axis
 _SNAP = 1e-11  # of its length: an end of a cell so near a line of the grid is on it
 
 
 class Grid(Surface):
-    """Heights at the points of a grid, whose lines need not be at equal distances."""
+    """Values z at the points of a grid, whose lines need not be at equal distances."""
 
     def __init__(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray):
         """Take it.
@@ -76,7 +76,7 @@ class Grid(Surface):
     def _in_boxes(
         self, corners: np.ndarray, start: np.ndarray, slope: np.ndarray, first: np.ndarray, last: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Extremes of the heights less linear functions at the corners of all pieces, and a bound of the gradient."""
+        """Extremes of the values minus linear functions at the corners of all pieces, and a bound of the gradient."""
         wide = last - first + 1
         rows, number, starts = runs(wide[:, 0] * wide[:, 1])
         i, j = first[rows, 0] + number // wide[rows, 1], first[rows, 1] + number % wide[rows, 1]

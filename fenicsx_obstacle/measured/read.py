@@ -22,7 +22,7 @@ _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """What a file or the caller's arrays hold, one of three kinds.
+    """Measured data of one of three kinds, from a file or from arrays.
 
     Attributes:
         columns: Points and heights, shape (n, 3), or (n, 2) along one axis.

@@ -1,4 +1,4 @@
-"""What a table of heights tells of itself: values at points, and bounds over segments and triangles."""
+"""Surfaces of measured data: values at points, and bounds over segments and triangles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROUND_OFF = 1e-14  # of the largest height: of sums in an interpolant
 
 
 class Surface(ABC):
-    """Heights over a part of the plane or the line, piecewise polynomial.
+    """Piecewise polynomial values over a part of the plane or the line.
 
     Attributes:
         continuous: Whether it is, for sure.
@@ -62,7 +62,7 @@ class Surface(ABC):
 
 @dataclass(frozen=True)
 class SurfaceBounds:
-    """Bounds of heights over simplices, as `effects.field.Bounds` has them.
+    """Bounds of measured data over simplices, as `effects.field.Bounds` has them.
 
     Attributes:
         lower: Lower bound.

@@ -27,21 +27,21 @@ _LISTED = 3  # places in a message
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Heights from a file or from arrays.
+    """Measured data from a file or from arrays.
 
-    A file holds columns x, y, z or x, z (.csv, .txt; .npy), arrays x, y, z (.npz), heights alone with their extents
-    (.npy, .csv, and images, .png), or facets in space (.stl), of which the highest above a point counts. Points of a
-    regular grid are recognised, others are triangulated. Between the points heights are linear or bilinear.
+    A file contains columns x, y, z or x, z (.csv, .txt; .npy), arrays x, y, z (.npz), values z with their extents
+    (.npy, .csv, and images, .png), or facets in space (.stl), of which the highest at a point counts. Points of a
+    regular grid are recognised, others are triangulated. Between the points z is linear or bilinear.
 
     Attributes:
         file: Its name, or None.
-        x: Of heights alone the first and the last x; beside `z` the coordinates of its columns.
+        x: Without coordinates in the file, the first and the last x; with `z`, the coordinates of its columns.
         y: The same of y.
-        z: Heights as an array, shape (len(y), len(x)), or (n,) with x and y of that shape.
-        range: Heights of black and white in an image.
+        z: Values as an array, shape (len(y), len(x)), or (n,) with x and y of that shape.
+        range: The values z of black and white in an image.
         scale: Factor of all coordinates, or one for each.
         rotate: Angle about the z-axis in degrees, after scaling.
-        shift: What is added to x, y and z in the end; along one axis to x and z.
+        shift: Added to x, y and z last; for data along one axis to x and z.
         smooth: Standard deviation of a Gaussian filter in the unit of scaled x and y; for grids.
     """
 
@@ -62,7 +62,7 @@ class Table:
         return None if self.file is None else self.folder / self.file
 
     def on(self, source: str) -> MeasuredField:
-        """It as the datum that stands at a place (every rank reads the file).
+        """The datum for a place in a scene (every rank reads the file).
 
         Raises:
             InputError: Naming the place, the file and the line or point.
@@ -77,7 +77,7 @@ class Table:
 
     @property
     def in_toml(self) -> dict[str, Any]:
-        """The keys that say something, as a scene has them; without the arrays."""
+        """The keys that are not default values, as in a scene; without the arrays."""
         given = {key: getattr(self, key) for key in KEYS if self.z is None or key not in ("x", "y")}
         given["file"] = None if self.path is None else str(self.path)
         return {key: value for key, value in given.items() if value is not None and value != _NOTHING.get(key)}
@@ -87,7 +87,7 @@ class Table:
 
 
 def in_words(keys: Mapping[str, Any]) -> str:
-    """Keys of a table of heights as they stand in TOML."""
+    """Keys of a table of measured data as in TOML."""
     return "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in keys.items()) + "}"
 
 
@@ -146,7 +146,7 @@ class MeasuredField(Field):
     def _heights(self) -> Heights:
         table = self.table
         if (table.file is None) == (table.z is None):
-            raise InputError(f"{self.source}: a table of heights needs either a file or an array z")
+            raise InputError(f"{self.source}: measured data need either a file or an array z")
         if table.path is None:
             return of_arrays(table.x, table.y, table.z, self._name)
         try:
@@ -155,7 +155,7 @@ class MeasuredField(Field):
             raise InputError(f"{self.source}: {error}") from None
 
     def _check_extents(self, *, used: bool) -> None:
-        """Refuse keys that say nothing about the data."""
+        """Reject keys that do not belong to the data."""
         if self.table.file is None or used:
             return
         for key in ("x", "y", "range"):
@@ -201,7 +201,7 @@ class MeasuredField(Field):
     def _refuse_missing(self, count: int, total: int, places: Sequence[str]) -> None:
         more = " and more" if count > len(places) else ""
         raise InputError(
-            f"{self._name}: {count} of {counted(total, 'height')} are not finite numbers: at "
+            f"{self._name}: {count} of {counted(total, 'value')} are not finite numbers: at "
             f"{'; '.join(places)}{more}; "
             "replace them, or remove these points: the others are then triangulated"
         )

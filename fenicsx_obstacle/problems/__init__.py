@@ -1,5 +1,5 @@
 """The library on DOLFINx objects: ObstacleProblem, made of a form or of effects, and its Solution.
 
-Enters: what a user of DOLFINx calls, without any scene. Stays out: formulas and files of scenes; pictures, but for the
-late import of `Solution.plot`.
+Contents: the classes that a DOLFINx user calls, without any scene. Not here: formulas and files of scenes; pictures,
+except for the late import in `Solution.plot`.
 """

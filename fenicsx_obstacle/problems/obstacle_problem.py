@@ -50,7 +50,7 @@ Monitor = Callable[[int, Step], None]
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """What a solve left.
+    """The result of a solve.
 
     Attributes:
         outcome: Of the iteration.
@@ -121,8 +121,8 @@ class ObstacleProblem:
             upper: Obstacle above, in the same way.
             energy: The functional whose derivative F is; with it a line search safeguards the iteration. Needed where F
                 is not linear only.
-            J: The derivative of F where UFL's own is not wanted; of linear F it is not used.
-            of: Of vector-valued u, what the obstacles bound: a scalar UFL expression linear in u, such as
+            J: The derivative of F, by default that of UFL; not used if F is linear.
+            of: For vector-valued u, the bounded component: a scalar UFL expression linear in u, such as
                 `ufl.dot(u, n)` with a constant, a field or `ufl.FacetNormal(mesh)` for n; it is sampled once. At each
                 contact node it has one unit normal, the mean over the facets there.
             measure: Where contact can be: `ds(3)` for the facets tagged 3, also a tuple of tags; by default the domain.
@@ -130,7 +130,7 @@ class ObstacleProblem:
                 facets of the boundary, and there may be a factor, as `x[0] * ds(3)` in axial symmetry.
             stress: Of vector-valued u, its stress in UFL, a tensor with three rows (also in plane strain and axial
                 symmetry) or, in plane stress, with two. Solutions then have the von Mises stress of each cell.
-            petsc_options_prefix: Of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
+            petsc_options_prefix: Prefix of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
             petsc_options: Options without the prefix; they go before those of the command line, and hold for this
                 problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
                 symmetric, else GMRES; multigrid on algebraic levels where F is linear and symmetric.
@@ -296,7 +296,7 @@ class ObstacleProblem:
         bound: bool = False,
         monitor: Monitor | None = None,
     ) -> Solution:
-        """Solve from u on, or from coarse levels (collective).
+        """Solve, starting from u or from coarse levels (collective).
 
         Args:
             eps: Penalty parameter in units of u/p, a number or a Constant; "auto" takes a hundredth of the median of
@@ -304,8 +304,8 @@ class ObstacleProblem:
                 of a model it is h^2/100 over the largest tension.
             method: penalty; successive, the paper's (3.4)*, which starts without contact; or vi, for the variational
                 inequality by SNES VI, without eps.
-            rtol: Unbalanced force over acting forces to stop at, dimensionless.
-            bound: Bound the energy error, which takes a problem made of effects.
+            rtol: The solver stops if unbalanced forces over acting forces are below it; dimensionless.
+            bound: Bound the energy error; needs a problem made of effects.
             monitor: Called with the number of each Newton step and its `Step`, on all ranks.
 
         Raises:
@@ -366,7 +366,7 @@ class ObstacleProblem:
         return Solved(outcome, way, state)
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
-        """Solve from u, or from the coarsest level on where u is no start or a bad one (collective)."""
+        """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
         problem = self._problem
         serves = not self._vector_valued and nested(problem.model.effects, problem.level.pair, options)
         grids = self._levels() if serves else []
@@ -406,7 +406,7 @@ class ObstacleProblem:
 
     @contextmanager
     def _settings(self) -> Iterator[None]:
-        """The options of this problem, and of no other."""
+        """Set the PETSc options of this problem during a solve."""
         prefixes = [self._problem.prefix] if self._problem.prefix else ["penalty_", "vi_"]
         options = {prefix + key: value for prefix in prefixes for key, value in self._options.items()}
         with overriding(options), releases.compiled_with(*self._compiled):
@@ -423,7 +423,7 @@ class ObstacleProblem:
             warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=5)
 
     def _begin(self) -> None:
-        """Take what has changed since the last solve, and start from u (collective)."""
+        """Update changed data, and start from u (collective)."""
         problem = self._problem
         if self._form is not None:
             values = _values_in(self._form.slope)
@@ -453,7 +453,7 @@ class ObstacleProblem:
                 f"{self.name}: bound=True needs tension and load as data, which are not known of a form: use "
                 "Scene(mesh=...)"
             )
-        from fenicsx_obstacle.estimation.bound import Estimator  # only where it is asked for
+        from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 
         estimator = Estimator(self._problem)
         if self._problem.affine:
@@ -505,7 +505,7 @@ class ObstacleProblem:
         return problem.eps_share * float(np.median(everywhere))
 
     def _refuse_no_number(self) -> None:
-        """Name the place where F is not finite, if there is one (collective).
+        """Raise an error with the point at which F is not finite, if there is one (collective).
 
         Raises:
             InputError: With the place.

@@ -1,4 +1,4 @@
-"""The figures of a solution: what was solved, what came out, how it was found."""
+"""Output quantities of a solution."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COARSE = 1.5  # distance of nodes over that of measured data from which on the m
 def output_quantities(
     problem: Problem, method: str, eps: float | None, state: State, *, name: str = "", title: str = "", refine: int = 0
 ) -> dict[str, Any]:
-    """What was solved, and what came out (collective).
+    """Description of the problem and output quantities of its solution (collective).
 
     Args:
         problem: Just solved.
@@ -61,7 +61,7 @@ def output_quantities(
 
 
 def course_of(outcome: Outcome, seconds: Seconds, comm: MPI.Comm) -> dict[str, Any]:
-    """How it was found (collective)."""
+    """Iteration counts, times and memory of a solve (collective)."""
     return {
         "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
         "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, "seconds": asdict(seconds),
@@ -79,7 +79,7 @@ def _may_jump(problem: Problem) -> bool:
 
 
 def _too_coarse(problem: Problem) -> list[str]:
-    """Of measured data that the mesh does not resolve, in words."""
+    """Remarks about measured data that the mesh does not resolve."""
     level = problem.level
     h, found = level.h / level.pair.degree, []
     for datum in problem.model.data:
@@ -90,6 +90,6 @@ def _too_coarse(problem: Problem) -> list[str]:
 
 
 def _of_effects(problem: Problem) -> dict[str, float]:
-    """Those that belong to effects (collective)."""
+    """Output quantities of the effects (collective)."""
     outputs = (effect.outputs(problem.data) for effect in problem.model.effects)
     return {name: value for found in outputs for name, value in found.items()}

@@ -33,7 +33,7 @@ ROUND_OFF = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ResidualForm(Effect):
-    """The caller's residual F(u; v).
+    """The residual F(u; v) of the caller as an effect.
 
     Attributes:
         F: Residual.
@@ -79,7 +79,7 @@ class ResidualForm(Effect):
         return found
 
     def look_again(self, A: PETSc.Mat) -> None:
-        """Whether an affine F is symmetric now that its coefficients have changed (collective)."""
+        """Check again whether an affine F is symmetric, after its coefficients have changed (collective)."""
         self.__dict__["symmetric"] = is_symmetric(A)
 
     @property
@@ -124,7 +124,7 @@ def is_symmetric(A: PETSc.Mat) -> bool:
 
 
 def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
-    """Reject what is not a form of u with so many arguments, on the mesh and in the space of u.
+    """Reject arguments that are not forms of u with so many arguments, on the mesh and in the space of u.
 
     Args:
         form: What was given.

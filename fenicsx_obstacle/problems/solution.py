@@ -1,4 +1,4 @@
-"""A solution: the frozen result of a converged solve."""
+"""Solution: the frozen result of a converged solve."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces 
 
 
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
-    """The figures of [report], by name; extremes with their places."""
+    """The values of [report], by name; extremes with their places."""
     places, found = record.get("report_places", {}), {}
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
@@ -196,8 +196,8 @@ class Solution:
         upper: Nodal upper obstacle, or None.
         history: The steps of the iteration.
         record: All values, as in answer.json.
-        bound: Of the energy error, where it was asked for.
-        tension: In UFL, a number or a matrix; None of a form of the caller's own, which hides it, and if read.
+        bound: Bound of the energy error, or None.
+        tension: In UFL, a number or a matrix; None for a form, and for a solution read from files.
     """
 
     level: Level
@@ -220,12 +220,12 @@ class Solution:
 
     @property
     def title(self) -> str:
-        """What was solved, in words."""
+        """The title of the problem."""
         return title_of(self.record["title"], self.record["scene"])
 
     @property
     def symbol(self) -> str:
-        """What u is called in pictures."""
+        """The label of u in pictures."""
         return "u"
 
     @property
@@ -240,7 +240,7 @@ class Solution:
 
     @property
     def area(self) -> float:
-        """Of the contact set, which ends between nodes; of obstacles on the boundary the length there."""
+        """Area of the contact set, which ends between nodes; for obstacles on the boundary a length."""
         return self.record["contact"]["area"]
 
     @property
@@ -299,12 +299,13 @@ class Solution:
 
     @property
     def plain(self) -> Self:
-        """The same on P1 simplices, as it is drawn, and written for ParaView (first use is collective)."""
+        """Its interpolant on P1 simplices, for pictures and ParaView (first use is collective)."""
         return self if self.level.pair.nested_hierarchy else cast("Self", self.cut.plain)
 
     @cached_property
     def cut(self) -> Cut:
-        """How `plain` was made of the cells of another element than P1 (first use is collective)."""
+        """The subdivision of the cells from which `plain` is made, for elements other than P1 (first use is
+        collective)."""
         from fenicsx_obstacle.io.cut import cut
 
         return cut(self)
@@ -316,15 +317,15 @@ class Solution:
             points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
                 as many as the mesh has, or three, as in DOLFINx, the others being 0.
             of: u; pressure; gap, the distance to the nearest obstacle; slope, the gradient of u; or flux, the tension
-                times the slope. Where cells meet and have different values it is their mean.
+                times the slope. On facets between cells with different values it is their mean.
 
         Returns:
             One value for each point, the same on every rank: shape (n,) for points of shape (n, gdim) or (n, 3), and
             shape (), a number, for one point. Of slope and flux (n, gdim) and (gdim,).
 
         Raises:
-            InputError: If the points have another number of coordinates, or lie beside the line or plane of the mesh,
-                or there is no such quantity, or the tension is not known of which the flux is made.
+            InputError: If the points have another number of coordinates, or are not on the line or plane of the mesh,
+                or there is no such quantity, or the flux is requested and the tension is not known.
         """
         gdim = self.level.mesh.geometry.dim
         try:
@@ -358,7 +359,7 @@ class Solution:
         return self.on(np.linspace(ends[0], ends[1], n))
 
     def on(self, points: np.ndarray) -> Profile:
-        """All quantities at points that follow each other on a curve (collective).
+        """All quantities at consecutive points of a curve (collective).
 
         Args:
             points: Shape (n, gdim), the same on every rank.
@@ -438,7 +439,7 @@ class Solution:
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""
-        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only where it is asked for
+        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only if requested
 
         if self.level.pair.nested_hierarchy and function.function_space == self.level.V:
             return values_at(self.level, function, points)
@@ -635,11 +636,11 @@ class Solution:
         """A saved solution with the element it was computed with, on any number of ranks (collective).
 
         Args:
-            folder: Of `save`.
+            folder: A folder of `save`.
             comm: The ranks that share its mesh.
 
         Raises:
-            InputError: If the folder does not hold one.
+            InputError: If the folder has no saved solution.
         """
         from fenicsx_obstacle.io.folder import read
 

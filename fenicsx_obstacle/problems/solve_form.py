@@ -1,4 +1,4 @@
-"""`solve_form`: an ObstacleProblem solved once, in the form that it had in version 0.1."""
+"""`solve_form`: solves an ObstacleProblem once, with the arguments of version 0.1."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
 
 @dataclass(frozen=True, eq=False)
 class FormAnswer:
-    """A converged solution of a residual of the caller's own.
+    """A converged solution of a form.
 
     Attributes:
         u: The caller's Function, holding the solution.
@@ -54,7 +54,8 @@ def solve_form(
     eps: float | str | fem.Constant | None = None,
     energy: ufl.Form | None = None,
 ) -> FormAnswer:
-    """Solve an `ObstacleProblem` once (collective); prefer that class, this function goes with version 0.3.
+    """Solve an `ObstacleProblem` once (collective); deprecated, use that class: this function will be removed in
+    version 0.3.
 
     Args:
         F: As for `ObstacleProblem`.

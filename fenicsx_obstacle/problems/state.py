@@ -1,4 +1,4 @@
-"""The present state of a solved problem: its fields, and the figures that all scenes have."""
+"""Fields and contact of a solved problem."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fenicsx_obstacle.solvers.choose import Method
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Fields and figures.
+    """Fields and contact of a solution.
 
     Attributes:
         u: Solution.
@@ -34,7 +34,7 @@ class State:
 
     @property
     def fields(self) -> dict[str, fem.Function]:
-        """Those that an answer has."""
+        """The fields of an answer."""
         return {"u": self.u, "pressure": self.pressure, "contact": self.touching}
 
     def sides(self, problem: Problem) -> dict[str, float]:
@@ -45,7 +45,7 @@ class State:
 
 
 def state_of(problem: Problem, method: Method) -> State:
-    """The state that a problem is in, just solved by a method (collective)."""
+    """The state of a problem after a solve (collective)."""
     p = method.pressure(problem)
     contact = contact_of(problem, p)
     energy = None

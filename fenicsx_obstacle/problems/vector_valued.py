@@ -1,4 +1,4 @@
-"""What only vector-valued problems have: weighted measures of facets, and their solution."""
+"""Vector-valued problems: weighted measures of facets, contact tables and solutions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""[[boundary]]: what contradicts itself there, told without a mesh."""
+"""Checks of [[boundary]] that need no mesh."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 def part_place(number: int) -> str:
-    """What messages call a [[boundary]], counted from 0."""
+    """The name of a [[boundary]] in messages; `number` counts from 0."""
     return f"[[boundary]] (no. {number + 1})"
 
 
 def check_parts(scene: Scene) -> None:
-    """Refuse parts that say nothing, or two things at once.
+    """Reject tables [[boundary]] without data or with contradictory data.
 
     Raises:
         InputError: Naming the part.

@@ -1,4 +1,4 @@
-"""The conditions in a formula as margins: continuous where the formula jumps, so that their signs can be sought."""
+"""Conditions in a formula as margins: continuous functions whose signs decide the conditions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounds of derivatives, beside interval arithmetic.
+"""Bounds of derivatives up to order 5, for interval arithmetic.
 
 Of a value f on each cell they are numbers f_k >= |D^k f(e, .., e)|/k!, k = 1 .. ORDER, for all unit vectors e and all
 places in the cell. By Banach's theorem on symmetric forms f_k bounds the form for different vectors too, so that sums,

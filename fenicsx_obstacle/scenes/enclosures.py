@@ -1,4 +1,4 @@
-"""What is known of a formula on whole cells, without sampling: bounds, polynomial degree, conditions that cut a cell.
+"""Enclosures of a formula in cells: bounds, polynomial degree, conditions that change inside a cell.
 
 See `tree_walk` for how.
 """

@@ -64,7 +64,7 @@ class FormulaField(Field):
         return True
 
     def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
-        """Refuse names that mean nothing.
+        """Reject unknown names.
 
         Raises:
             InputError: As `Formula.check_names`.

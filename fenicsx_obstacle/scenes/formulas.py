@@ -69,7 +69,7 @@ class Formula:
         return bool(called & {"where", "sign", "floor", "atan2"}) or any(isinstance(n, conditions) for n in nodes)
 
     def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
-        """Refuse names that mean nothing here.
+        """Reject unknown names.
 
         Raises:
             InputError: Pointing at the column, with the nearest known name.
@@ -146,7 +146,7 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
 
 
 def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str, tuple[int, int]]) -> None:
-    """Refuse whatever is not arithmetic."""
+    """Reject everything that is not arithmetic."""
     if depth > MAX_DEPTH:
         raise InputError(f"{formula.place}: formula nested deeper than {MAX_DEPTH} operations")
     children: list[ast.expr]

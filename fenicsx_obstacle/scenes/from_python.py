@@ -1,4 +1,4 @@
-"""What a scene made in Python has that TOML cannot say: data that are objects, a mesh with tags."""
+"""Scenes from Python: data that are objects, and meshes with tags, which TOML cannot represent."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def field_of(name: str, objects: Objects, place: str) -> Field:
 
 
 class _Gone(Field):
-    """A datum that was an object when the scene was saved."""
+    """A placeholder for an object of a saved scene, which cannot be evaluated."""
 
     def __init__(self, text: str, source: str):
         self.text, self.source = text, source

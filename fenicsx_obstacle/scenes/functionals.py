@@ -1,4 +1,4 @@
-"""The figures of [report]: integrals, point values and extremes of the solution, by NumPy alone.
+"""Output quantities of [report]: integrals, point values and extremes of the solution, by NumPy only.
 
 A functional needs values of Lagrange functions at chosen places of chosen cells, so that a report compiles nothing.
 """
@@ -50,7 +50,7 @@ class Report:
         self._normal: NormalFlux | None = None
 
     def check(self) -> None:
-        """Refuse what the mesh shows to be wrong, before anything is solved (collective).
+        """Check [report] with the mesh, before anything is solved (collective).
 
         Raises:
             InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside.
@@ -83,7 +83,7 @@ class Report:
     def evaluate(
         self, u: fem.Function, p: fem.Function, contact: fem.Function, support: np.ndarray
     ) -> dict[str, float | None]:
-        """All figures, in order; None where one is not finite (collective).
+        """All output quantities, in order; None if one is not finite (collective).
 
         Args:
             u: Solution.
@@ -273,7 +273,7 @@ class Report:
             raise InputError(formula.pointing(side, f"'{side.value!s}' is not beside '{curve.value!s}'"))
 
     def _check_normal_flux(self, formula: Formula, node: ast.expr, name: str) -> None:
-        """Refuse the normal flux where it is not the force by which u is held (collective)."""
+        """Reject the normal flux on parts where it is not the reaction force (collective)."""
         mesh, comm = self.level.mesh, self.level.comm
         facets = self.level.facets[name]
         facets = facets[facets < mesh.topology.index_map(mesh.topology.dim - 1).size_local]

@@ -1,4 +1,4 @@
-"""Linear functions near a formula on cells that a condition cuts.
+"""Mean value forms: linear functions close to a formula in cells in which a condition changes.
 
 On a cell with the middle c a formula is within C + G (x - c), C and G intervals: G bounds the gradient of every branch
 that may hold somewhere in the cell, C what these branches are at c. Where branches meet smoothly G is narrow; where

@@ -53,7 +53,7 @@ def same(one: Scene, other: Scene) -> bool:
 
 
 def _extents(scene: Scene) -> tuple[object, ...]:
-    """What the formulas in [mesh] amount to."""
+    """The values of the formulas in [mesh]."""
     shape = shape_of(scene)
     return shape.lower, shape.upper, shape.h
 

@@ -1,4 +1,4 @@
-"""[report]: figures of the solution, checked as far as they can be without a mesh."""
+"""Checks of [report] that need no mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene: what is to be solved, from a TOML file or from Python, before any mesh exists."""
+"""Scene: an obstacle problem from a TOML file or from Python, without a mesh."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class Scene(Vocabulary):
 
     Attributes:
         name: Short name, for files.
-        tables: The scene as it stands in TOML.
-        model: What is to be solved, as the core takes it.
+        tables: The tables of the scene, as in TOML.
+        model: The problem data without formulas.
         effects: One object per effect that the scene names.
         pair: V_h, the rule I and Q_h.
         report: Output quantities, in order.
         options: The table [solve], without the element.
         own_mesh: A DOLFINx mesh of the caller's own, or None.
-        objects: Data that are no numbers or formulas, by the names that stand for them in the tables.
+        objects: Data that are not numbers or formulas, by their names in the tables.
         folder: Where relative file names start.
     """
 
@@ -121,17 +121,18 @@ class Scene(Vocabulary):
             lower: Lower obstacle, a datum.
             upper: Upper obstacle, a datum.
             boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
-            exact: Exact solution, where known, no callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
+            exact: Exact solution, not a callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
             define: Named numbers and formulas.
-            report: Named figures of the solution: report={"force": "integral(p)"}.
+            report: Named output quantities: report={"force": "integral(p)"}.
             time: The table [time]: time={"end": 1, "steps": 100, "start": 0}.
-            profile: Lines along which all is written, as [profile]: {"middle": {"from": [0, 0.5], "to": [1, 0.5]}}.
+            profile: Lines along which the solution is written, as [profile]: {"middle": {"from": [0, 0.5], "to": [1,
+                0.5]}}.
             title: Title.
             u: Name of the unknown on axes.
             **effects: One datum per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
 
         Raises:
-            InputError: For anything that is wrong without looking at a mesh.
+            InputError: If the data are invalid; checks that need a mesh come later.
         """
         if not isinstance(mesh, dict) and not hasattr(mesh, "topology"):
             wanted = "expected a DOLFINx mesh or a table such as {'shape': 'disk'}"
@@ -238,7 +239,7 @@ class Scene(Vocabulary):
 
     @property
     def sides(self) -> list[str]:
-        """The obstacles there are, in the domain or on its boundary: lower, upper."""
+        """The names of the given obstacles, in the domain or on its boundary: lower, upper."""
         places = self.tables.boundary if self.model.thin else [self.tables.obstacle]
         return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
 
@@ -329,7 +330,7 @@ class Scene(Vocabulary):
         return None if self.own_mesh is None else self.own_mesh.mesh
 
     def field(self, value: Any, place: str) -> Field:
-        """A number, a formula, a table of heights or an object as a datum; `place` is its table and key."""
+        """A number, a formula, a table of measured data or an object as a datum; `place` is its table and key."""
         if isinstance(value, DataTable):
             return self._table(value, place).on(f"{self.source}: {place}")
         if stands_for_an_object(value):
@@ -340,7 +341,7 @@ class Scene(Vocabulary):
         return FormulaField(self.formula(value, place), self)
 
     def _table(self, given: DataTable, place: str) -> Table:
-        """Measured heights, whose numbers may be formulas of constants."""
+        """Measured data; numbers of their tables may be formulas of constants."""
 
         def number(key: str, value: Any) -> Any:
             if isinstance(value, tuple):
@@ -370,7 +371,7 @@ class Scene(Vocabulary):
         """A number, a formula, or one of these for each material.
 
         Raises:
-            InputError: If it is none of them.
+            InputError: If it is anything else.
         """
         if isinstance(value, bool) or not isinstance(value, float | int | str | dict) or value == {}:
             wanted = "a number, a formula or {material = value}"
@@ -402,7 +403,7 @@ class Scene(Vocabulary):
         """The scene on its mesh, as a problem that is solved from Python (collective).
 
         Args:
-            comm: Ranks that share the mesh, by default all; a mesh of the caller's own brings its own.
+            comm: Ranks that share the mesh, by default all; not used if the scene has a DOLFINx mesh.
 
         Raises:
             InputError: If the scene has [time], or no u can satisfy the data.

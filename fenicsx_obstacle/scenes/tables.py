@@ -1,4 +1,4 @@
-"""The tables of a scene and their keys, as typed structures; unknown keys and wrong types are refused."""
+"""The tables of a scene and their keys, as typed structures; unknown keys and wrong types are rejected."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
 
 class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Measured heights as a datum, {file = "rough.csv"}: the keys of `measured.table.Table`."""
+    """Measured data, {file = "rough.csv"}: the keys of `measured.table.Table`."""
 
     file: str
     x: Numbers | None = None
@@ -68,7 +68,7 @@ _OF_ANY = ("shape", "file", "cells", "refine")
 
 
 class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """[obstacle]: what u may touch but not cross."""
+    """[obstacle]: bounds of u."""
 
     lower: Datum | None = None
     upper: Datum | None = None
@@ -99,7 +99,7 @@ else:
 
 
 class TimeTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """[time]: from t = 0 on. Without rate or inertia every moment is an equilibrium of its own.
+    """[time]: from t = 0. Without rate or inertia an equilibrium is computed at each time.
 
     Attributes:
         end: The last moment.
@@ -169,7 +169,7 @@ class ProfileTable(Struct, frozen=True, forbid_unknown_fields=True, omit_default
 
 
 class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """[solve]: how to solve; the command line wins."""
+    """[solve]: how to solve; options of the command line take precedence."""
 
     element: str | None = None
     method: MethodName = "penalty"
@@ -195,7 +195,7 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
 
 
 def data_table(raw: dict[str, Any], place: str) -> DataTable:
-    """A table of measured heights among the values of [effects], typed.
+    """A table of measured data among the values of [effects], typed.
 
     Args:
         raw: As it stands in TOML.
@@ -277,7 +277,7 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
 
 
 def _no_idle_key(mesh: MeshTable, given: dict[str, Any], source: str) -> None:
-    """Refuse keys of [mesh] that say nothing about the shape or the file: a disk that is to be moved would stay."""
+    """Reject keys of [mesh] that do not belong to the shape or the file."""
     known, default = (*_OF_ANY, *OF_SHAPE.get(mesh.shape or "", ())), MeshTable()
     for key in given:
         if key not in known and getattr(mesh, key) != getattr(default, key):

@@ -1,4 +1,4 @@
-"""[time], checked."""
+"""Checks of the table [time], and the TimeDiscretization made of it."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ TIME = "t"
 
 
 class Vocabulary:
-    """What a scene defines, beside coordinates and constants.
+    """The names of formulas: definitions of a scene, coordinates and constants.
 
     Attributes:
         source: Where the scene comes from, for messages.

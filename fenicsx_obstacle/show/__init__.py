@@ -1,5 +1,5 @@
-"""What a person sees: tables, pictures, pages and words.
+"""Output for people: tables, pictures, pages and texts.
 
-Enters: what turns answers and rows into text, files for reading and pictures. Stays out: mathematics that an answer
-needs, and options of the command line.
+Contents: text, pages and pictures made of solutions and rows. Not here: mathematics that a solution needs, and options
+of the command line.
 """

@@ -1,4 +1,4 @@
-"""`cost` for people: lines while it runs, tables at the end, pictures and one page (see `studies.cost`)."""
+"""Output of `cost`: lines while it runs, tables at the end, pictures and a page (see `studies.cost`)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LINE = "{:14} {:>9} {:>8} {:>8} {:>7}  " + " ".join(["{:>8}"] * len(NORMS)) + " 
 def report_cost(
     scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path, say: Say, *, fresh: bool = False
 ) -> list[Row]:
-    """Run the study, or go on with an interrupted one; print, save and draw it (collective).
+    """Run the study, or continue an interrupted one; print, save and draw it (collective).
 
     Args:
         scene: What to solve.
@@ -68,7 +68,8 @@ def _say_row(row: Row, say: Say) -> None:
 
 
 def summary(rows: Rows, study: CostStudy) -> Iterator[str]:
-    """The tables after the rows: the next digit, the cheapest choices, where choices end, what errors are against."""
+    """The tables after the rows: time for one more digit, fastest methods, where methods end, the reference
+    solution."""
     yield from _lines(tables.NEXT, tables.next_digit(rows))
     yield ""
     yield from _lines(["relative error", *(NORMS[norm] for norm in price.norms(rows))], tables.by_tolerance(rows))

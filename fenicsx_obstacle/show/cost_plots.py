@@ -165,7 +165,7 @@ def _of_size(row: Any, norm: str) -> float:
 
 
 def _round_off(axes: Any, line: Sequence[Any], places: Sequence[Any], edges: tuple[np.ndarray, np.ndarray]) -> None:
-    """Where eps is refused, and where a program that divides u - obstacle by eps would have lost the pressure."""
+    """Shade values of eps that are rejected, and those for which (u - obstacle)/eps is round-off."""
     sides = np.array([row["h"] for row in line])
     floor = np.array([row["floor"] for row in line])
     wide = np.concatenate([[edges[0][0]], sides, [edges[0][-1]]])

@@ -1,4 +1,4 @@
-"""Tables of `cost`: rows, the next digit, the cheapest choices, the best eps, and what is not there (one rank)."""
+"""Tables of `cost`: rows, time for one more digit, fastest methods, best eps, where methods end (one rank)."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def best_eps(rows: Rows) -> list[list[str]]:
 
 
 def against(rows: Rows) -> str:
-    """What errors are measured against, in words."""
+    """A text about the reference solution of the errors."""
     first = price.truth(rows)
     if first["exact"]:
         parts = [f"contact {name} {first[name]:.9g}" for name in ("area", "force") if name in first]
@@ -102,7 +102,7 @@ def against(rows: Rows) -> str:
 
 
 def ended(rows: Rows, study: CostStudy) -> list[tuple[str, str]]:
-    """Why each choice has no further row."""
+    """The reason why each method has no further row."""
     failed = {row["choice"] for row in price.failures(rows)}
     return [
         (choice.name, ("failed: " if choice.name in failed else "ends: ") + study.ends[choice.name])

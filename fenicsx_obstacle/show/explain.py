@@ -1,4 +1,4 @@
-"""A scene in words: the equation that is assembled, its signs, the solver, and what is left out."""
+"""`explain`: the equation that is assembled, its signs, the solver, and what is not included."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def explain(scene: Scene) -> str:
     lines = [title_of(scene.tables.title, scene.name)]
     for name, texts in explained(scene):
         for number, text in enumerate(texts):
-            first = f"  {name if number == 0 else '':10}"
-            lines.append(fill(text, 110, initial_indent=first, subsequent_indent=" " * 14, break_on_hyphens=False))
+            first = f"  {name if number == 0 else '':14}"
+            lines.append(fill(text, 110, initial_indent=first, subsequent_indent=" " * 18, break_on_hyphens=False))
     return "\n".join(lines)
 
 
@@ -53,7 +53,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
-        ("left out", [_left_out(scene)]),
+        ("not included", [_not_included(scene)]),
     ]
 
 
@@ -223,7 +223,7 @@ def _solver(scene: Scene) -> list[str]:
 
 
 def _why(scene: Scene) -> str:
-    """What of the equation decides on the solver."""
+    """The properties of the equation that determine the solver."""
     bent = [effect.key for effect in scene.effects if not effect.affine]
     skew = [effect.key for effect in scene.effects if not effect.symmetric]
     linear = f"not linear in u, because of {', '.join(bent)}" if bent else "linear in u"
@@ -277,7 +277,7 @@ def _exact(scene: Scene) -> list[str]:
     return lines + [f"orders in h, by VI and for eps = h^2: {orders}"] * bool(orders)
 
 
-def _left_out(scene: Scene) -> str:
+def _not_included(scene: Scene) -> str:
     named = {effect.key for effect in scene.effects}
     absent = [key for key in (*sorted(known()), *sorted(known("boundary"))) if key not in named]
     absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in scene.sides]

@@ -103,7 +103,7 @@ def missing_glyphs() -> Iterator[None]:
 
 
 def check_name(path: Path) -> None:
-    """Refuse a picture of a kind that is not written.
+    """Reject an unknown format of pictures.
 
     Raises:
         InputError: Naming those that are.

@@ -1,4 +1,4 @@
-"""A forecast in words."""
+"""Text of a forecast."""
 
 from __future__ import annotations
 

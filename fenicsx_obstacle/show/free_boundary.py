@@ -1,4 +1,4 @@
-"""The free boundary as a table: what it needs are the cells near it, which each rank finds among its own."""
+"""free_boundary.csv, from the cells near the free boundary."""
 
 from __future__ import annotations
 

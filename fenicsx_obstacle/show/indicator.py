@@ -1,4 +1,4 @@
-"""Where the error bound comes from: the share of each cell, drawn over the mesh (one rank)."""
+"""Picture of the contribution of each cell to the error bound (one rank)."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ OUT_OF_CONTACT = "#D9E7F4"  # what `render.FREE` looks like on white: outside of
 
 
 def hatch_obstacles(axis: Any, x: np.ndarray, fields: Mapping[str, np.ndarray], limits: tuple[float, float]) -> None:
-    """Fill what lies behind the obstacles over an interval, as far as it is near u.
+    """Fill the region beyond the obstacles over an interval, near u.
 
     Args:
         axis: Axes of matplotlib.

@@ -1,4 +1,4 @@
-"""Newton at work: an animation of active sets, step by step, beside those of the paper's (3.4)*. Rank 0 draws."""
+"""Animation of the active sets of Newton's method and of the paper's (3.4)*. Rank 0 draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One page that holds a whole result: scene, equation, figures, table, pictures, versions, command.
+"""The page of a result: scene, equation, output quantities, tables, pictures, versions, command.
 
 The page is one file: it fetches nothing, needs no JavaScript, and prints.
 """
@@ -207,7 +207,7 @@ def _picture(path: Path, title: str) -> str:
 
 
 def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[str]:
-    """The scene's own figures, those of every scene, the equation, and the scene itself."""
+    """Sections of a page: [report], output quantities, equation, and the scene itself."""
     report = list(report_in_words(record).items())
     return [
         *([section("Report" + which, facts(report))] if report else []),
@@ -241,7 +241,7 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _bound(bound: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The bound of the energy error, what it rests on, and its parts."""
+    """The bound of the energy error, how far it is guaranteed, and its parts."""
     most = "at most" if bound["words"].startswith("certified") else "about"
     relative = "" if bound["relative"] is None else f", {bound['relative']:.3g} of the energy norm of u"
     known = [("energy error", f"{most} {bound['total']:.4g}{relative}"), ("it is", bound["words"])]
@@ -252,7 +252,7 @@ def _bound(bound: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def facts(known: Iterable[tuple[str, str | list[str]]]) -> str:
-    """A table of names and what belongs to them, a text or several lines; without those that have none."""
+    """A table of names with a text or several lines each; names without a text are omitted."""
     lines = ""
     for key, value in known:
         texts = value if isinstance(value, list) else [value]

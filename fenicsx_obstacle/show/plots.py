@@ -64,7 +64,7 @@ def cost(rows: Rows, vary: Vary) -> Any:
     for number, (name, part) in enumerate(lines_of(rows, along(vary)).items()):
         seconds = [lookup(row, "seconds.solve") for row in part]
         values = [lookup(row, quantity.key) for row in part]
-        # the time hardly depends on eps: a line through the points would only show the jitter of the clock
+        # the time hardly depends on eps: a line through the points would only show noise
         look = {**style(number), "linestyle": "-" if by == "h" else ""}
         axes.loglog(seconds, values, label=plain(name) or quantity.tex, **look)
         for row, at in zip(part, zip(seconds, values, strict=True), strict=True):

@@ -1,4 +1,4 @@
-"""What the solvers say of themselves: a progress bar on a terminal, a log with rank and time where it is asked for.
+"""Progress bar on a terminal, and log with rank and time.
 
 The library logs and never prints. Here, for the command line alone, its log becomes visible.
 """

@@ -1,4 +1,4 @@
-"""Views in space drawn by pyvista, in a process of its own: VTK may crash where there is no display.
+"""Views in space by pyvista, in a separate process, since VTK may crash without a display.
 
 `python -m fenicsx_obstacle.show.render FOLDER` is that process; `rendered` starts it. Nothing else imports pyvista.
 """
@@ -33,7 +33,7 @@ _WORKER = [sys.executable, "-m", "fenicsx_obstacle.show.render"]
 
 @dataclass(frozen=True)
 class View:
-    """What a view in space shows.
+    """The contents of a view in space.
 
     Attributes:
         kind: `graph` of u over a plane mesh, `surface` in space, or `solid`, cut open.
@@ -138,7 +138,7 @@ def _grid(arrays: Mapping[str, np.ndarray], view: View) -> Any:
 
 
 def _add(plotter: Any, grid: Any, view: View) -> None:
-    """Everything that is seen: the obstacles, u cut along the free boundary, its edges, the free boundary."""
+    """Add the obstacles, u cut along the free boundary, its edges, and the free boundary."""
     levels = {side: f"level {side}" for side in ("lower", "upper") if f"level {side}" in grid.point_data}
     shell = body = grid
     if view.kind == "graph":

@@ -1,4 +1,4 @@
-"""What a person finds in the folder of a result, beyond its figures: pictures, plots, tables, a page."""
+"""Files in the folder of a result for people: pictures, plots, tables, a page."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool
         on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
     if newton:
-        from fenicsx_obstacle.show.newton import animate_newton  # only where it is asked for
+        from fenicsx_obstacle.show.newton import animate_newton  # only if requested
 
         said += "\n  " + animate_newton(answer, folder / STEPS)
         others["Newton steps"] = folder / STEPS
@@ -198,7 +198,7 @@ def _report(
     def on_row(row: Row, answer: Answer | None) -> None:
         for line in table.lines(row):
             say(line)
-        if isinstance(study, Study):  # a search knows which was found
+        if isinstance(study, Study):  # a search has found its last row
             answers[:] = [answer]
 
     rows = study.run(on_row, store)

@@ -1,4 +1,4 @@
-"""Views in space on a page: box, ticks and letters by matplotlib, the inside by pyvista, or by matplotlib too."""
+"""Views in space: axes by matplotlib, surfaces by pyvista, or by matplotlib too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The steps in time of a scene, in words."""
+"""Text about the time steps of a scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from fenicsx_obstacle.text import counted
 
 
 def steps_of(scene: Scene) -> list[str]:
-    """The steps in time, what they begin with, and what is kept of them."""
+    """The time steps, the initial values, and what is saved."""
     time = scene.time
     if time is None:
         return []

@@ -16,7 +16,7 @@ DECADES = 1.5  # values of a key that spread farther stand on a logarithmic axis
 
 
 def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary) -> Any:
-    """One small plot for each figure, one line in it for each combination of the values of the other keys."""
+    """One small plot for each output quantity, with a line for each combination of the values of the other keys."""
     names = figures_of(rows[-1])
     columns = min(len(names), 2 if len(names) < 5 else 3)
     count = -(-len(names) // columns)

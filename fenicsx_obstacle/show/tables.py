@@ -64,7 +64,7 @@ class StudyTable:
         return [_line(parts, widths) for parts in [*lines, [cell.value for cell in cells]] if any(parts)]
 
     def notes(self) -> list[str]:
-        """What the columns mean, in a few sentences."""
+        """Notes about the columns."""
         orders = any(cell.head == "order" for cell in self.rows[0])
         earlier = any("*" in cell.value for cells in self.rows for cell in cells)
         return [_LEGEND, *[_ORDERS] * orders, *[_EARLIER] * earlier]
@@ -111,7 +111,7 @@ class StudyTable:
 
 
 def difference(found: Mapping[str, Any], first: str, second: str) -> str:
-    """The figures of `compare` in lines of text."""
+    """The values of `compare` in lines of text."""
     norms = ", ".join(f"{name} {value:.4g}" for name, value in found["u"].items())
     contact = found["contact"]
     gap = "none" if contact["hausdorff"] is None else f"{contact['hausdorff']:.4g}"

@@ -1,4 +1,4 @@
-"""Pictures of a scene with [time]: its figures over t, where it was in contact, and an animation. Rank 0 draws."""
+"""Pictures of a scene with [time]: output quantities over t, contact sets, and an animation. Rank 0 draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A slider in a notebook, over eps or over the moments of a scene with [time]. Imported by hand, needs ipywidgets."""
+"""A slider in a notebook, over eps or over the saved times of a scene with [time]. Needs ipywidgets."""
 
 from __future__ import annotations
 

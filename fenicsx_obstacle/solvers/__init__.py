@@ -1,5 +1,5 @@
 """Solvers of one discrete problem by PETSc SNES: the penalty and the variational inequality.
 
-Enters: iterations, preconditioners, when to stop. Stays out: the making of meshes (solvers never refine), errors and
+Contents: iterations, preconditioners, stopping tests. Not here: creation of meshes (solvers never refine), errors and
 bounds, files.
 """

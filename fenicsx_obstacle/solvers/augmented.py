@@ -1,4 +1,4 @@
-"""The reference where contact is no matter of single nodes: the quadratic program, by augmented obstacles.
+"""The variational inequality for pairs whose contact couples nodes, by an augmented Lagrangian method.
 
 SNES VI holds nodes between bounds. Where the points of I are no nodes, u <= g there couples several nodes, and the
 multiplier p of the program is found by p_(k+1) = -(u - g - eps p_k)^+ / eps, u of (3.4) with the obstacle g + eps p_k:

@@ -1,4 +1,4 @@
-"""Rules that choose for the user, each in one place: the value of eps, the solver."""
+"""Choice of eps and of the solver."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def nested(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> boo
 
 
 def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> bool:
-    """Whether a problem that truncated multigrid does not serve is still solved level by level, for better starts.
+    """Whether nested iteration is used although truncated multigrid is not possible, for better initial values.
 
     Newton's method then has the region of convergence of the coarsest mesh, and few steps on the finest.
     """
@@ -67,7 +67,7 @@ def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> b
 
 
 def chain(problem: Problem) -> list[Problem]:
-    """The problems from the coarsest mesh to this one (collective); only this one where the others do not serve."""
+    """The problems from the coarsest mesh to this one; only this one without nested iteration (collective)."""
     problems = [problem]
     for level in problem.level.downward[1:]:
         try:
@@ -121,7 +121,7 @@ def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
 
 @dataclass(frozen=True)
 class Method:
-    """How a problem is solved.
+    """A method: the solver, eps, and the pressure of its solution.
 
     Attributes:
         solve: From its present state; takes `multigrid`.
@@ -159,7 +159,7 @@ def method_of(problem: Problem, options: SolverOptions) -> Method:
 
 
 def _named(solve: Callable[..., Outcome], asked: str) -> Callable[..., Outcome]:
-    """The solver with errors that name the method that was asked for, whatever it begins with or is made of."""
+    """The solver, with errors that name the requested method."""
 
     def solve_as_asked(*given: Any, **options: Any) -> Outcome:
         try:

@@ -1,8 +1,9 @@
-"""Whether a state in balance means anything: how large it is beside the data, and the forces that the data exert.
+"""Scales of the data: range of u, forces; checks that the data and not round-off determine a solution.
 
-Round-off of the residual is an epsilon of |A| |u|. Heights that the data give cause some of it: boundary values,
-obstacles in contact, the heights at which supports rest. The rest is due to how far u lies beyond all of these. Where
-it is a noticeable part of the forces of the data, these do not determine u: A is singular to floating point.
+The round-off of the residual is machine epsilon times |A| |u|. A part of it is due to values of u in the data: boundary
+values, obstacles in contact, the levels at which supports are at rest. The rest is due to the part of u outside of the
+range of these values. If it is more than a small part of the forces of the data, the data do not determine u, and A is
+singular in floating point.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EPSILON = float(np.finfo(float).eps)
-ROUNDOFF_MARGIN = 8.0  # round-off may be so many times what is expected of it
+ROUNDOFF_MARGIN = 8.0  # round-off may exceed its estimate by this factor
 
 
 def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
-    """The smallest and the largest value of u that the data give; inf and -inf where they give none (collective).
+    """The smallest and the largest value of u in the data; inf and -inf if the data have none (collective).
 
     Args:
         problem: Its boundary values, obstacles and supports.
@@ -38,8 +39,8 @@ def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
 
 
 def forces_of_data(problem: Problem) -> float:
-    """Sum of the forces that the data exert, whatever the state (collective): loads, or what boundary values and
-    obstacles exert on a membrane that takes these values and is flat elsewhere."""
+    """The scale of the forces of the data (collective): the load, or the elastic forces of a u that equals the boundary
+    values and obstacles and is constant elsewhere."""
     comm, forms = problem.level.comm, problem.forms
     w, r, elastic = problem.w.x.array, problem.reference.x.array, problem.elastic.array
     kept = w.copy(), r.copy(), elastic.copy()
@@ -58,7 +59,7 @@ def forces_of_data(problem: Problem) -> float:
 
 
 def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
-    """Diagonal of A at owned free dofs, 0 at fixed ones; without springs that stand for bounds (collective)."""
+    """Diagonal of A at owned free dofs, 0 at fixed ones; without the penalty diagonal (collective)."""
     if exact_bounds and problem.affine and problem.level.pair.nodal:
         return problem.nodal.diagonal * ~problem.fixed
     if not problem.A.assembled:  # no step was needed
@@ -72,7 +73,7 @@ def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
 
 
 def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unbalanced: float) -> bool:
-    """Whether the data determine a state in balance (collective).
+    """Whether the data, and not round-off, determine a state in balance (collective).
 
     Args:
         problem: In that state.

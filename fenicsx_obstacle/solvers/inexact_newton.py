@@ -1,4 +1,4 @@
-"""How far to solve the linear systems: not far while contact changes, then until forces balance.
+"""Inexact Newton: tolerances of the linear systems, loose while the contact set changes, then by the balance of forces.
 
 The multigrid cycle is the dearest part of a solver, so it is applied once per step of CG and never for a norm alone:
 the residual of the system is the unbalanced force that the Newton step will leave, if no more contact changes.
@@ -48,11 +48,11 @@ class Inexact:
         return SOLVED if left <= self._target else CONTINUE
 
     def _aim(self) -> tuple[int, float]:
-        """Steps of CG to take at least, and the force that may be left (collective)."""
+        """The least number of CG steps, and the tolerance of the residual force (collective)."""
         stopping = self.stopping
         step = stopping.history[-1]
         if not stopping.exact and step.changed > FEW * step.active:
-            # the first step of CG only answers the springs of nodes that have just come into contact
+            # the first step of CG only reduces the residual of nodes that have just come into contact
             return 2, ON_THE_WAY * min(step.unbalanced, step.forces)
         enough = 0.0 if stopping.exact else TO_SPARE * stopping.tolerance * step.forces
         return 1, max(enough, EXACT * step.unbalanced, stopping.round_off())

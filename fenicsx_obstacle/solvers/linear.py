@@ -1,4 +1,4 @@
-"""Linear systems: PETSc options by default, which the user's own override."""
+"""Linear solvers: default PETSc options, which the user's options override."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ INEXACT = {
 
 
 def direct_first(unknowns: int) -> bool:
-    """Whether systems of so many unknowns are solved directly before anything else is tried.
+    """Whether systems with so many unknowns are solved by a direct solver first.
 
-    So it is without hypre: GAMG ends far from the solution where springs of contact are stiff, or drift is strong.
+    True without hypre, since GAMG stops far from the solution with a large penalty diagonal or strong drift.
     """
     return releases.AMG != "hypre" and unknowns <= LARGEST
 
 
 def attempt(solve: Callable[[], object], *used: PETSc.Object) -> bool:
-    """Let PETSc solve; whether hypre let it finish (collective: what hypre gives up for is seen by all ranks).
+    """Call a PETSc solver; returns whether it finished without an error of hypre, on all ranks (collective).
 
     BoomerAMG raises where its matrix or vectors overflow, and from then on at every call in this process, since its
     error flag stays. Without the flag the next solve is as good as the first.

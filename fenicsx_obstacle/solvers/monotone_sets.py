@@ -1,4 +1,4 @@
-"""On an M-matrix the active sets of (3.4)* shrink from the second step on: a theorem, hence a check at run time.
+"""Check of a theorem at run time: on M-matrices the active sets of (3.4)* decrease from the second step on.
 
 The systems of two steps, with active sets chi and remainders r of the linear solver, differ by
 
@@ -22,7 +22,8 @@ SAFETY = 2.0  # the bound is the solution of a system too
 
 
 class Shrinking:
-    """Follows the full steps of one attempt, with one obstacle on an M-matrix (all methods collective)."""
+    """Checks the active sets of the full steps of one attempt, with one obstacle on an M-matrix (all methods
+    collective)."""
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -60,7 +61,7 @@ class Shrinking:
         return total(problem.level.comm, np.count_nonzero(rise > SAFETY * allowed)) > 0
 
     def _lift(self, ksp: PETSc.KSP, forces: np.ndarray) -> np.ndarray:
-        """How far forces move the membrane that is held where it was in the last step."""
+        """The displacement by forces, with the active set of the last step fixed."""
         problem = self.problem
         z, b = problem.A.createVecs()
         diagonal = problem.A.getDiagonal()

@@ -1,12 +1,12 @@
-"""Truncated multigrid: the preconditioner for a membrane that is held at its contact nodes.
+"""Truncated multigrid: the preconditioner for a matrix with contact nodes.
 
-Contact is a spring at a node: D/eps for the penalty, an infinite one for the variational inequality. A coarse
-correction must not move a node that its spring holds, so the rows of the prolongation there are zero (Kornhuber's
-truncation), and a coarse node is held where the fine node it coincides with is. That alone makes coarse operators too
-soft along the edge of contact, and blind to contact along a line. Others compute them as triple products, anew for
-every active set; here a coarse operator stays the stiffness matrix of its level, and coarse springs make up for the
-force that a unit shift of all nodes that move meets on the finer level and not on the coarser. The active set thus
-changes nothing but diagonals.
+At a contact node the penalty adds D_i/eps to the diagonal; the variational inequality fixes the node. Coarse
+corrections must not change contact nodes, so the rows of the prolongation there are zero (Kornhuber's truncation),
+and a coarse node is fixed if its coincident fine node is. With this alone coarse operators would be too soft along
+the free boundary, and without contact along a line. Galerkin products would correct this, but have to be computed
+again for every active set. Here the coarse operator is the stiffness matrix of its level plus a coarse penalty
+diagonal: the row sums of the finer operator, over nodes that are not fixed, minus those of the coarser one. So the
+active set changes diagonals only.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
 
-STIFFER = 10.0  # times the membrane around a node: such a spring holds it, nothing coarser moves it
+STIFFER = (
+    10.0  # times the membrane around a node: a larger penalty diagonal fixes it; coarse corrections do not change it
+)
 SMOOTHER = {
     # Chebyshev, PETSc's default, would estimate eigenvalues anew at every set-up
     "mg_levels_ksp_type": "richardson",
@@ -54,7 +56,8 @@ class Multigrid:
             self._carried = coarser._force.duplicate()
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
-        """Let springs hold the owned nodes, infinite ones in place, on this level and all below (collective)."""
+        """Truncate the interpolation for a penalty diagonal at owned nodes, on this level and all coarser ones
+        (collective)."""
         nodal = self.problem.nodal
         nodal.add_penalty_diagonal(self.problem.A, penalty_diagonal)
         self._moves.array[:] = ~((penalty_diagonal > STIFFER * nodal.diagonal) | self.problem.fixed)
@@ -67,7 +70,7 @@ class Multigrid:
         self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
 
     def _coarse_penalty_diagonal(self) -> np.ndarray:
-        """At owned coarse nodes, from what is carried down: infinite at the twins of held ones."""
+        """The penalty diagonal at owned coarse nodes: infinite if the coincident fine node is fixed."""
         assert self.coarser is not None
         coarse = self.coarser
         held = self._transfer.inject((self._moves.array_r == 0).astype(float)) > 0
@@ -79,7 +82,7 @@ class Multigrid:
         return penalty_diagonal
 
     def _shift(self, penalty_diagonal: np.ndarray | None = None) -> None:
-        """Take the force that a unit shift of the nodes that move meets there, of the membrane and of springs."""
+        """Compute the row sums of stiffness and penalty diagonal over nodes that are not fixed."""
         self.problem.nodal.stiffness.mult(self._moves, self._force)
         if penalty_diagonal is not None:
             np.add(self._force.array, penalty_diagonal, out=self._force.array, where=self._moves.array_r > 0)
@@ -105,14 +108,14 @@ class Multigrid:
 
 
 class Holding(Protocol):
-    """A preconditioner of the matrix of a problem whose contact nodes are held by its diagonal."""
+    """A preconditioner of the matrix of a problem with a penalty diagonal at contact nodes."""
 
     @property
     def problem(self) -> Problem:
         """Whose matrix it is for."""
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
-        """Let springs hold the owned nodes, infinite ones in place (collective)."""
+        """Set the penalty diagonal at owned nodes; infinite entries fix a node (collective)."""
 
     def install(self, pc: PETSc.PC) -> None:
         """Make a PC this one."""
@@ -123,7 +126,7 @@ class Holding(Protocol):
 
 
 class HeldRows:
-    """The preconditioner of a problem that has one of its own, for the whole matrix with contact nodes held.
+    """A PETSc preconditioner of the whole matrix, with contact nodes fixed.
 
     The submatrix of the inactive set would lose blocks and near-null space, which algebraic multigrid needs.
 

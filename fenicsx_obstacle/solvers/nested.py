@@ -33,7 +33,7 @@ def solve_nested(
     before: Problem | None = None,
     start: np.ndarray | None = None,
 ) -> list[Outcome]:
-    """Solve on each level from the coarsest on (collective).
+    """Nested iteration: solve on each level, from the coarsest to the finest (collective).
 
     Args:
         grids: The multigrid of each level, or its problem where multigrid does not serve; the last problem holds the
@@ -109,7 +109,7 @@ def _algebraic(grids: Sequence[Multigrid | Problem]) -> bool:
 def begin_from(problem: Problem, coarse: Problem) -> None:
     """Let a problem's state be that of the next coarser level, interpolated (collective).
 
-    Where both ends of an edge are in contact its middle is: distances, not heights are interpolated there, or
+    Where both ends of an edge are in contact its middle is: gaps, not values of u, are interpolated there, or
     the middle of a curved obstacle's edge would start far off.
     """
     transfer, own, theirs_own = problem.transfer, problem.level.owned, coarse.level.owned

@@ -24,18 +24,18 @@ NEWTON = {
     "snes_type": "newtonls",
     "snes_max_it": 500,
     "snes_max_funcs": 100000,
-    releases.LONGEST_STEP: 1e100,  # PETSc's 1e8 is a length, and cuts steps where heights are large numbers
+    releases.LONGEST_STEP: 1e100,  # PETSc's default 1e8 is absolute, and cuts steps if u is large
     # `Stopping` decides alone; PETSc's tests return wrong answers as converged for small eps
     "snes_rtol": 0.0,
     "snes_stol": 0.0,
     "snes_divergence_tolerance": -1.0,
 }
-HARDER = 1e-2  # from one eps to the next
-HARDENING = 1e-6  # unbalanced force there
+CONTINUATION_FACTOR = 1e-2  # from one eps to the next
+CONTINUATION_TOLERANCE = 1e-6  # unbalanced force there
 PATIENCE = 20  # steps to try without
 TINY = 1e-300
-COUNTED_ANEW = 4  # times, at most
-STIFFEST = 1e15  # of a spring over the membrane around it: a digit above what a matrix can tell from infinite
+MAX_REFERENCE_UPDATES = 4  # times, at most
+STIFFEST = 1e15  # penalty diagonal over stiffness, a tenth of the ratio at which the stiffness is below round-off
 
 
 def solve_penalty(
@@ -90,7 +90,7 @@ def solve_penalty(
 
 
 def soft_eps(problem: Problem) -> float:
-    """An eps of which contact is as stiff as the membrane around it (collective)."""
+    """The eps for which the penalty diagonal equals the stiffness (collective)."""
     state = problem.state()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
     comm = problem.level.comm
@@ -101,10 +101,10 @@ def soft_eps(problem: Problem) -> float:
 
 
 def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
-    """All attempts, w counting from what a node touches."""
+    """All attempts, with the reference r at the obstacle that each node touches."""
     outcome = _attempts(problem, how, multigrid)
-    for _ in range(COUNTED_ANEW):
-        # sets also repeat where contact is with an obstacle that w does not count from
+    for _ in range(MAX_REFERENCE_UPDATES):
+        # sets also repeat if the reference r of w is not the obstacle in contact
         if outcome.reason == ACTIVE_SET_GREW or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
@@ -112,15 +112,15 @@ def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None)
 
 
 def _by_continuation(problem: Problem, eps: float, how: dict[str, Any]) -> Outcome:
-    """Solve with obstacles as soft as the membrane, then with harder ones, each from where the last ended."""
+    """Continuation in eps, from a penalty diagonal of the size of the stiffness."""
     outcomes = []
     softer = soft_eps(problem)
     while softer > eps:
         problem.eps.value = softer
-        outcomes.append(_settled(problem, {**how, "tolerance": max(how["tolerance"], HARDENING)}, None))
-        if not outcomes[-1].converged:  # harder obstacles will not mend what a soft one does not
+        outcomes.append(_settled(problem, {**how, "tolerance": max(how["tolerance"], CONTINUATION_TOLERANCE)}, None))
+        if not outcomes[-1].converged:  # a smaller eps does not converge either
             return reduce(joined, outcomes)
-        softer *= HARDER
+        softer *= CONTINUATION_FACTOR
     problem.eps.value = eps
     outcomes.append(_settled(problem, how, None))
     return reduce(joined, outcomes)
@@ -140,9 +140,9 @@ def smallest_eps(problem: Problem) -> float:
 
 
 def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
-    """Full steps and line searches in turn, each from where the last one gave up, until one converges.
+    """Full steps and line searches in turn, each from the last state of the one before, until one converges.
 
-    A line search ends where the round-off of the energy hides any descent: full steps go on from there.
+    A line search ends where the round-off of the energy hides any descent: full steps continue from there.
     """
     if user_has_set(problem.options_of("penalty") + "snes_linesearch_type"):
         return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)
@@ -150,7 +150,7 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
         if outcome.reason == TOO_MANY and ("patience" in how or is_limited(problem, "penalty")):
-            break  # far from everything: full steps would only stray
+            break  # far from a solution: full steps would diverge
         if not outcome.converged and outcome.reason != ACTIVE_SET_GREW:
             outcome = joined(outcome, _attempt(problem, search, how, multigrid))
     return outcome

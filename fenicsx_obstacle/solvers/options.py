@@ -31,7 +31,7 @@ class EpsFormula:
     scaled: bool = True
 
 
-# as small as makes its error a few per cent of the mesh's: solvers do not mind how small
+# its error is a few per cent of that of the mesh; the cost does not depend on eps
 AUTO = EpsFormula("h^2/100", lambda h: float(np.power(h, 2.0) / 100))  # digit for digit what a scene makes of the text
 
 

@@ -1,4 +1,5 @@
-"""Whether a solution is in the range of its data: comparison with constants, sensitivity to round-off, films."""
+"""Checks that a state in balance is a solution: maximum principle, sensitivity to round-off, limit load, trapped
+drift."""
 
 from __future__ import annotations
 
@@ -19,14 +20,14 @@ from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 
 NEAR = 1e-8  # of the values of the data: not beyond them
-NO_SOLUTION = "which no solution does"  # words of the rejection
+NO_SOLUTION = "which no solution does"  # part of the message
 MAX_DEPTH = 2.0  # in a patch of cells of Pe = 1 all drift flows out by about so much
 TRAPPED = 100.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
 
 
 def violation(problem: Problem, active: np.ndarray) -> str | None:
-    """What shows that a state in balance is no solution; None if nothing does (collective).
+    """The reason why a state in balance is not a solution; None if there is none (collective).
 
     Args:
         problem: In that state.
@@ -43,7 +44,7 @@ def violation(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
-    """The maximum principle: with f >= 0 no u is below all boundary values, obstacles and heights of supports.
+    """The maximum principle: with f >= 0 no u is below all boundary values, obstacles and levels of supports.
 
     It holds for the differential equation with each effect that says what it `push`es. A discrete solution obeys it to
     round-off where A is an M-matrix; elsewhere it may overshoot, but by less than it differs from these values on the
@@ -79,7 +80,7 @@ def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _monotone(problem: Problem) -> bool:
-    """Whether A obeys the maximum principle: no entry beside the diagonal is positive, no row sums to less than 0."""
+    """Whether A satisfies the maximum principle: no positive off-diagonal entry, no negative row sum."""
     if not problem.affine or not problem.level.pair.nodal:
         return False
     state = problem.state()
@@ -90,7 +91,7 @@ def _monotone(problem: Problem) -> bool:
 
 
 def _torn(problem: Problem, active: np.ndarray) -> str | None:
-    """A film whose load is beyond its limit falls on an obstacle: within one cell beside the boundary it jumps."""
+    """A film beyond its limit load that falls on an obstacle: u jumps within one cell at the boundary."""
     comm, level, data = problem.level.comm, problem.level, problem.data
     if not any(effect.greatest(data) is not None for effect in problem.model.effects) or level.h * FINE > data.extent:
         return None
@@ -113,7 +114,7 @@ def _torn(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _sensitive(problem: Problem, active: np.ndarray) -> str | None:
-    """Without symmetry A may be nearly singular where u shows nothing of it: how far round-off moves u.
+    """Sensitivity of u to round-off: a nonsymmetric A may be nearly singular although u looks regular.
 
     One step of inverse iteration, from the round-off of the residual with one sign: where A is an M-matrix no other
     signs move u farther.
@@ -131,7 +132,7 @@ def _sensitive(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _trapped(problem: Problem, active: np.ndarray) -> str | None:
-    """Drift that leads to no boundary, on cells too coarse for the slow way out against it: u is any number there.
+    """Trapped drift on a mesh that does not resolve the diffusion against it, so that u is arbitrary there.
 
     u grows by the exponential of a depth, the work of the drift over the tension on that way, which cells with Pe > 1
     do not resolve. Two signs show it: all drift flows away from one vertex, by a depth that is no small number; or a
@@ -158,7 +159,8 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float | None:
-    """How far forces at owned dofs move u where it is free, contact held; None if that is not found (collective)."""
+    """The largest displacement by forces at owned dofs, with contact nodes fixed; None without convergence
+    (collective)."""
     problem.nodal.add_penalty_diagonal(problem.A, np.where(active != 0, np.inf, 0.0))
     x, b = problem.A.createVecs()
     b.array[:] = np.where(problem.fixed | (active != 0), 0.0, forces)

@@ -1,8 +1,8 @@
-"""Relaxation: each node goes to its own balance between membrane, load and obstacle, its neighbours resting.
+"""Damped Jacobi relaxation of the penalised problem or of the inequality.
 
-Interpolated heights are wrong where they bend: along the edge of contact, and over obstacles that only the finer mesh
-resolves. Relaxation mends that node by node for the price of a few residuals, where Newton steps would peel off one
-layer of wrong contact each.
+The interpolant of a coarse solution has a wrong contact set along the free boundary, and over obstacles that only the
+finer mesh resolves. A few Jacobi sweeps correct this at the cost of a few residuals; each Newton step would remove one
+layer of wrong contact nodes only.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
 
-SWEEPS = 8  # together as dear as one step of multigrid
+SWEEPS = 8  # together they cost as much as one step of multigrid
 DAMPING = 2 / 3  # smooths best in one dimension, and converges in all: D^-1 A <= 2 where A has M-matrix signs
 
 
 def relax(problem: Problem, penalty_diagonal: np.ndarray) -> None:
     """Damped Jacobi sweeps on the penalised residual or the inequality, from the present state (collective).
 
-    A sweep is a proximal gradient step, so it lowers the energy whatever the springs.
+    A sweep is a proximal gradient step, so it lowers the energy for any penalty.
 
     Args:
         problem: With affine effects; holds the state.

@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a solver did; the state is in the problem.
+    """The outcome of a solver; the state is in the problem.
 
     Attributes:
         solver: Its name.
@@ -97,7 +97,7 @@ def run(
     linear: Mapping[str, Any] = {**(LINEAR if problem.symmetric else GENERAL), **problem.preconditioner}
     directly = not chosen and not problem.preconditioner and direct_first(problem.level.dofs)
     if direct or not problem.level.pair.nodal or directly:
-        linear = DIRECT  # stiff springs that couple nodes defeat algebraic multigrid
+        linear = DIRECT  # algebraic multigrid fails with a large penalty that couples nodes
     held: Holding | None = multigrid
     if problem.preconditioner and not (penalised or chosen or linear is DIRECT):
         held = HeldRows(problem)

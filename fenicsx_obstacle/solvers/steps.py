@@ -1,4 +1,4 @@
-"""Steps in time: the differences that make each a static problem, and what a step adds to the error."""
+"""Time steps: difference formulas, and estimates of the local error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SAME = 1e-9  # of a step: round-off of t
 
 
 class Steps:
-    """The moments so far, and the differences of the next step.
+    """The accepted time steps, and the difference formulas of the next one.
 
     Attributes:
         times: The last moments, the newest first.
@@ -33,7 +33,7 @@ class Steps:
         self.impulse: np.ndarray | None = None
 
     def prepare(self, problem: Problem, t: float) -> None:
-        """Give the problem the differences of the step to t; its data follow with `Problem.move`."""
+        """Set the difference formulas of the step to t; `Problem.move` then updates the data."""
         assert problem.data.moment is not None
         assert problem.model.time is not None
         moment, dt, usual = problem.data.moment, t - self.times[0], problem.model.time.step
@@ -56,14 +56,14 @@ class Steps:
             problem.forms.impulse = -self.impulse
 
     def accept(self, t: float, u: np.ndarray) -> None:
-        """Let u be the heights of a new moment."""
+        """Accept u as the solution at a new time."""
         if self.velocity is not None:
             self.velocity = 2 / (t - self.times[0]) * (u - self.u_values[0]) - self.velocity
         self.times = [t, *self.times][: self.depth + 1]
         self.u_values = [u, *self.u_values][: self.depth + 1]
 
     def error(self, problem: Problem, t: float, u: np.ndarray) -> float:
-        """What the step to t adds to the error of u at most, about: from how far it ends from an extrapolation.
+        """An estimate of the local error of the step to t, from its distance to an extrapolation (Milne's device).
 
         A difference of the depth k is wrong by D = u^(k+1)/(k+1)! (t - t_1) ... (t - t_k), which moves u by D/c; the
         extrapolation from k + 1 moments is off by that times (t - t_(k+1)) (Milne's device; collective).

@@ -1,4 +1,4 @@
-"""When a solver may stop: the state satisfies the discrete problem in an absolute, physical scale.
+"""Stopping test: active set unchanged, and unbalanced forces small relative to the acting forces.
 
 PETSc's own tests compare with the first residual, which for a small eps is ~ 1/eps and makes anything look small.
 Here the unbalanced force, summed over the free nodes, is compared with the forces that act: load, supports, contact.
@@ -56,7 +56,7 @@ class Step:
     krylov: int
 
 
-# told of each step, with the obstacle that holds each owned point of I: -1 lower, 1 upper, 0 none (collective)
+# called in each step, with the obstacle in contact with each owned point of I: -1 lower, 1 upper, 0 none (collective)
 StepMonitor = Callable[[Problem, Step, np.ndarray], None]
 
 
@@ -126,10 +126,10 @@ class Stopping:
             return releases.NOT_A_NUMBER
         if self.shrinking is not None and self.shrinking.broken(snes.ksp, active != 0, elastic):
             return ACTIVE_SET_GREW
-        # balance in this scale holds only with the right active set; nodes that still change then
+        # balance in this scale holds only with the correct active set; nodes that still change then
         # carry no force (contact without pressure)
         left = ROUNDOFF_MARGIN * self.round_off()
-        nothing_acts = problem.affine and forces <= left  # a film that runs away is steep, and its forces are bounded
+        nothing_acts = problem.affine and forces <= left  # a diverging film is steep, and its forces are bounded
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
         balanced = unbalanced <= max(self.tolerance * forces, floor)
@@ -150,7 +150,7 @@ class Stopping:
         if self.watch_cycles and step.changed and self._repeats(active):
             if self.exact:
                 return CYCLING
-            self.exact = True  # it may have been the inexact systems
+            self.exact = True  # inexact linear systems may have been the reason
             self._seen.clear()
         return CONTINUE if iteration < self.patience else TOO_MANY
 
@@ -159,7 +159,7 @@ class Stopping:
         self._krylov = 0
 
     def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which obstacle holds a node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
+        """The obstacle in contact with each node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
         problem = self.problem
         lower, upper = problem.gaps() if self.exact_bounds else problem.pressed_gaps()
         if self.exact_bounds:
@@ -175,7 +175,7 @@ class Stopping:
         return active, residual
 
     def _changes(self, changed: np.ndarray, floor: float) -> bool:
-        """Whether the active set is another one: nodes that press with round-off only are neither in nor out."""
+        """Whether the active set has changed; nodes whose contact force is round-off are not counted."""
         if self.history[-1].changed == 0 or not self.problem.level.pair.nodal:
             return self.history[-1].changed > 0
         pressing = np.where(changed, np.abs(self.problem.reaction.array_r), 0.0)
@@ -188,7 +188,7 @@ class Stopping:
         return same and min(step.unbalanced for step in last[1:]) >= last[0].unbalanced
 
     def round_off(self) -> float:
-        """What remains of exact balance in floating point (collective): an epsilon of |A| |w|, row by row.
+        """The round-off of exact balance (collective): machine epsilon times |A| |w|, row by row.
 
         Rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part, and rounds half away.
         """
@@ -212,7 +212,7 @@ class Stopping:
         return NEGLIGIBLE_FORCE * nearest * total(comm, self._stiffness()) if np.isfinite(nearest) else 0.0
 
     def _stiffness(self) -> np.ndarray:
-        """Diagonal of A at owned free dofs; without springs that stand for bounds: what they hold does not move."""
+        """Diagonal of A at owned free dofs; without the penalty diagonal, since fixed nodes do not move."""
         return stiffness_of(self.problem, exact_bounds=self.exact_bounds)
 
     def _repeats(self, active: np.ndarray) -> bool:

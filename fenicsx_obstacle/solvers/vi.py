@@ -11,11 +11,11 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete.problem import INFINITE, Problem
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.newton import COUNTED_ANEW, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
+from fenicsx_obstacle.solvers.newton import MAX_REFERENCE_UPDATES, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, StepMonitor, Stopping
 
-# without descent PETSc's line search gives up, or takes round-off for a minimum of its merit function
+# without descent PETSc's line search fails, or takes round-off for a minimum of its merit function
 LINE_SEARCH_FAILED = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
 NEAR = 1e-6  # the same contact, but for nodes that press very little
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
@@ -62,9 +62,9 @@ def solve_vi(
 
 
 def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
-    """All attempts, w counting from what a node touches."""
+    """All attempts, with the reference r at the obstacle that each node touches."""
     outcome = _attempts(problem, multigrid, how)
-    for _ in range(COUNTED_ANEW):
+    for _ in range(MAX_REFERENCE_UPDATES):
         if not outcome.converged or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
             break
         outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0, "before": outcome.active}))
@@ -110,7 +110,7 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any],
 
 
 def _height(problem: Problem) -> float:
-    """Range of w: PETSc's tolerance for 'at the bound' is absolute, and heights come in any unit."""
+    """The range of w, because PETSc's tolerance for 'at the bound' is absolute."""
     w, comm = problem.w.x.array, problem.level.comm
     return max(largest(comm, w) - smallest(comm, w), 0.0)
 

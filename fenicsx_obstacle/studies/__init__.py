@@ -1,5 +1,5 @@
-"""Many answers in a row: convergence in eps and h, and what they cost.
+"""Studies: convergence in eps and h, cost of accuracy, searches for a value.
 
-Enters: what varies, what is kept of it, what is claimed beside it. Stays out: tables and pictures of the rows, which
-`show` makes; studies return numbers.
+Contents: which values vary, which rows are kept, which orders are expected. Not here: tables and pictures of the rows,
+which are in `show`; studies return numbers.
 """

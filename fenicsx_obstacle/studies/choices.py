@@ -1,4 +1,4 @@
-"""The ways to an answer that `cost` compares."""
+"""The methods that `cost` compares."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MESHES = 20  # more than any budget allows
 
 @dataclass(frozen=True)
 class Choice:
-    """One way.
+    """A method with its eps and mesh.
 
     Attributes:
         name: In tables.
@@ -44,7 +44,7 @@ class Choice:
 
 
 def choices(scene: Scene) -> list[Choice]:
-    """All of them; those that do not serve a scene say so when they are tried.
+    """All methods; one that is not possible for a scene raises an error when it is tried.
 
     The element is the scene's own; P2 stands beside it.
     """

@@ -37,9 +37,9 @@ def study(
 ) -> list[Row]:
     """Solve a scene for all combinations of values (collective).
 
-    Rows hold what answer.json holds; `to_vi.*`, the distance to the SNES VI solution of the same mesh, where eps
-    varies (Theorems 3.1-3.3); and, with an exact solution, the dual norm of the pressure error where meshes vary
-    ((5.6)-(5.9)).
+    Rows have the values of answer.json. If eps varies they also have `to_vi.*`, the distance to the SNES VI solution
+    on the same mesh (Theorems 3.1-3.3); if meshes vary and the exact solution is known, the dual norm of the pressure
+    error ((5.6)-(5.9)).
 
     Args:
         scene: A Scene, its file, or its name in the catalogue.
@@ -52,7 +52,7 @@ def study(
         Rows with dotted keys: `pandas.DataFrame(rows)`.
 
     Raises:
-        InputError: For bad data.
+        InputError: If the data are invalid.
         NotConverged: With PETSc's reason.
     """
     if not vary:
@@ -85,8 +85,8 @@ class Study:
             scene: What to solve.
             vary: Values of each key.
             options: Fixed values.
-            comm: Communicator; a mesh of the scene's own brings its own.
-            uncertainty: Of each quantity in each row.
+            comm: Communicator; not used if the scene has a DOLFINx mesh.
+            uncertainty: Whether each row has the uncertainty of its output quantities.
 
         Raises:
             InputError: If a value does not fit its key.
@@ -180,7 +180,7 @@ class Study:
             self._store.write_table(rows)
 
     def _extras(self, answer: Answer) -> Row:
-        """What a study measures beyond a single answer (collective)."""
+        """Quantities that a study measures in addition to those of a single answer (collective)."""
         work = self._solves.work
         assert work is not None
         by, eps, extras = self.by, answer.record["eps"], Row()

@@ -1,6 +1,6 @@
-"""Cost of accuracy: every choice on finer and finer meshes, each row with its errors, time and memory.
+"""Cost of accuracy: each method on a sequence of meshes, with errors, time and memory.
 
-A row is on the disk as soon as it is finished; whatever ends the run, the next one goes on from there.
+A row is on the disk as soon as it is finished; after any end of the run, the next one continues from there.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ class CostStudy:
             options: Changes of the scene, as in `solve`.
             budget: Of one row; by default `DEFAULT_BUDGET`.
             folder: Where a reference solution is kept.
-            comm: Communicator; a mesh of the scene's own brings its own.
+            comm: Communicator; not used if the scene has a DOLFINx mesh.
 
         Raises:
             InputError: If an option does not fit.
         """
         self.full = changed(scene, dict(options))
         self.comm = self.full.mesh.comm if self.full.mesh is not None else comm
-        # what the scene knows of its solution costs time that belongs to no solver
+        # the errors of a known solution take time that does not belong to the solver
         self.scene = self.full.change({"exact": None, "report": {}})
         self.budget, self.folder = Budget.of(budget or DEFAULT_BUDGET), folder
         self.choices, self.ends = choices(self.full), dict[str, str]()
@@ -101,7 +101,7 @@ class CostStudy:
         return rows
 
     def _find_truth(self) -> Row:
-        """The first row: what errors are measured against (collective)."""
+        """The first row: the reference solution (collective)."""
         coarse = next(uniform_meshes(self.scene))
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
         row = on_root(self.comm, self._find, key)

@@ -1,4 +1,4 @@
-"""A mesh of `cost` with what is measured on it, and when a choice has come as far as the budget goes."""
+"""One mesh of `cost` with its measurements, and the test whether the next mesh exceeds the budget."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EPSILON = float(np.finfo(float).eps)
 
 
 class CostMesh:
-    """A solver context, the solution of the inequality on its mesh, and what a Poisson solve takes there."""
+    """A solver context, the solution of the inequality on its mesh, and the time of a Poisson solve there."""
 
     def __init__(self, scene: Scene, comm: MPI.Comm):
         self.before = forget_peak_memory(comm)
@@ -61,10 +61,10 @@ class CostMesh:
 
 
 def floor_of(context: SolverContext, answer: Answer) -> float:
-    """About what unbalanced forces and round-off leave of u, relative to it (collective).
+    """An estimate of the relative error of u by unbalanced forces and round-off (collective).
 
-    Systems are solved until forces balance to 1e-10 of those that act, and heights are rounded: machine epsilon times
-    the stiffness of each node and its height, with signs at random.
+    Systems are solved until unbalanced forces are 1e-10 of the acting ones. Values of u are rounded, which causes
+    forces of machine epsilon times the stiffness of each node and u there, with random signs.
     """
     problem, comm = context.problem, answer.level.comm
     step = answer.history[-1]
@@ -80,7 +80,7 @@ def floor_of(context: SolverContext, answer: Answer) -> float:
 def ending(
     rows: Sequence[Mapping[str, Any]], growth: float, dim: int, budget: Budget, comm: MPI.Comm, *, adaptive: bool
 ) -> str:
-    """Why there is no row after these, or "" (collective).
+    """The reason why there is no row after these, or "" (collective).
 
     Args:
         rows: Of one choice.

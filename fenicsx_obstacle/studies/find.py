@@ -46,7 +46,7 @@ def find(
         vary: One key and the interval to search: {"define.gap": (0, 0.2)}.
         target: A quantity and its value, "force = 30": energy, area, penetration, force (force.lower or force.upper
             where there are two obstacles), or a name of [report].
-        within: Accuracy of the value found, as a share of the interval; the accuracy of the mesh is apart from it.
+        within: Accuracy of the value, relative to the interval; the error of the mesh is not included.
         comm: Communicator.
         **options: Fixed values, as in `solve`.
 
@@ -54,7 +54,7 @@ def find(
         One row for each solve, as `study` returns them; the last is the one that was found, `rows[-1]["vary.KEY"]`.
 
     Raises:
-        InputError: For bad data, and where the target is not between the values at both ends.
+        InputError: If the data are invalid, or the target is not between the values at both ends.
         NotConverged: With PETSc's reason.
     """
     return [flat(row) for row in Find(scene_of(scene), vary, target, options, comm, within=within).run()]
@@ -83,7 +83,7 @@ class Find:
             vary: One key with two numbers.
             target: NAME = VALUE.
             options: Fixed values.
-            comm: Communicator; a mesh of the scene's own brings its own.
+            comm: Communicator; not used if the scene has a DOLFINx mesh.
             within: Share of the interval.
 
         Raises:

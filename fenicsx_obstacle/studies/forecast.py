@@ -1,4 +1,4 @@
-"""What a tolerance will take, before it is run: a few seconds of the same run, continued.
+"""Forecast of the cost of a tolerance, by extrapolation from the first meshes.
 
 Meshes that are refined where the error is soon settle: their bound falls like a power of the unknowns, and unknowns
 grow by the same factor from mesh to mesh. A mesh takes some time whatever its size, and some for each unknown: that is
@@ -25,7 +25,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 
 SECONDS = 3.0  # of calibration, and the larger mesh after it
-SETTLED = 5  # meshes at the end of the calibration that tell how things go on
+SETTLED = 5  # meshes at the end of the calibration from which is extrapolated
 ROUND_OFF = 1e-9  # of a number of meshes
 MIN_MESHES = 4  # meshes at least
 ORDERS = (0.7, 1.1)  # of the bound in 1/unknowns, over that of smooth solutions: what is believed
@@ -34,7 +34,7 @@ Path = Sequence[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Forecast:
-    """What `solve --tol` is expected to take.
+    """The forecast of `solve --tol`.
 
     Attributes:
         dofs: Unknowns on the last mesh.
@@ -87,7 +87,7 @@ def forecast(scene: Scene, tol: float, *, seconds: float = SECONDS, comm: MPI.Co
 
 
 def _larger(work: SolverContext, options: SolverOptions) -> dict[str, float]:
-    """What the mesh with all cells refined takes (collective)."""
+    """Time and memory of the mesh with all cells refined (collective)."""
     start = time.perf_counter()
     work.forget_estimator()
     everywhere = np.ones(own_cells(work.problem.level.mesh), dtype=bool)

@@ -1,4 +1,4 @@
-"""A grid of several keys, read as lines along one of them."""
+"""Studies over several keys, as lines along one of them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def lines_of(rows: Sequence[Row], key: str) -> dict[str, list[Row]]:
 
 
 def figures_of(row: Row) -> dict[str, str]:
-    """What a study without errors shows, name by dotted key: the scene's [report], or the contact without one."""
+    """The output quantities of a study without errors, name by dotted key: [report], or those of the contact."""
     report = {f"report.{name}": name for name in row.get("report") or {}}
     contact = {"contact.area": "contact area", "contact.lower.force": "force on lower obstacle",
                "contact.upper.force": "force on upper obstacle", "energy": "energy"}  # fmt: skip

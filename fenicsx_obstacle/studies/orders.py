@@ -1,4 +1,4 @@
-"""What the paper proves of the quantities that a study measures: the orders to compare with."""
+"""Orders of the measured quantities according to the paper."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def lookup(row: Mapping[str, Any], key: str) -> Any:
 
 
 def parameter(varied: Sequence[str]) -> str:
-    """What orders are taken in: eps where it varies, h where meshes do, '' otherwise."""
+    """The parameter of the orders: eps if it varies, h if meshes vary, otherwise ''."""
     if "eps" in varied or "solve.eps" in varied:
         return "eps"
     return "h" if {"cells", "refine", "mesh.cells", "mesh.refine"} & set(varied) else ""

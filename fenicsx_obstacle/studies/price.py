@@ -1,4 +1,4 @@
-"""From rows of `cost` to prices: the cheapest choice for an error, and what the next digit takes.
+"""Evaluation of the rows of `cost`: the fastest method for an error, and the time for one more digit.
 
 Errors are relative. Along the rows of a choice, log error is taken to be linear in log seconds between two rows, and
 beyond the last one with the slope of the last three.
@@ -23,9 +23,9 @@ NORMS = {
 }
 TOLERANCES = tuple(10.0**-k for k in range(1, 7))
 FAR = 20.0  # times beyond the last error of a choice its line is continued: to a tenth of twice the smallest, at most
-TRUSTED = 3.0  # errors below so many times what the reference itself may be off say nothing
+TRUSTED = 3.0  # smaller errors, relative to the uncertainty of the reference, are not used
 NEGLIGIBLE_SIZE = 1e-9  # of the domain, or of the force scale: no contact to be measured
-STEEPEST = 1.5  # no error is believed to fall faster than unknowns^-1.5, order 3 in h: signs change, and hits are lucky
+STEEPEST = 1.5  # errors that fall faster than unknowns^-1.5, order 3 in h, are accidental: the error changes its sign
 FLAT = 0.02  # slope of log error over log seconds below which it does not fall
 
 
@@ -36,7 +36,7 @@ class Curve:
     Attributes:
         name: Of the choice.
         rows: Those with such an error, cheapest first.
-        error: Relative; of each row the largest of its own and all dearer rows, and none that falls steeper than
+        error: Relative; of each row the largest of its own and all slower rows, and none that falls steeper than
             `STEEPEST`, so that lucky hits do not count.
         slope: Of log error over log seconds at the end; 0 where it does not fall.
         failed: Whether it did not converge on the next mesh: its line is not continued.
@@ -70,7 +70,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Price:
-    """What the next digit costs in one norm.
+    """The cost of one more digit in one norm.
 
     Attributes:
         norm: Key of the norm.
@@ -108,7 +108,7 @@ def failures(rows: Rows) -> list[Mapping[str, Any]]:
 
 
 def truth(rows: Rows) -> Mapping[str, Any]:
-    """The row that says what errors are measured against."""
+    """The row of the reference solution."""
     return next(row for row in rows if row["choice"] == "")
 
 
@@ -203,7 +203,7 @@ def digits(row: Mapping[str, Any], norm: str) -> tuple[float, float, float] | No
 
 
 def unit(rows: Rows) -> float | None:
-    """Seconds of one Poisson solve with linear elements on the finest uniform mesh of the ladder: the common scale."""
+    """Seconds of one Poisson solve with linear elements on the finest uniform mesh, the unit of cost."""
     found = [row for row in solved(rows) if row.get("poisson_seconds") and row["element"] != "P2"]
     return max(found, key=lambda row: row["dofs"])["poisson_seconds"] if found else None
 

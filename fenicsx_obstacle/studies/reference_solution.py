@@ -1,4 +1,4 @@
-"""What errors are measured against: the exact solution, or the finest solution that is affordable, with its bound."""
+"""Reference solutions for errors: the exact solution, or the finest solution within a budget, with its bound."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Errors = dict[str, float]
 
 
 class ExactReference:
-    """Errors against [exact]; of the contact as far as it is known.
+    """Errors relative to [exact], and of the contact if it is known.
 
     Attributes:
         record: What was taken for the truth.
@@ -117,7 +117,7 @@ def make_reference(
     """The finest solution within the limits, times `FINER` (collective).
 
     Refined where the error is, with its bound, where there are bounds for the scene; else on the finest uniform mesh.
-    By quadratic elements, where they serve it.
+    With quadratic elements, if they are possible.
 
     Args:
         scene: On its coarsest mesh.

@@ -1,4 +1,4 @@
-"""The rows of a study on disk: each is there for good when it is finished, and found again by what it is.
+"""Rows of a study on disk: saved when finished, and found again by a key of all they depend on.
 
 rows.jsonl is the store: one line per row ever computed in this folder. rows.csv is the table of the present study.
 """
@@ -25,7 +25,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 
 def row_key(scene: Scene, kind: str, ranks: int) -> str:
-    """What a row depends on: the resolved scene, its mesh and data files, PETSc's options, ranks and versions.
+    """The key of a row, of all it depends on: resolved scene, mesh and data files, PETSc's options, ranks, versions.
 
     Args:
         scene: With all values of the row.
@@ -43,7 +43,7 @@ def row_key(scene: Scene, kind: str, ranks: int) -> str:
 
 
 class RowStore:
-    """The rows in a folder, held by one process at a time (one rank).
+    """The rows in a folder, locked by one process (one rank).
 
     Attributes:
         folder: Where rows.jsonl and rows.csv are.

@@ -1,4 +1,4 @@
-"""The solves of a study, one after another: what the next scene has in common with the last is taken over."""
+"""Solves of a study: meshes, matrices and solutions are reused if the next scene allows it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NEAR = 1.0  # layers of nodes by which contact may move so that the last solutio
 
 
 class Solves:
-    """A solver context, kept where scenes differ in their options, and its mesh where they differ in data.
+    """Reuses the solver context if scenes differ in options only, and its mesh if they differ in data only.
 
     Attributes:
         comm: Communicator.

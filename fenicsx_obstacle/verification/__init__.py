@@ -1,6 +1,6 @@
-"""What checks the program itself: the commands `theory` and `hard`.
+"""Verification of the program itself: the commands `theory` and `hard`.
 
-Enters: statements of the paper as measurements, hard scenes and random ones with their known truths, input that is
-wrong, machines that break, and the tables and pictures of all these. Stays out: what a user's problem needs; only the
+Contents: statements of the paper as measurements, hard scenes, random scenes with known solutions, invalid input,
+faults of the machine, and the tables and pictures of all these. Not here: code that a user's problem needs; only the
 command line imports this package, when one of its commands is called.
 """

@@ -1,4 +1,4 @@
-"""Processes that a study starts, watches and, should they hang, ends with all that they have started."""
+"""Starts processes, and ends them with all their children if they hang."""
 
 from __future__ import annotations
 

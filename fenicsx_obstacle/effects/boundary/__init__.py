@@ -1,4 +1,4 @@
-"""What acts on a part of the boundary, or along a curve inside: a flux and springs.
+"""Effects on a part of the boundary, or along a curve inside: flux and springs.
 
 On a part of the boundary  tension du/dn = flux - spring u,  n outward; along a curve inside the same is the jump of
 tension du/dn, so that a flux there is a load along the curve. They are written in [[boundary]].

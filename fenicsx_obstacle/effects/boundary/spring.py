@@ -16,7 +16,7 @@ class Spring(OnPart):
     """tension du/dn = -spring u: Robin's condition, int spring u v with spring >= 0; unit: force per area.
 
     By the nodal rule of the facets, so that it is diagonal like the penalty and keeps the signs of an M-matrix; with a
-    flux `spring*g` beside it the springs rest at the height g.
+    flux `spring*g` in addition the springs are at rest at u = g.
     """
 
     key = "spring"

@@ -1,4 +1,4 @@
-"""Drift: what is carried along by a flow."""
+"""Drift: transport by a given velocity."""
 
 from __future__ import annotations
 

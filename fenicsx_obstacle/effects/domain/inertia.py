@@ -1,4 +1,4 @@
-"""Mass. How it becomes a difference is `data.motion`'s affair."""
+"""Inertia; `data.motion` has its time difference."""
 
 from __future__ import annotations
 

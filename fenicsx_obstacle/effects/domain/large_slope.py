@@ -1,4 +1,4 @@
-"""A surface tension, where slopes are large."""
+"""Surface tension for large slopes."""
 
 from __future__ import annotations
 

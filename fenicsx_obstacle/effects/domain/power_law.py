@@ -1,4 +1,4 @@
-"""A tension that is a power of the slope."""
+"""Power law: a tension that is a power of |grad u|."""
 
 from __future__ import annotations
 

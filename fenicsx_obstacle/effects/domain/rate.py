@@ -1,4 +1,4 @@
-"""Resistance to change. How it becomes a difference is `data.motion`'s affair."""
+"""Rate: a term proportional to u_t; `data.motion` has its time difference."""
 
 from __future__ import annotations
 

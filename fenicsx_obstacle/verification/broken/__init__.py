@@ -1,1 +1,1 @@
-"""Input that is wrong in every way a file or a command line can be, and what the message about it must name."""
+"""Invalid files and command lines of every kind, and the words that their messages must contain."""

@@ -1,4 +1,4 @@
-"""One command that must be refused, and whether it was refused well."""
+"""One command that must be rejected, and the check of its message."""
 
 from __future__ import annotations
 

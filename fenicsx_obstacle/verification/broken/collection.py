@@ -1,4 +1,4 @@
-"""All cases, and the right files that some of them tear."""
+"""All cases, and the valid files that some of them truncate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are no scenes, and scenes that ask for what cannot be: bombs, contradictions, missing and torn meshes."""
+"""Files that are not scenes, and invalid scenes: very large input, contradictions, missing and truncated meshes."""
 
 from __future__ import annotations
 

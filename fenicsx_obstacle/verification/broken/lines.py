@@ -1,4 +1,4 @@
-"""Scenes with each line of the format wrong in each way."""
+"""Scenes with every kind of invalid value for every key."""
 
 from __future__ import annotations
 

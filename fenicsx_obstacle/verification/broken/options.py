@@ -1,4 +1,4 @@
-"""Command lines with each option wrong in each way, and results that were torn after they had been saved."""
+"""Command lines with every kind of invalid option, and saved results that were truncated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole collection, on one rank and on three: some cases as processes of their own, all within one."""
+"""Runs all cases on one rank and on three: some in separate processes, all of them in one process."""
 
 from __future__ import annotations
 
@@ -83,14 +83,14 @@ def _within(
 ) -> Iterator[tuple[Tried, int]]:
     """Cases in one process, until one of them ends it."""
     command = launch(ranks, "-m", "fenicsx_obstacle.verification.broken.inside", str(root))
-    begun: int | None = numbers[0]
+    started: int | None = numbers[0]
     for record in records(command, environment, PATIENCE, json.dumps(list(numbers)) + "\n"):
         if "begins" in record:
-            begun = record["begins"]
+            started = record["begins"]
             continue
-        number, begun = record["number"], None
+        number, started = record["number"], None
         case, folder = cases[number], root / f"inside-{ranks}" / str(number)
         wrong = complaint(case, record["status"], record["said"], record["seconds"], folder)
         yield Tried(case, ranks, False, record["said"], record["seconds"], wrong), number
-    if begun is not None:
-        yield Tried(cases[begun], ranks, False, "", PATIENCE, "took the process down, or did not end"), begun
+    if started is not None:
+        yield Tried(cases[started], ranks, False, "", PATIENCE, "took the process down, or did not end"), started

@@ -1,1 +1,1 @@
-"""Machines that break: processes that are killed, disks that are full, folders that cannot be written."""
+"""Faults of the machine: killed processes, full disks, folders that cannot be written."""

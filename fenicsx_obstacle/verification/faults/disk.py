@@ -1,4 +1,4 @@
-"""Disks that are full and folders that cannot be written: one clear message, and what was there before stays.
+"""Full disks and folders that cannot be written: one clear message, and old files are kept.
 
 A small file system of its own is mounted where that is permitted, in a mount namespace that ends with the process;
 elsewhere files may not grow beyond a size.

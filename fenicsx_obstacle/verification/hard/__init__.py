@@ -1,1 +1,1 @@
-"""Hard scenes: every result is right, or rejected with a reason; anything else has failed."""
+"""Hard scenes: every result is correct or rejected with a reason; everything else is a failure."""

@@ -1,4 +1,4 @@
-"""The cases of the suite: a list in TOML beside the scenes of their own; other scenes are of the catalogue."""
+"""The cases of the suite: a list in TOML, with scenes of the suite and of the catalogue."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random scenes, judged: `python -m fenicsx_obstacle.verification.hard.draw COUNTS SEED` prints JSON lines."""
+"""Random scenes with verdicts: `python -m fenicsx_obstacle.verification.hard.draw COUNTS SEED` prints JSON lines."""
 
 from __future__ import annotations
 
@@ -139,20 +139,20 @@ def _share(counts: Mapping[str, int], seed: int, environment: Mapping[str, str])
     while left.total() > 0:
         given = json.dumps({name: count for name, count in left.items() if count})
         command = launch(1, "-m", "fenicsx_obstacle.verification.hard.draw", given, str(seed))
-        begun: Any = None
+        started: Any = None
         before = left.total()
         for record in records(command, environment, PATIENCE):
             if "begins" in record:
-                begun = record["begins"]
+                started = record["begins"]
                 continue
-            begun = None
+            started = None
             left[record["family"]] -= 1
             yield {**record, "seed": seed}
             if record["crashed"]:  # libraries remember errors, and later scenes might suffer from them
                 break
-        if begun is not None:
-            left[begun["family"]] -= 1
-            yield {**begun, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE, "seed": seed,
+        if started is not None:
+            left[started["family"]] -= 1
+            yield {**started, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE, "seed": seed,
                    "bounds": [], "message": "took the process down, or did not end", "crashed": True}  # fmt: skip
         if left.total() == before:
             raise InputError("no random scene could be drawn")

@@ -1,4 +1,4 @@
-"""What the theory promises of every answer, checked on the answer: findings by name, each with number and limit.
+"""Invariants of the theory, checked for every result: findings by name, each with value and limit.
 
 Limits are what the theorem says plus what is known of the accuracy of the answers themselves (`solved`); none is
 chosen. Where a theorem needs what an operator has not, the figure is given and nothing is claimed:

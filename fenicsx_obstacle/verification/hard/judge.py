@@ -1,4 +1,4 @@
-"""One scene on one mesh, solved in many ways: a row with a verdict for each answer."""
+"""One scene on one mesh, solved by several methods: a row with a verdict for each result."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class _Verifier:
                     last[method] = self.known[method, eps]
 
     def other_starts(self) -> Iterator[Row]:
-        """The same from another start: cold, and from heights scattered far off."""
+        """The same from another start: cold, and from random values far away."""
         for method, eps in (("vi", None), ("penalty", TRIAL)):
             if (method, eps) not in self.known:
                 continue

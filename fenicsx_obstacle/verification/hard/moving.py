@@ -1,4 +1,4 @@
-"""Scenes with time on one mesh: each step is a problem at rest, and what holds of all steps together is checked too."""
+"""Scenes with [time] on one mesh: each step is checked as a stationary problem, and invariants over all steps."""
 
 from __future__ import annotations
 

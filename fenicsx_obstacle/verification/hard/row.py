@@ -11,7 +11,7 @@ from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.verification.hard.invariants import Finding
 
 RIGHT, REFUSED, FAILED = "right", "refused", "FAILED"
-FLOOR = "floor of round-off"  # words of the refusal
+FLOOR = "limit of round-off"  # words of the refusal
 Row = dict[str, Any]
 
 

@@ -1,4 +1,4 @@
-"""A process of its own for one hard scene: `python -m fenicsx_obstacle.verification.hard.run_case NAME FILE`.
+"""One hard scene in a separate process: `python -m fenicsx_obstacle.verification.hard.run_case NAME FILE`.
 
 Rows go to standard output as JSON lines, the fields to compare with those on several ranks into the file.
 """

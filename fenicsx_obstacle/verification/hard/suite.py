@@ -1,4 +1,4 @@
-"""The suite: each hard scene in processes of its own, two scenes at a time, so that none takes another down with it."""
+"""The suite: each hard scene in separate processes, two scenes at a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the rows of the suite say, put together: verdicts and figures of each scene, curves for pictures."""
+"""Summary of the rows of the suite: verdicts and values of each scene, curves for pictures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Summary:
         work: Largest a(e, e) over (eps/4) ||p_h||_I^2: 1 at most by theory.
         moved: Largest relative change of the contact force between the meshes, by SNES VI; None without force.
         off: Largest |p_eps - p_h| over max|p_h| at eps = 1e-14.
-        plain: The same of the pressure from heights as they are stored.
+        plain: The same of the pressure computed from the stored u.
         units: Largest change of the number of steps in other units.
         seconds: Of all processes.
     """
@@ -131,8 +131,8 @@ def digits_panels(rows: Sequence[Row]) -> list[Panel]:
     plain = _pairs(rows, "line", "from_heights", shifted=False)
     left = _pairs(rows, "left", "moved", shifted=True)
     return [
-        _beside("p from heights: -(u - g)^+/eps", "machine epsilon |g| / (eps max|p|)", plain),
-        _beside("p from the unknown u - g, heights shifted by 2^20 sizes", "machine epsilon |g| A_ii / (D_i max|p|)",
+        _beside("p from u: -(u - g)^+/eps", "machine epsilon |g| / (eps max|p|)", plain),
+        _beside("p from the unknown u - g, u shifted by 2^20 sizes", "machine epsilon |g| A_ii / (D_i max|p|)",
                 left),
     ]  # fmt: skip
 

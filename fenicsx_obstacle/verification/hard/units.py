@@ -1,4 +1,4 @@
-"""The same scene in other units, and counted from another height: nothing may change but the numbers.
+"""The same scene in other units, and with another zero of u: results must agree after conversion.
 
 Factors are powers of two near 10^9, so that scaling itself rounds nothing; what then differs is an absolute tolerance
 somewhere. Heights shifted by about 10^6 times the size of the solution do lose digits, as many as the data lose.

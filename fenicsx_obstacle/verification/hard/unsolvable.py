@@ -1,4 +1,4 @@
-"""Problems that a solver cannot solve: it must say so, in the same words on every rank, and never return an answer.
+"""Problems without a solution: solvers must raise the same error on every rank, and never return a result.
 
 `[mpirun -n N] python -m fenicsx_obstacle.verification.hard.unsolvable` tries each problem once and prints JSON lines.
 """

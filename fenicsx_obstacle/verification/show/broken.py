@@ -1,4 +1,4 @@
-"""What `hard --broken` shows: refusals that did not hold, the slowest, and how many were tried and held."""
+"""Output of `hard --broken`: failed cases, the slowest ones, and counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `hard --faults` shows: what was broken, what should not have come of it, and how many were tried and held."""
+"""Output of `hard --faults`: faults, their consequences, and counts."""
 
 from __future__ import annotations
 

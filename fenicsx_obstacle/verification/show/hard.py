@@ -1,4 +1,4 @@
-"""What `hard` shows: a line for each scene as it is finished, the verdicts counted, tables and pictures."""
+"""Output of `hard`: a line for each finished scene, counts of verdicts, tables and pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `hard --random` shows: scenes that did not hold, how many did, and bounds beside true errors."""
+"""Output of `hard --random`: failed scenes, counts, and bounds with true errors."""
 
 from __future__ import annotations
 

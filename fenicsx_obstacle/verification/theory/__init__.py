@@ -1,1 +1,1 @@
-"""Kikuchi's statements, each measured: what is claimed, what is observed, and a verdict."""
+"""Kikuchi's statements, measured: claims, observations, verdicts."""

@@ -77,7 +77,7 @@ def _difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b).max())
 
 
-@statement("3.27", "P1 and the vertex rule on one triangle: I - L2 is a sum of squares, once q1 is q2")
+@statement("3.27", "P1 and the vertex rule on one triangle: I - L2 is a sum of squares if q1 is replaced by q2")
 def triangle(comm: MPI.Comm) -> Found:
     """(3.27) on the master triangle, as printed and as it must read; (3.28) and (3.21) on any triangle."""
     lumped, true = products(TRIANGLE, pairs()["P1"].rule("triangle"), linear(TRIANGLE))
@@ -126,7 +126,7 @@ def square(comm: MPI.Comm) -> Found:
     return Found(rows)
 
 
-@statement("3.33", "I(q, q) >= ||q||_0^2 on quadrilaterals: true of parallelograms, false of kites")
+@statement("3.33", "I(q, q) >= ||q||_0^2 on quadrilaterals: true for parallelograms, false for kites")
 def kites(comm: MPI.Comm) -> Found:
     """min I(q, q)/||q||_0^2 on a square that becomes a triangle: no constant but one that depends on the shape."""
     rule = pairs()["Q1"].rule("quadrilateral")
@@ -145,7 +145,7 @@ def kites(comm: MPI.Comm) -> Found:
     return Found(rows, [Panel("kite (0,0) (1,0) (1-t,1-t) (0,1)", "t", "least ratio", [curve], ("linear", "linear"))])
 
 
-@statement("3.36", "One-point Gauss on one square: I sees the value at the centre only", "3.38")
+@statement("3.36", "One-point Gauss on one square: I uses the value at the centre only", "3.38")
 def centre(comm: MPI.Comm) -> Found:
     """(3.36), and (3.38) with its constant on a square of side h."""
     lumped, true = products(SQUARE, pairs()["Q1-gauss"].rule("quadrilateral"), linear(SQUARE))

@@ -1,4 +1,4 @@
-"""How stable a pair (V_h, I, Q_h) is: the constants of (3.18), (4.7) and of the dual norm, and the kernel of I."""
+"""Stability of a pair (V_h, I, Q_h): the constants of (3.18), (4.7) and of the dual norm, and the kernel of I."""
 
 from __future__ import annotations
 

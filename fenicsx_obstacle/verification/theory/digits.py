@@ -1,4 +1,4 @@
-"""How many digits the contact pressure (3.7)-(3.8) has left at small eps, from u and from u - g."""
+"""Accuracy of the contact pressure (3.7)-(3.8) at small eps, computed from u and from u - g."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Theorem 3.3: how far u_eps is from u_h and p_eps from p_h, in eps and in h, by the smoothness of the pressure.
+"""Theorem 3.3: errors of u_eps and p_eps against u_h and p_h, in eps and in h, by the smoothness of the pressure.
 
 With p in H^t for all t < s, and eps below h^2, u_eps - u_h is of order eps h^(s-1) and p_eps - p_h of order
 eps h^(s-2). Above h^2 the mesh is not felt, and the orders are eps^((1+s)/2) and eps^(s/2). A pressure of more than
@@ -46,7 +46,7 @@ PAIRS = (
 AT = 64  # cells of the mesh on which pairs are compared
 
 
-@statement("3.3", "u_eps - u_h and p_eps - p_h: order 1 in eps, and what h makes of it", "5.5", "3.24")
+@statement("3.3", "u_eps - u_h and p_eps - p_h: order 1 in eps, and its dependence on h", "5.5", "3.24")
 def in_eps(comm: MPI.Comm) -> Found:
     """At fixed h, at fixed eps, along eps = h^k, and uniformly in h (collective)."""
     fixed = [gap(MeshSequence(one.words, one.name, one.smooth, cells=(32,)), DECADES, comm) for one, _ in SCENES[::3]]

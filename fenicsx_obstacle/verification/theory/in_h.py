@@ -1,4 +1,4 @@
-"""Theorems 4.1-4.3: how far u_h is from u and p_h from p as h tends to 0, for the variational inequality itself.
+"""Theorems 4.1-4.3: errors of u_h and p_h as h tends to 0, for the variational inequality.
 
 With p in H^t for all t < s, u is in H^(s+2) on smooth data. P1 has order 1 in H1 from s = 0 on, and on a uniform mesh
 its pressure has order s in L2 and s + 1 in the dual norm.
@@ -80,7 +80,7 @@ def displacements(comm: MPI.Comm) -> Found:
                             _panel("Q2", "h1", seen[-2:], (3 / 2, 2))])  # fmt: skip
 
 
-@statement("4.2", "p_h is bounded in L2: no more where the lumped mass is not consistent", "5.7")
+@statement("4.2", "p_h is bounded in L2; it need not converge where the lumped mass is not consistent", "5.7")
 def pressures(comm: MPI.Comm) -> Found:
     """Uniform meshes, the same with a flat obstacle elsewhere, a curved one, and two cures (collective)."""
     uniform = [errors(one, [VI], comm) for one in (CEILING, TORSION, HALFPLANE, SMOOTH, CEILING_Q2)]

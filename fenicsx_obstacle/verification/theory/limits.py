@@ -34,10 +34,10 @@ class Approach:
         name: Of the scene.
         energy: ||e|| in the energy norm.
         highest: Largest e at a node.
-        lowest: Smallest e, over the height of u.
+        lowest: Smallest e, over the range of u.
         above: Largest e over eps max |p_h|: 1 at most.
         below: Largest e over eps max |p_eps|: 1 at most.
-        rise: Largest growth of u_eps at a node since the last, larger eps, over the height of u.
+        rise: Largest growth of u_eps at a node since the last, larger eps, over the range of u.
         pressure: ||p_eps - p_h||_I.
         size: ||p_eps||_I over ||p_h||_I: 1 at most.
         work: a(e, e) over (eps/4) ||p_h||_I^2: 1 at most.
@@ -84,7 +84,7 @@ def approach(scene: Scene, comm: MPI.Comm, epsilons: Sequence[float] = EPS) -> A
     return seen
 
 
-@statement("3.1", "u_eps and p_eps tend to u_h and p_h as eps does to 0, with computable bounds", "3.2")
+@statement("3.1", "u_eps and p_eps converge to u_h and p_h as eps tends to 0, with computable bounds", "3.2")
 def limits(comm: MPI.Comm) -> Found:
     """Down to eps = 1e-10, on M-matrix meshes, and where there is nothing, or everything, to touch (collective)."""
     crossed = sample("disk", 16).change({"mesh.diagonal": "crossed"})
@@ -111,12 +111,12 @@ def _bounds(all_seen: list[Approach]) -> list[Finding]:
     rise = max(max(a.rise) for a in all_seen)
     lowest = min(min(a.lowest) for a in all_seen)
     return [
-        check("Thm 3.1", "smallest u_eps - u_h at a node over the height of u", "M-matrix: 0 at least", lowest,
+        check("Thm 3.1", "smallest u_eps - u_h at a node over the range of u", "M-matrix: 0 at least", lowest,
               lowest > -1e-12),
         constant("Thm 3.1", "largest u_eps - u_h over eps max |p_h|", "M-matrix: 1 at most", 1.0, ratio, "sharp"),
         check("Thm 3.1", "the same over eps max |p_eps|: u_eps - eps max |p_eps| <= u_h", "M-matrix: 1 at most",
               *_at_most_one([a.below for a in all_seen], 1e-6)),
-        check("Thm 3.1", "largest growth of u_eps at a node as eps falls, over the height of u", "M-matrix: 0 at most",
+        check("Thm 3.1", "largest growth of u_eps at a node as eps falls, over the range of u", "M-matrix: 0 at most",
               rise, rise < 1e-12),
         check("Thm 3.2", "|p_eps|_I over |p_h|_I, the most: without LBB", "1 at most",
               *_at_most_one([a.size for a in all_seen], 1e-9)),

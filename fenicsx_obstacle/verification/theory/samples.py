@@ -1,4 +1,4 @@
-"""What the statements are measured on: the scenes of demos/, and problems of a few unknowns."""
+"""Problems on which the statements are measured: scenes of demos/, and problems with a few unknowns."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def signs(comm: MPI.Comm) -> Found:
     ])  # fmt: skip
 
 
-@statement("3.16", "Squares that are missing: both sides must be of one degree in the data", "4.10")
+@statement("3.16", "Missing squares: both sides must have the same degree in the data", "4.10")
 def degrees(comm: MPI.Comm) -> Found:
     """How the terms of (3.16) and (4.10) grow when load and obstacle, or the pressure, are multiplied by s."""
     string, scales = even(64), np.array([1.0, 2.0, 4.0])

@@ -1,4 +1,4 @@
-"""How stable the pairs are: (3.18) and its Examples 2 and 3, (4.7), and the dual norm of Theorem 4.2."""
+"""Stability of the pairs: (3.18) and its Examples 2 and 3, (4.7), and the dual norm of Theorem 4.2."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def dual(comm: MPI.Comm) -> Found:
     return Found(rows, [Panel("inf-sup constant, ||q||_1* over H^1_0", "h", "beta_h", curves, ("log", "linear"))])
 
 
-@statement("Example 3", "One-point Gauss for Q1: I does not see 2n - 1 pressures, among them the checkerboard",
+@statement("Example 3", "One-point Gauss for Q1: the kernel of I has dimension 2n - 1 and contains the checkerboard",
            "gauss", "3.35")  # fmt: skip
 def one_point(comm: MPI.Comm) -> Found:
     """The kernel of I(q, .) on n x n squares, and what is left of alpha_h beside it."""

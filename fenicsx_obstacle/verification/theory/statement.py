@@ -1,4 +1,4 @@
-"""What a statement of the paper is here: a function that measures, rows of a table, and one picture."""
+"""Statements of the paper: a function that measures, rows of a table, and one picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All families whose truth is known."""
+"""All families with known solutions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Boundary values that jump, or bend only, and parts of the boundary that end inside a facet."""
+"""Boundary values with jumps or kinks, and parts of the boundary that end inside a facet."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class Pole(Family):
         corner: Lower left corner of the unit square.
         power: a.
         tension: The same everywhere.
-        cut: Radius within which the load is that of this radius; 0 for a load that is left out at the pole alone.
+        cut: Radius within which the load is that of this radius; 0 for a load that is set to 0 at the pole only.
     """
 
     mesh: dict[str, Any]
@@ -119,7 +119,7 @@ class Pole(Family):
             judgement.not_certified(answer, "the load is not square integrable")
 
     def error(self, field: Field) -> tuple[float, float]:
-        """Of a field from below, since the last pieces at the pole are left out; norm of u (collective)."""
+        """Of a field from below, since the last pieces at the pole are omitted; norm of u (collective)."""
         a = self.power
 
         def tension(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Discs and rings of other tensions and loads, cut through cells: u depends on the distance from a point alone."""
+"""Discs and rings with different tensions and loads, not aligned with cells: u depends on the distance from a point
+only."""
 
 from __future__ import annotations
 

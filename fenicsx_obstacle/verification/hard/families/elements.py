@@ -1,4 +1,4 @@
-"""Computed functions cell by cell as polynomials, from values and places of their degrees of freedom alone.
+"""Computed functions as polynomials in each cell, from values and coordinates of their degrees of freedom.
 
 It shares nothing with the error bound and the solvers: neither basis functions nor the order of degrees of freedom.
 """

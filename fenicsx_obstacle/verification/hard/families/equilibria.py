@@ -1,4 +1,4 @@
-"""What is held by an obstacle alone, by next to nothing, or by nothing: balance of forces gives the answer."""
+"""Membranes supported by an obstacle only, by weak springs, or not at all: balance of forces gives the solution."""
 
 from __future__ import annotations
 
@@ -195,7 +195,8 @@ def feebles(draw: st.DrawFn) -> Feeble:
 
 @dataclass(frozen=True)
 class Soft(Family):
-    """A soft obstacle alone, pressed by the load: it gives way by load over stiffness. Pulled away there is no answer.
+    """A soft obstacle alone, pressed by the load: it is penetrated by load over stiffness. No solution exists if the
+    load pulls away.
 
     Attributes:
         mesh: The table [mesh].
@@ -236,6 +237,6 @@ class Soft(Family):
 
 @st.composite
 def softs(draw: st.DrawFn) -> Soft:
-    """Obstacles that give way by little or by much."""
+    """Soft obstacles with small and with large penetration."""
     return Soft(dict(draw(st.sampled_from(SHAPES))), draw(st.sampled_from([0.0, -0.3, 2.0])), draw(power(-2, 5)),
                 draw(power(-2, 2)), draw(st.booleans()), draw(st.integers(0, 3)) == 0)  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a family of drawn scenes is, and how the program's behaviour on one of them is judged."""
+"""Base class of families of random scenes, and the judgement of a result."""
 
 from __future__ import annotations
 

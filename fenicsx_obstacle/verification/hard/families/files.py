@@ -1,4 +1,4 @@
-"""Meshes as CAD programs leave them: without groups, with bodies that only seem to be connected, of curved domains."""
+"""Meshes of CAD programs: without groups, with bodies that only seem to be connected, of curved domains."""
 
 from __future__ import annotations
 

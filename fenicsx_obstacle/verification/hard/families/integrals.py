@@ -73,7 +73,7 @@ class Pieces:
         """Gauss points on these pieces, which are cut along circles and ever smaller towards points.
 
         Pieces that no circle crosses, or one that cuts off a corner, are integrated; others are halved again and again,
-        and those that are left at last are left out.
+        and the last ones are omitted.
 
         Args:
             circles: They need not meet a piece.

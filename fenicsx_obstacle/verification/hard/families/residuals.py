@@ -1,4 +1,4 @@
-"""Residuals of the caller's own that nothing holds but an obstacle: balance of forces gives the contact force."""
+"""Residuals of the caller that only an obstacle supports: balance of forces gives the contact force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contact with closed form: u = obstacle + w, w a square beyond the contact set, the load less than the obstacle's own.
+"""Contact in closed form: u = obstacle + w, where w is a square outside of the contact set.
 
 In the contact set -div(tension grad obstacle) - load is the contact pressure, at least 0. Where it is 0, or u does not
 touch, the obstacle may be lower than u by any amount: there it has jumps and kinks.
