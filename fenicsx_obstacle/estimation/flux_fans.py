@@ -28,10 +28,14 @@ class FanEquilibration(EquilibrationP1):
         self._fan_A, self._fan_B, fan_G = self.patches.gather(self._A, self._B, G)
         self._fan_G = self.patches.sums(fan_G)
 
-    def _on_patches(self, drops: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
+    def _on_patches(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
         """See `EquilibrationP1._on_patches` (collective)."""
-        patches = self.patches
-        correction = patches.gather(next_(beta) * self._A + previous(beta) * self._B)[0]
+        patches, parts = self.patches, self.parts
+        targets, rows = next_(beta) * self._A + previous(beta) * self._B, np.arange(len(parts.cells))
+        for step, weight in ((2, self._A), (1, self._B)):  # a side is opposite to the vertex after, or before
+            corner = (parts.sides + step) % 3
+            np.subtract.at(targets, (parts.cells, corner), force[rows, corner] * weight[parts.cells, corner])
+        correction = patches.gather(targets)[0]
         before, after = patches.walk(drops)
         shift = -(patches.sums(after * self._fan_A - before * self._fan_B - correction)) / self._fan_G
         # nothing leaves through the free boundary
@@ -40,4 +44,6 @@ class FanEquilibration(EquilibrationP1):
         shift[open_ & ~patches.entry_held] = 0.0
         shift = patches.along(shift)
         to_b, to_c = patches.scatter(after + shift, before + shift)
-        return previous(to_b) - next_(to_c), patches.left_over(after)
+        normal = previous(to_b) - next_(to_c)
+        np.add.at(normal, (parts.cells, parts.sides), force.sum(axis=1))
+        return normal, patches.left_over(after)
