@@ -88,9 +88,9 @@ def test_yardstick_keeps_the_answer():
 
 
 def test_an_indicator_says_so():
-    """A foundation: the summary does not say 'at most'; a disk: it says that the bound is for its polygon."""
+    """A drift: the summary does not say 'at most'; a disk: it says that the bound is for its polygon."""
     scene = Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=-4, lower=-0.2)
-    text = solve(scene.change({"effects.foundation": 1}), tol=0.1).summary()
+    text = solve(scene.change({"effects.drift": [1, 0]}), tol=0.1).summary()
     assert "energy error about" in text and "by an indicator only" in text
     text = solve(scene, tol=0.1).summary()
     assert "energy error at most" in text and "is reached, on the polygon of the mesh, on mesh" in text

@@ -242,7 +242,7 @@ def test_tolerances_say_what_they_rest_on():
         ({"load": 1}, "tolerance 0.3 is reached, on mesh"),
         ({"load": "exp(x)"}, "tolerance 0.3 is reached, on mesh"),
         ({"load": "exp(x)", "mesh": DISK}, "reached, on the polygon of the mesh, on mesh"),
-        ({"load": 1, "foundation": 1}, "tolerance 0.3 is reached, by an indicator only, on mesh"),
+        ({"load": 1, "drift": [1, 0]}, "tolerance 0.3 is reached, by an indicator only, on mesh"),
     ):
         assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()
 

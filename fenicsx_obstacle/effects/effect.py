@@ -220,6 +220,21 @@ class Effect:
         return None
 
     @property
+    def reaction(self) -> Field | None:
+        """k >= 0, where its part of a(u, v) is int k u v, and it has none of f(v)."""
+        return None
+
+    @property
+    def part_load(self) -> tuple[Field, int] | None:
+        """g and the [[boundary]] where its part of f(v) is the integral of g v, and it has none of a(u, v)."""
+        return None
+
+    @property
+    def part_reaction(self) -> tuple[Field, int] | None:
+        """k >= 0 and the [[boundary]] where its part of a(u, v) is the integral of k u v, and it has none of f(v)."""
+        return None
+
+    @property
     def velocity(self) -> tuple[Field, ...] | None:
         """b if its part of a(u, v) is int (b . grad u) v, otherwise None."""
         return None

@@ -15,8 +15,8 @@ the multipliers, v_h and r: `element_p1`, `element_p2`.
 `words` says how far the bound is guaranteed (`certification`). It is 'certified' if it uses no samples: numbers,
 formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A
 callable is known at its samples only: 'certified for the sampled load'. It is 'an indicator' where the error may be
-larger for other reasons: effects other than tension and load, data that may be infinite, u given nowhere, or unbalanced
-forces where Friedrichs' constant is not known.
+larger for other reasons: effects other than tension, load, foundation, flux and spring, data that may be infinite, u
+given nowhere, or unbalanced forces where Friedrichs' constant is not known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
@@ -34,13 +34,13 @@ from dolfinx import fem
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.applicability import check_bound_exists
-from fenicsx_obstacle.estimation.cell_data import other_effects
 from fenicsx_obstacle.estimation.certification import Hypotheses
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.estimation.flux_p1 import unknown_effects
+from fenicsx_obstacle.parallel import largest, total
 
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
 
@@ -48,6 +48,8 @@ NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact c
 @dataclass(frozen=True, eq=False)
 class Bound:
     """A bound of the energy error ||mu^(1/2) grad(u - u_h)||, in the unit of the square root of the energy.
+
+    With foundations and springs it bounds a(u - u_h, u - u_h)^(1/2), which contains them.
 
     Attributes:
         total: Of u_h.
@@ -104,15 +106,14 @@ class Estimator:
         check_bound_exists(problem)
         self.problem, comm = problem, problem.level.comm
         self.element: Element = (ElementP2 if problem.level.pair.has_p1_coarse_space else ElementP1)(problem)
-        simplices, tension, load = self.element.simplices, self.element.tension, self.element.equilibration.load
+        simplices, load = self.element.simplices, self.element.equilibration.load
         held = self.element.equilibration.patches.held
         self._held_somewhere = total(comm, np.count_nonzero(held)) > 0
-        constant, self._exact_constant = self.element.held.friedrichs()
-        self._friedrichs = constant / sqrt(smallest(comm, tension.least))
-        self._rim_energy = self.element.dirichlet.energy(tension.most)
+        self._friedrichs, self._exact_constant = self.element.friedrichs
+        self._rim_energy = self.element.rim_energy()
         # the mean of what the load is beyond its polynomials is in no balance
         self._load_rest = self._friedrichs * sqrt(total(comm, simplices.area * load.rest**2))
-        self._hypotheses = Hypotheses(simplices, tension.pieces, load.pieces, self.element.dirichlet)
+        self._hypotheses = Hypotheses(simplices, self.element.data_in_cells(), self.element.dirichlet)
 
     def use_estimator_load(self) -> None:
         """Replace the load of the problem by that of the quadrature used here, which resolves jumps (collective)."""
@@ -131,7 +132,8 @@ class Estimator:
             return sqrt(max(total(comm, squares), 0.0))
 
         unbalanced, algebraic = (self._friedrichs * norm(rest) for rest in (terms.rest, terms.solver_rest))
-        unbalanced += self._load_rest
+        lacking = np.zeros(len(terms.rest)) if terms.lacking is None else self._friedrichs**2 * terms.lacking
+        unbalanced += self._load_rest + norm(lacking)
         eta_g, eta_p, eta_C = norm(self._rim_energy), norm(terms.cover), max(total(comm, terms.contact), 0.0)
         moved = norm(terms.moved)
         W = moved + eta_p
@@ -144,7 +146,13 @@ class Estimator:
         bound, energy_norm = min(B + moved, B2), norm(terms.energy)
         # how much of B + ||moved|| goes with a cell: its derivative, term by term
         slope, each = (0.5 + S / (4 * root), 1 / root) if root > 0 else (1.0, 0.0)
-        parts = ((slope, squares), (1.0, terms.moved), (1 + slope, terms.cover), (1 + slope, self._rim_energy))
+        parts = (
+            (slope, squares),
+            (1.0, terms.moved),
+            (1 + slope, terms.cover),
+            (1 + slope, self._rim_energy),
+            (slope, lacking),
+        )
         indicator = each * terms.contact
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
@@ -162,8 +170,9 @@ class Estimator:
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
-        reasons = [f"it covers tension and load, not {effect.key}" for effect in other_effects(self.problem.data)]
-        if not self._held_somewhere:
+        known = "tension, load, foundation, flux and spring"
+        reasons = [f"it covers {known}, not {effect.key}" for effect in unknown_effects(self.problem.data)]
+        if not (self._held_somewhere or self._exact_constant):
             reasons.append("u is given nowhere")
         if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
             constant = "Friedrichs' constant is not known for such a boundary"

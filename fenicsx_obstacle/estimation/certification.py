@@ -51,35 +51,53 @@ class Certification:
         return f"certified{' on the polygon of the mesh' if self.polygon else ''}{sampled}"
 
 
+@dataclass(frozen=True, eq=False)
+class CellDatum:
+    """What is known of a datum.
+
+    Attributes:
+        name: Of it.
+        pieces: It, on cells or facets; None of a number.
+        wrong: What it may be where its bounds are not finite, in words.
+        cells: The cell of each of these; None: they are the owned cells.
+        positive: Whether it must be.
+    """
+
+    name: str
+    pieces: Pieces | None
+    wrong: str
+    cells: np.ndarray | None = None
+    positive: bool = False
+
+
 class Hypotheses:
     """The hypotheses of the bound for the data on one mesh, checked without sampling."""
 
-    def __init__(self, simplices: Simplices, tension: Pieces | None, load: Pieces | None, dirichlet: BoundaryValues):
+    def __init__(self, simplices: Simplices, known: Iterable[CellDatum], dirichlet: BoundaryValues):
         """Look at the parts of the boundary (collective).
 
         Args:
             simplices: The owned cells.
-            tension: In the cells; None of a number.
-            load: In the cells; None of a number.
+            known: The data in cells and facets, the same ones on all ranks.
             dirichlet: Boundary values.
         """
         self._simplices, self._rim = simplices, dirichlet
         comm = simplices.data.level.comm
         self._reasons = cut_parts(simplices)
         self._sampled = []
-        for name, pieces, wrong in (
-            ("tension", tension, "tension may be 0, negative, infinite or undefined"),
-            ("load", load, "load may be infinite or undefined"),
-        ):
+        for datum in known:
+            pieces = datum.pieces
             if pieces is None:
                 continue
             bad = ~pieces.finite
-            if name == "tension":
+            if datum.positive:
                 bad |= pieces.lower <= 0
-            if place := self._near(bad):
-                self._reasons.append(f"the {wrong} near {place}")
+            cells = np.zeros(len(simplices.area), dtype=bool)
+            cells[np.flatnonzero(bad) if datum.cells is None else datum.cells[bad]] = True
+            if place := self._near(cells):
+                self._reasons.append(f"the {datum.wrong} near {place}")
             if total(comm, int(pieces.sampled)) > 0:
-                self._sampled.append(name)
+                self._sampled.append(datum.name)
         if place := self._first(dirichlet.unbounded):
             self._reasons.append(f"the boundary value may be infinite or undefined near {place}")
 

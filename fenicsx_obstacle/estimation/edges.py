@@ -257,10 +257,11 @@ def boundary_jump(data: Data) -> str | None:
 
 
 def cut_parts(simplices: Simplices) -> list[str]:
-    """The parts with a value whose `where` ends inside a facet, or holds on other facets than those held (collective).
+    """The parts with a value, a flux or a spring whose `where` ends inside a facet, or holds on other facets than those
+    taken (collective).
 
-    On meshes that are not the domain itself a facet whose vertices are all held is not looked at: the boundary lies
-    beside it.
+    On meshes that are not the domain itself a facet whose vertices are all on the part is not looked at: the boundary
+    lies beside it.
 
     Returns:
         One sentence for each.
@@ -280,9 +281,9 @@ def cut_parts(simplices: Simplices) -> list[str]:
     short = np.minimum(SLIVER * extent / np.linalg.norm(x - middle, axis=2).max(axis=1, initial=0.0), 0.5)
     inside = x + short[:, None, None] * (middle - x)
     for number, part in enumerate(data.model.boundary):
-        if part.where is None or part.value is None:
+        if part.where is None or (part.value is None and not data.model.acts(number)):
             continue
-        held = np.isin(simplices.facets[cells, opposite], data.held[number])
+        held = np.isin(simplices.facets[cells, opposite], data.facets[number])
         known = part.where.over(inside, {}, cells)
         if known is None:
             found.append(
@@ -299,6 +300,6 @@ def cut_parts(simplices: Simplices) -> list[str]:
         if at is not None:
             found.append(
                 f"{part.name} where = {part.where.text} is not made of whole {sides} of the mesh, near "
-                f"{data.place(at)}, so that other meshes hold u on another part"
+                f"{data.place(at)}, so that on other meshes it is another part"
             )
     return found

@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import sqrt
 
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, obstacles_of, other_effects
-from fenicsx_obstacle.estimation.certification import Obstacle
+from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_boundary import dirichlet_boundary
 from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
@@ -28,7 +29,8 @@ MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """The terms of the bound for one state u_h, mostly one value for each owned cell T.
+    """The terms of the bound for one state u_h, mostly one value for each owned cell T. Squares of norms of functions
+    contain those of foundations and springs, but for `penetration`, `raised` and `energy`.
 
     Attributes:
         flux: sigma, and the multipliers lambda (lower obstacle) and nu (upper).
@@ -43,10 +45,12 @@ class Terms:
         raised: ||mu^(1/2) grad||_T^2 of what v_h is above the nodal maximum of u_h and the obstacles.
         penetration: ||mu^(1/2) grad||_T^2 of how far u_h is beyond the obstacles at the points of contact.
         rest: ||rho||_T^2 of the force that is out of balance.
-        solver_rest: The same with the load as the solver has it.
+        solver_rest: ||rho||_T^2 with the data as the solver has them.
         energy: ||mu^(1/2) grad u_h||_T^2.
         admissible: v_h at local dofs.
         crossing: By how much obstacles cross each other, or what is given, between the nodes.
+        lacking: As `rest`, of what foundations, fluxes and springs are beyond what the solver makes of them; None: of
+            nothing.
     """
 
     flux: FluxP1 | FluxP2
@@ -64,6 +68,7 @@ class Terms:
     energy: np.ndarray
     admissible: np.ndarray = field(repr=False)
     crossing: float
+    lacking: np.ndarray | None = None
 
 
 class Element(ABC):
@@ -76,6 +81,7 @@ class Element(ABC):
         dirichlet: Boundary values between the nodes.
         oscillation: Of the load.
         held: Where u is given.
+        friedrichs: c with ||e|| <= c times the energy norm of e, if e is 0 where u is given; and whether it is known.
         reach: Numbers that the solution is between, infinite where there is no obstacle or no such number is known.
         obstacles: The excess of an obstacle over its nodal interpolant.
     """
@@ -97,8 +103,15 @@ class Element(ABC):
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
         equilibration.load.forget_polynomials()
         self.held = dirichlet_boundary(self.simplices, equilibration.patches.held)
+        self.friedrichs = self._friedrichs()
         self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.simplices.data)}
         self.reach = self._reach()
+
+    def _friedrichs(self) -> tuple[float, bool]:
+        """See `friedrichs` (collective)."""
+        constant, exact = self.held.friedrichs()
+        comm = self.simplices.data.level.comm
+        return constant / sqrt(smallest(comm, self.tension.least)), exact
 
     def _range(self, obstacle: Field) -> Range:
         """Bounds of an obstacle in the cells."""
@@ -112,12 +125,14 @@ class Element(ABC):
         a(w, v) = (f^-, v) with f^- = max(-f, 0). Then u >= m - w: as m - w <= m, max(u, m - w) satisfies the
         constraints, and with z = max(m - w - u, 0) in the inequality a(u, z) >= (f, z), so that
         a(z, z) = a(m - w - u, z) <= -(f^- + f, z) <= 0. Nor does it matter for u, if the lower obstacle is replaced by
-        its maximum with such a bound: u satisfies that constraint too, and the inequality for fewer functions.
+        its maximum with such a bound: u satisfies that constraint too, and the inequality for fewer functions. With
+        foundations and springs this holds for m <= 0: where z > 0 there is u < 0, so that k u z <= 0.
         """
-        data = self.simplices.data
-        comm, pieces, load = data.level.comm, self.equilibration.load.pieces, load_of(data)
+        data, equilibration = self.simplices.data, self.equilibration
+        comm, pieces, load = data.level.comm, equilibration.load.pieces, load_of(data)
         limits = {1.0: -np.inf, -1.0: np.inf}
-        if other_effects(data):
+        others = other_effects(data)
+        if any(effect.reaction is None and effect.part_reaction is None for effect in others):
             return limits[1], limits[-1]
         if load is None:
             push = pull = 0.0
@@ -134,6 +149,8 @@ class Element(ABC):
             if -sign in self._ranges:
                 other = self._ranges[-sign]
                 given = min(given, smallest(comm, other.lower)) if sign > 0 else max(given, largest(comm, other.upper))
+            if others:
+                given = min(given, 0.0) if sign > 0 else max(given, 0.0)
             if np.isfinite(given) and np.isfinite(way):
                 # a little farther, so that u does not touch there
                 limits[sign] = given - sign * (way + MARGIN * (way + top - bottom))
@@ -151,6 +168,17 @@ class Element(ABC):
             else:
                 found.append((sign, obstacle, known))
         return found
+
+    def data_in_cells(self) -> list[CellDatum]:
+        """What is known of the data in the cells, those in facets among them."""
+        return [
+            CellDatum("tension", self.tension.pieces, "tension may be 0, negative, infinite or undefined", None, True),
+            CellDatum("load", self.equilibration.load.pieces, "load may be infinite or undefined"),
+        ]
+
+    def rim_energy(self) -> np.ndarray:
+        """Bound of the energy, twice, of what boundary values are between the nodes, in each cell."""
+        return self.dirichlet.energy(self.tension.most)
 
     @abstractmethod
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:

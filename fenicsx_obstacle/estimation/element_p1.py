@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from functools import reduce
+from math import sqrt
 
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
 from fenicsx_obstacle.estimation.flux_triangles import TriangleEquilibration
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, smallest
 
 ROUND_OFF = 1e-9  # relative to the values of u
 
@@ -35,6 +37,14 @@ class ElementP1(Element):
         self._from_middle = np.stack([simplices.x[..., k] - simplices.middle[:, k : k + 1] for k in range(dim)])
         self._spread = sum(sums(part**2) for part in self._from_middle) / ((dim + 1) * (dim + 2))
 
+    def _friedrichs(self) -> tuple[float, bool]:
+        """That of the tension, or that of foundations, which needs no boundary (collective)."""
+        constant, exact = super()._friedrichs()
+        least = smallest(self.simplices.data.level.comm, self.equilibration.reaction.least)
+        if least > 0 and (not exact or 1 / sqrt(least) < constant):
+            return 1 / sqrt(least), True
+        return constant, exact
+
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
         nodal, v, crossing = self._admissible(u)
@@ -46,14 +56,70 @@ class ElementP1(Element):
             contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
         cover = sum((excess.cover_energy for excess in self.obstacles), np.zeros(len(self.simplices.area)))
         distance, balanced = self._distance(u, flux)
+        inside, outside, with_load = self._lacking(u, flux)
+        moved, of_v = self._reaction_energy(v - u), self._distance(v, flux)
+        height = sum((peaks.cover_height for peaks in self.obstacles), np.zeros(len(cover)))
         return Terms(
-            flux=flux, distance=distance, balanced=balanced, admissible_balanced=self._distance(v, flux)[1],
-            oscillation=self.oscillation.norm / np.sqrt(self.tension.least), contact=contact,
-            moved=self._energy(v - u), cover=self.tension.most * cover, raised=self._energy(v - nodal),
+            flux=flux, distance=distance,
+            balanced=np.minimum(np.sqrt(balanced) + inside, np.sqrt(distance) + with_load) ** 2,
+            admissible_balanced=np.minimum(
+                np.sqrt(of_v[1] + moved) + inside, np.sqrt(of_v[0] + moved) + with_load) ** 2,
+            oscillation=np.minimum(self.oscillation.norm / np.sqrt(self.tension.least) + inside, with_load),
+            contact=contact,
+            moved=self._energy(v - u) + moved, cover=self.tension.most * cover + self._reaction_energy_of(height),
+            raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
             energy=self._energy(u, self.tension.least_mean), admissible=v, crossing=crossing,
+            lacking=outside**2,
         )  # fmt: skip
+
+    def data_in_cells(self) -> list[CellDatum]:
+        """See `Element.data_in_cells`."""
+        pieces, parts = self.equilibration.reaction.pieces, self.equilibration.parts
+        found = [CellDatum("foundation", pieces, "foundation may be infinite or undefined")]
+        for name, pieces in zip(("flux", "spring"), parts.pieces, strict=False):
+            found.append(CellDatum(name, pieces, f"{name} may be infinite or undefined", parts.cells))
+        return [*super().data_in_cells(), *found]
+
+    def rim_energy(self) -> np.ndarray:
+        """See `Element.rim_energy`."""
+        return super().rim_energy() + self._reaction_energy_of(self.dirichlet.deviation)
+
+    def _lacking(self, u: np.ndarray, flux: FluxP1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the flux lacks of the forces of foundations, fluxes and springs.
+
+        A force in a cell is weighed by k^(-1/2), as (r, e) <= k^(-1/2) ||r|| ||k^(1/2) e||, or if its mean is 0 by
+        Poincare's constant, otherwise by Friedrichs', whichever is less.
+
+        Returns:
+            A bound of it against functions of energy norm 1 in each cell; of what Friedrichs' constant weighs besides,
+            in the norm of each cell; and the first again with what it lacks of the load, the two being summed before
+            norms are taken: they may nearly cancel.
+        """
+        equilibration, least, friedrichs = self.equilibration, self.tension.least, self.friedrichs[0]
+        reaction, load = equilibration.reaction, self.oscillation
+        inside, outside = equilibration.parts.lacking(u, flux.force, least, friedrichs)
+        if not reaction.given:
+            return inside, outside, inside + load.norm / np.sqrt(least)
+        k = reaction.least
+        by_reaction = np.divide(1, np.sqrt(k), out=np.full(len(k), np.inf), where=k > 0)
+        weight, local = np.minimum(load.poincare / np.sqrt(least), by_reaction), by_reaction <= friedrichs
+        alone, rest = reaction.beyond(u, np.zeros(load.linear.shape))
+        together = reaction.beyond(u, load.linear)[0] + load.beyond
+        rest += np.sqrt(self.simplices.area) * np.abs(flux.averaged)
+        inside[local] += by_reaction[local] * rest[local]
+        outside += np.where(local, 0.0, rest)
+        return inside + weight * alone, outside, inside + weight * together
+
+    def _reaction_energy(self, e: np.ndarray) -> np.ndarray:
+        """A bound of the energy of foundations and springs, twice, in each cell, of a P1 function."""
+        return self.equilibration.reaction.energy(e) + self.equilibration.parts.energy(e)
+
+    def _reaction_energy_of(self, height: np.ndarray) -> np.ndarray:
+        """The same of functions whose absolute values are bounded in each cell."""
+        most = self.equilibration.reaction.most
+        return most * self.simplices.area * height**2 + self.equilibration.parts.energy_of(height)
 
     def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much these then cross

@@ -25,13 +25,17 @@ import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, other_effects, tension_of
+from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.reactions import Reaction
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.parallel import total
 
 NEAR = 0.5  # of force/tension: a larger distance costs more than what moving the force to other cells does to the flux
+STIFF = 5.0  # k |T|^(2/d)/tension, from which forces are averaged around vertices
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
 
 
@@ -46,6 +50,9 @@ class FluxP1:
         solver_rest: The same of the solver's own load, one value per cell: 0 where it has converged.
         normal: s: sigma = sum of s_j (x - x_j)/(d |T|) in a cell; s_j is the flux out of it opposite to vertex j.
         incompatible: Largest flux that a patch of a free vertex leaves over, 0 up to round-off.
+        averaged: Force per area in each cell that sigma is in balance with besides, because forces are averaged around
+            vertices where foundations are stiff.
+        force: Of fluxes and springs on the facets of `EquilibrationP1.parts`, by vertices of the cell.
     """
 
     lower: np.ndarray
@@ -54,6 +61,8 @@ class FluxP1:
     solver_rest: np.ndarray
     normal: np.ndarray
     incompatible: float
+    averaged: np.ndarray
+    force: np.ndarray
 
 
 class EquilibrationP1(ABC):
@@ -65,6 +74,9 @@ class EquilibrationP1(ABC):
         mu: Tension of each cell, as the solver has it.
         load: Its moments are int_T f phi_l, shape (cells, d + 1), its oscillation ||f - f_0||_T.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
+        reaction: Foundation.
+        parts: Fluxes and springs.
+        unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
     def __init__(self, simplices: Simplices, patches: Patches):
@@ -81,7 +93,17 @@ class EquilibrationP1(ABC):
         share = simplices.area / (corners * self.mu)
         area = self.patches.gather(np.repeat(share[:, None], corners, axis=1))[0]
         self._softness = self.patches.at_vertices(area)  # int phi_i/mu
-        self._prepare_others(other_effects(data))
+        others = other_effects(data)
+        self.unknown = unknown_effects(data)
+        self._prepare_others(others if self.unknown else [])
+        known = [] if self.unknown else others
+        foundation = next((effect.reaction for effect in known if effect.reaction is not None), None)
+        self.reaction, self.parts = Reaction(simplices, foundation), part_forces(simplices, known, patches.held)
+        stiff = self.reaction.least * simplices.area ** (2 / simplices.dim) / self.mu > STIFF
+        self._stiff: np.ndarray | None = None  # whether all cells around each patch's vertex are
+        if total(self.level.comm, np.count_nonzero(stiff)) > 0:
+            around = patches.gather(np.repeat(stiff[:, None].astype(float), corners, axis=1))[0]
+            self._stiff = patches.along(patches.smallest(around)[patches.vertex] > 0)
         self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
         self.missing = self.patches.at_vertices(self.patches.gather(self.load.missing)[0])
 
@@ -98,7 +120,7 @@ class EquilibrationP1(ABC):
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
         """Moments of the load less those of other effects at u (collective)."""
         if self._terms is None:
-            return self.load.moments
+            return self.load.moments - self.reaction.forces(u)
         self._u.x.array[:] = u
         vector = releases.vec(self._moments_of_others)
         with vector.localForm() as local:
@@ -121,7 +143,9 @@ class EquilibrationP1(ABC):
         """
         simplices, patches, V = self.simplices, self.patches, self.level.V
         beta = simplices.along_normals(simplices.gradient(u) * (-self.mu / simplices.dim))
-        drops = patches.gather(beta + self._all_moments(u))[0]
+        force, along_parts = self.parts.forces(u, patches), np.zeros(beta.shape)
+        np.add.at(along_parts, self.parts.cells, force)
+        drops, averaged = self._drops(beta + along_parts, self._all_moments(u))
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
@@ -131,14 +155,34 @@ class EquilibrationP1(ABC):
             for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
         )
         drops += (push - pull + patches.along(rest[patches.vertex])) * patches.area
-        normal, incompatible = self._on_patches(drops, beta)
+        normal, incompatible = self._on_patches(drops, beta, force)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
-            normal=normal, incompatible=incompatible,
+            normal=normal, incompatible=incompatible, averaged=averaged, force=force,
         )  # fmt: skip
 
+    def _drops(self, outside: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is to leave each corner, with the sign changed, and forces per area because of averages (collective).
+
+        Where foundations are stiff, a difference of forces costs more as a flux from cell to cell than as a force:
+        around such vertices forces are spread evenly, so that the sum remains.
+
+        Args:
+            outside: Flux of the state out of the corners, and forces on facets, shape (cells, d + 1).
+            inside: Forces in the corners.
+        """
+        patches = self.patches
+        if self._stiff is None:
+            return patches.gather(outside + inside)[0], np.zeros(len(self.mu))
+        around, forces = patches.gather(outside, inside)
+        sums = np.where(patches.free, patches.at_vertices(forces), -patches.at_vertices(around))
+        even = patches.along((sums / patches.mass)[patches.vertex]) * patches.area
+        spread = np.where(self._stiff, even, forces)
+        changed = patches.scatter(spread - forces)[0]
+        return around + spread, changed.sum(axis=1) / self.simplices.area
+
     @abstractmethod
-    def _on_patches(self, drops: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
+    def _on_patches(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
         """Sum of the fluxes on the patches (collective).
 
         Args:
@@ -146,6 +190,7 @@ class EquilibrationP1(ABC):
                 its cell.
             beta: Fluxes of the targets phi_a mu grad u_h out of each cell, through the facet opposite to each of its
                 vertices if that has the vertex a: the same for all a, shape (cells, d + 1).
+            force: What flows out through the facets of `parts` besides, by vertices of the cell; `drops` contain it.
 
         Returns:
             The fluxes out of cells, and what patches of free vertices leave over, as `FluxP1` has them.
@@ -195,3 +240,11 @@ class EquilibrationP1(ABC):
         share = patches.mass / patches.at_vertices(np.where(far, 0.0, patches.area))
         along = np.where(far, 0.0, along * patches.along(share[patches.vertex]))
         return patches.scatter(along)[0], along
+
+
+def unknown_effects(data: Data) -> list[Effect]:
+    """The effects of which error bounds know nothing; of several foundations all but the first."""
+    others = other_effects(data)
+    foundation = next((effect for effect in others if effect.reaction is not None), None)
+    known = [effect for effect in others if effect.part_load is not None or effect.part_reaction is not None]
+    return [effect for effect in others if effect is not foundation and effect not in known]

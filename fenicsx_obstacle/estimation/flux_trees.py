@@ -72,11 +72,15 @@ class TreeEquilibration(EquilibrationP1):
             self._scale = 1 / (9 * self.mu * simplices.area)
             self._streams = self._matrices()
 
-    def _on_patches(self, drops: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
+    def _on_patches(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
         """See `EquilibrationP1._on_patches` (collective)."""
-        patches = self.patches
+        patches, parts = self.patches, self.parts
         fluxes, left_over = patches.walk(drops)
         at_corners = patches.scatter(*fluxes.T)
+        for a, others in enumerate(OTHERS[self.simplices.dim]):
+            for flux, k in zip(at_corners, others, strict=True):
+                there = parts.sides == k
+                np.add.at(flux[:, a], parts.cells[there], force[there, a])
         if self._streams is not None:
             right = patches.gather(*self._products(at_corners, beta))
             place = self._streams.place

@@ -31,12 +31,16 @@ class TriangleEquilibration(EquilibrationP1):
         self._patch_A, self._patch_B, patch_G = self.patches.gather(self._A, self._B, G)
         self._patch_G = self.patches.sums(patch_G)
 
-    def _on_patches(self, drops: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
+    def _on_patches(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
         """See `EquilibrationP1._on_patches` (collective)."""
-        patches = self.patches
+        patches, parts = self.patches, self.parts
         targets = next_(beta)
         targets *= self._A
         targets += previous(beta) * self._B
+        rows = np.arange(len(parts.cells))
+        for step, weight in ((2, self._A), (1, self._B)):  # a side is opposite to the vertex after, or before
+            corner = (parts.sides + step) % 3
+            np.subtract.at(targets, (parts.cells, corner), force[rows, corner] * weight[parts.cells, corner])
         (rest,) = patches.gather(targets)
         before, after = patches.walk(drops)
         left_over = patches.left_over(after)
@@ -53,4 +57,5 @@ class TriangleEquilibration(EquilibrationP1):
         to_b, to_c = patches.scatter(after, before)
         found = previous(to_b)
         found -= next_(to_c)
+        np.add.at(found, (parts.cells, parts.sides), force.sum(axis=1))
         return found, left_over

@@ -38,6 +38,7 @@ class ObstacleExcess:
         mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell.
         cover_energy: ||grad||^2 in each cell of what is added to the state beside the boundary (see `lift`).
         cover_volume: Its integral.
+        cover_height: A bound of it.
         sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or it is above the
             state beside the boundary and may jump.
         unbounded: Whether it may be infinite in each cell, on the side of the state.
@@ -84,7 +85,7 @@ class ObstacleExcess:
         self.mean, self._height = np.maximum(bottom - high, LOWEST), np.maximum(self._top - low, 0.0)
         # how many of SHARPER are done in each cell
         self._done = np.full(cells, len(SHARPER) if self._flat else 0)
-        self.cover_energy, self.cover_volume = np.zeros(cells), np.zeros(cells)
+        self.cover_energy, self.cover_volume, self.cover_height = (np.zeros(cells) for _ in range(3))
         self.sampled = self._of_samples = total(comm, int(known.sampled)) > 0
 
     def _take(self, cells: np.ndarray, pieces: Pieces) -> None:
@@ -164,7 +165,7 @@ class ObstacleExcess:
         is bounded on those parts of the cells where it may be positive.
         """
         simplices, comm = self.simplices, self.simplices.data.level.comm
-        self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
+        self.cover_volume[:] = self.cover_energy[:] = self.cover_height[:] = 0.0
         owner = np.flatnonzero(beside)
         count, times = simplices.dim + 1, 2**simplices.dim
         corners, inside = simplices.x[owner], np.broadcast_to(np.eye(count), (len(owner), count, count))
@@ -181,9 +182,10 @@ class ObstacleExcess:
                 above[rows] = True
                 if last:
                     measure = simplices.area[owner[rows]] * group.share[open_] / times**split
-                    height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
+                    height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0)
                     steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
-                    np.add.at(self.cover_volume, owner[rows], measure * height)
+                    np.add.at(self.cover_volume, owner[rows], measure * height.mean(axis=1))
+                    np.maximum.at(self.cover_height, owner[rows], height.max(axis=1, initial=0.0))
                     np.add.at(self.cover_energy, owner[rows], measure * steepness)
             uncovered = np.count_nonzero(above)
             if last:

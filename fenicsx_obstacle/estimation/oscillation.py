@@ -67,6 +67,8 @@ class Oscillation:
         first: int g (x - middle) with q in place of f, shape (d, cells).
         second: int g |x - middle|^2 with q in place of f, shape (cells,).
         poincare: C.
+        linear: Of the linear part of g the values at the vertices, shape (cells, d + 1).
+        beyond: Bound of ||g - linear||_T.
     """
 
     def __init__(self, simplices: Simplices, load: Load, value: Field | None, degree: int):
@@ -83,7 +85,7 @@ class Oscillation:
         count = len(area)
         self.norm, self.rest, self.second = (np.zeros(count) for _ in range(3))
         dim = simplices.dim
-        self.first = np.zeros((dim, count))
+        self.first, self.linear, self.beyond = np.zeros((dim, count)), np.zeros((count, dim + 1)), np.zeros(count)
         if load.pieces is None or value is None:
             return
         squares = np.zeros(count)
@@ -102,6 +104,7 @@ class Oscillation:
             self.first = np.stack([sums(moments * part) for part in away])
             self._add_second(load.pieces.groups, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
+        self.linear, self.beyond = linear, np.sqrt(np.maximum(beyond, 0.0))
         rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
         comm = simplices.data.level.comm
         parts = total(comm, len(rough))

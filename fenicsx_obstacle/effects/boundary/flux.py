@@ -10,6 +10,8 @@ from fenicsx_obstacle.effects.effect import Sampler, register
 if TYPE_CHECKING:
     import ufl
 
+    from fenicsx_obstacle.effects.field import Field
+
 
 @register
 class Flux(OnPart):
@@ -24,6 +26,10 @@ class Flux(OnPart):
     term = "- int flux v over its part"
     unit = "force/length"
     dimension = (-1, 1, 1)
+
+    @property
+    def part_load(self) -> tuple[Field, int]:
+        return self.value, self.part
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key)

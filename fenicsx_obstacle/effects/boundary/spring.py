@@ -10,6 +10,8 @@ from fenicsx_obstacle.effects.effect import Sampler, register
 if TYPE_CHECKING:
     import ufl
 
+    from fenicsx_obstacle.effects.field import Field
+
 
 @register
 class Spring(OnPart):
@@ -26,6 +28,10 @@ class Spring(OnPart):
     unit = "force/area"
     holds = True
     dimension = (-1, 0, 1)
+
+    @property
+    def part_reaction(self) -> tuple[Field, int]:
+        return self.value, self.part
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)

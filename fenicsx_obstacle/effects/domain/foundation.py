@@ -9,6 +9,8 @@ from fenicsx_obstacle.effects.effect import Effect, Sampler, register
 if TYPE_CHECKING:
     import ufl
 
+    from fenicsx_obstacle.effects.field import Field
+
 
 @register
 class Foundation(Effect):
@@ -26,6 +28,10 @@ class Foundation(Effect):
     unit = "force/volume"
     holds = True
     dimension = (-2, 0, 1)
+
+    @property
+    def reaction(self) -> Field:
+        return self.value
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, least=0.0) * u * v * data.dI

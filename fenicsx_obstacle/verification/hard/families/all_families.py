@@ -17,6 +17,7 @@ from fenicsx_obstacle.verification.hard.families import (
     residuals,
     sectors,
     smooth,
+    supported,
     touching,
     varying,
 )
@@ -36,6 +37,7 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "sectors": sectors.sectors(),
     "corner": sectors.corners(),
     "touching": touching.touching(),
+    "supported": supported.supported(),
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
     **TRUTHS,

@@ -180,9 +180,13 @@ class ClosedForm(Family):
         if answer is not None:
             judgement.certificate(answer, *self.error(Field(answer.u)))
 
+    def curves(self) -> list[Curve]:
+        """Where expressions change."""
+        return [curve for part in (*self.u(), self.tension()) for curve in part.curves]
+
     def nodes(self, field: Field, count: int = 10) -> Nodes:
-        """Gauss points between the curves of u and the tension."""
-        curves = [curve for part in (*self.u(), self.tension()) for curve in part.curves]
+        """Gauss points between the curves of the data."""
+        curves = self.curves()
         pieces = Pieces.of(field)
         for line in dict.fromkeys(curve for curve in curves if isinstance(curve, Line)):
             pieces = pieces.cut(line.direction, [line.place])

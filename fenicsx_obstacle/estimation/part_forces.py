@@ -1,0 +1,275 @@
+"""Fluxes and springs on parts of the boundary, and along curves and surfaces inside.
+
+On a facet E of a cell T the equilibrated flux has a force like the solver's as its normal part. What r = g - k u_h is
+beyond that, by Poincare's and the trace inequalities in T,
+
+    (r - mean r, e)_E <= C ||r - mean r||_E ||grad e||_T,   C^2 = |E|/|T| P (P + 2 H/d),
+    (r, e)_E <= (|E|/|T|)^(1/2) ||r||_E (||e||_T + H/d ||grad e||_T),
+
+P being Poincare's constant of T and H the longest edge from the vertex x_E opposite to E: the integral of
+div((x - x_E) e^2) over T gives ||e||_E^2 = |E|/|T| (||e||_T^2 + 2/d int e (x - x_E) . grad e). Where there is a spring,
+(r, e)_E <= k^(-1/2) ||r||_E ||k^(1/2) e||_E may be less.
+
+The force along a facet inside is divided between its two cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.oscillation import poincare
+from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
+from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.estimation.reactions import squared_norm
+from fenicsx_obstacle.estimation.simplex_geometry import sizes
+from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.parallel import total
+
+# of facets by the dimension of the cells; a jump inside an edge is found to the length whose root counts
+DIVISION = {2: Division(24, 1e-2, 1e-7), 3: Division(5, 1e-2, 1e-3)}
+
+
+@dataclass(frozen=True, eq=False)
+class PartForces:
+    """All fluxes and springs, on the facets of owned cells.
+
+    Attributes:
+        cells: The cell of each facet.
+        sides: The vertex opposite to it.
+        share: Of the force that the cell has: 1/2 inside.
+        size: |E|.
+        corners: The vertices of the facet in the cell, shape (facets, d).
+        nodal: The solver's flux g and spring constant k at these, shape (2, facets, d).
+        pieces: What is known of g and k; empty in one dimension, where the nodal values are all there is.
+        free: Whether u is not given on the facet.
+    """
+
+    simplices: Simplices
+    cells: np.ndarray
+    sides: np.ndarray
+    share: np.ndarray
+    size: np.ndarray
+    corners: np.ndarray
+    nodal: np.ndarray
+    pieces: tuple[Pieces, ...]
+    free: np.ndarray
+
+    @property
+    def dofs(self) -> np.ndarray:
+        """Local dofs of the vertices, shape (facets, d)."""
+        return self.simplices.dofs[self.cells[:, None], self.corners]
+
+    @property
+    def springs(self) -> tuple[np.ndarray, np.ndarray]:
+        """A lower bound of k on each facet, 0 at least, and an upper one."""
+        nodal = self.nodal[1]
+        if not self.pieces:
+            return nodal[:, 0], nodal[:, 0]
+        lower, upper = self.pieces[1].lower, self.pieces[1].upper
+        return np.where(np.isfinite(lower), np.maximum(lower, 0.0), 0.0), np.where(np.isfinite(upper), upper, 0.0)
+
+    def forces(self, u: np.ndarray, patches: Patches) -> np.ndarray:
+        """Forces g - k u at the vertices of the cell of each facet, shape (facets, d + 1), whose sums at free vertices
+        are the solver's (collective).
+
+        The solver has a consistent rule for g and the nodal one for k u, whose difference may exceed g - k u on a
+        facet. Here both are taken by the nodal rule where there is a spring, and what the sums differ by is spread
+        evenly over the facets.
+        """
+        (g, k), dim = self.nodal, self.simplices.dim
+        size, spring = self.share * self.size, k * u[self.dofs]
+        solver = (g + g.sum(axis=1, keepdims=True)) / (dim + 1) - spring
+        chosen = np.where((k > 0).any(axis=1, keepdims=True), g - spring, solver)
+        chosen, solver, sizes = (
+            self._at_vertices(size[:, None] / dim * values) for values in (chosen, solver, np.ones(g.shape))
+        )
+        if dim == 1 or total(patches.comm, len(size)) == 0:
+            return solver
+        corners = np.zeros((2, *self.simplices.dofs.shape))
+        for sums, values in zip(corners, (solver - chosen, sizes), strict=True):
+            np.add.at(sums, self.cells, values)
+        missing, around = (patches.at_vertices(values) for values in patches.gather(*corners))
+        even = np.divide(missing, around, out=np.zeros(len(around)), where=patches.free & (around > 0))
+        return chosen + sizes * with_ghosts(self.simplices.data.level.V, even)[self.simplices.dofs[self.cells]]
+
+    def _at_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Values at the vertices of the facets as those of their cells, 0 opposite to the facet."""
+        found = np.zeros((len(self.cells), self.simplices.dim + 1))
+        np.put_along_axis(found, self.corners, values, axis=1)
+        return found
+
+    def beyond(self, u: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the force of a P1 state: how far it is from its mean, and a bound of how far from another one this is
+        besides; norms over each facet, shape (facets,) (local).
+
+        Args:
+            u: Its values at local dofs.
+            force: The other one, as `forces` gives it.
+        """
+        count, dim = len(self.cells), self.simplices.dim
+        if not self.pieces or not count:
+            return np.zeros(count), np.zeros(count)
+        corner, root = u[self.dofs], np.sqrt(self.size)
+        one, other = np.ones((count, dim)), force.sum(axis=1) / (self.share * self.size)
+        of_flux, of_spring = (pieces.groups for pieces in self.pieces)
+        divided = np.zeros(count, dtype=bool)
+        for group in (*of_flux, *of_spring):
+            if group.corners is not None:
+                divided[group.rows] = True
+        # both at the same points where neither is divided
+        degree = max((group.degree for group in (*of_flux, *of_spring)), default=0) + 1
+        points, weights = rule(dim - 1, 2 * degree)
+        there = _undivided(of_flux, points, count) - _undivided(of_spring, points, count) * (corner @ points.T)
+        mean = there @ weights
+        apart = np.sqrt((there - mean[:, None]) ** 2 @ weights)
+        rows = np.flatnonzero(divided)
+        if len(rows):
+            flux, spring = _norms(of_flux, one, rows), _norms(of_spring, corner, rows)
+            mean[rows], apart[rows] = flux[0] - spring[0], flux[1] + spring[1]
+        rests = _rests(of_flux, one) + _rests(of_spring, corner)
+        return root * apart, root * (np.abs(mean - other) + rests)
+
+    def lacking(
+        self, u: np.ndarray, force: np.ndarray, least_tension: np.ndarray, friedrichs: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the flux lacks of the forces of a P1 state, in each owned cell (local).
+
+        Args:
+            u: Its values at local dofs.
+            force: What the flux has, as `forces` gives it.
+            least_tension: A lower bound in each cell.
+            friedrichs: c with ||e|| <= c times the energy norm of e.
+
+        Returns:
+            A bound of the force against functions of energy norm 1 in the cell; and one of the force per area that is
+            to be weighed by `friedrichs` besides, in the norm of the cell.
+        """
+        simplices, dim = self.simplices, self.simplices.dim
+        apart, rest = self.beyond(u, force)
+        x, area = simplices.x[self.cells], simplices.area[self.cells]
+        tip = x[np.arange(len(x)), self.sides]
+        reach = np.linalg.norm(x - tip[:, None], axis=2).max(axis=1, initial=0.0)
+        slender, constant = np.sqrt(self.size / area), poincare(x, area)
+        trace = slender * np.sqrt(constant * (constant + 2 * reach / dim))
+        inside = self.share * (trace * apart + reach / dim * slender * rest) / np.sqrt(least_tension[self.cells])
+        outside = self.share * slender * rest
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_spring = np.sqrt(self.share) * (apart + rest) / np.sqrt(self.springs[0])
+        better = by_spring < inside + friedrichs * outside
+        inside, outside = np.where(better, by_spring, inside), np.where(better, 0.0, outside)
+        inside, outside = np.where(self.free, inside, 0.0), np.where(self.free, outside, 0.0)
+        return self._in_cells(inside), self._in_cells(outside)
+
+    def energy(self, e: np.ndarray) -> np.ndarray:
+        """A bound of the integral of k e^2 over the facets of each owned cell, e a P1 function (local)."""
+        found = self.share * self.springs[1] * squared_norm(e[self.dofs], self.size)
+        return self._in_cells(found)
+
+    def energy_of(self, height: np.ndarray) -> np.ndarray:
+        """The same for functions with bounds of their absolute values in the owned cells (local)."""
+        found = self.share * self.springs[1] * self.size * height[self.cells] ** 2
+        return self._in_cells(found)
+
+    def _in_cells(self, values: np.ndarray) -> np.ndarray:
+        """Sums over the facets of each owned cell."""
+        found = np.zeros(len(self.simplices.area))
+        np.add.at(found, self.cells, values)
+        return found
+
+
+def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray) -> PartForces:
+    """The fluxes and springs among some effects (collective).
+
+    Args:
+        simplices: The owned cells.
+        effects: Of facets with two data of the same kind the later one counts.
+        held: Whether u is given on the side opposite to each vertex, shape (cells, vertices).
+    """
+    data, dim = simplices.data, simplices.dim
+    shape = simplices.facets.shape
+    given: list[list[tuple[Field, int, float | None]]] = [[], []]
+    for effect in effects:
+        if effect.part_load is not None:
+            given[0].append((*effect.part_load, None))
+        if effect.part_reaction is not None:
+            given[1].append((*effect.part_reaction, 0.0))
+    which = np.full((2, *shape), -1)
+    for kind, fields in enumerate(given):
+        for number, (_, part, _) in enumerate(fields):
+            which[kind][_on(simplices, data.facets[part])] = number
+    cells, sides = np.nonzero((which >= 0).any(axis=0))
+    corners = (sides[:, None] + np.arange(1, dim + 1)) % (dim + 1)
+    x = simplices.x[cells[:, None], corners]
+    outer = _on(simplices, data.level.boundary_facets)[cells, sides]
+    nodal, pieces = np.zeros((2, len(cells), dim)), []
+    for kind, fields in enumerate(given):
+        found: list[tuple[np.ndarray, Pieces]] = []
+        for number, (field, part, least) in enumerate(fields):
+            rows = np.flatnonzero(which[kind, cells, sides] == number)
+            values = data.on_part(field, part, least=least).x.array
+            nodal[kind, rows] = values[simplices.dofs[cells[rows, None], corners[rows]]]
+            if dim > 1:
+                found.append((rows, pieces_of(data, field, x[rows], cells[rows], DIVISION[dim])))
+        if dim > 1:
+            pieces.append(joined(found, len(cells)))
+    return PartForces(
+        simplices, cells, sides, np.where(outer, 1.0, 0.5), sizes(x) if dim > 1 else np.ones(len(cells)), corners,
+        nodal, tuple(pieces), ~held[cells, sides],
+    )  # fmt: skip
+
+
+def _on(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
+    """Whether the side opposite to each vertex is one of some local facets, which the rank of one of its two cells need
+    not know, shape (cells, vertices) (collective)."""
+    level, count = simplices.data.level, simplices.facets.max(initial=-1) + 1
+    marked, outer = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    marked[facets[facets < count]] = True
+    outer[level.boundary_facets[level.boundary_facets < count]] = True
+    inside = np.flatnonzero(marked & ~outer).astype(np.int32)
+    if total(level.comm, len(inside)) > 0 and level.comm.size > 1:
+        index_map = level.mesh.topology.index_map(simplices.dim - 1)
+        known = np.concatenate(level.comm.allgather(np.asarray(index_map.local_to_global(inside))))
+        every = np.arange(count, dtype=np.int32)
+        marked |= np.isin(np.asarray(index_map.local_to_global(every)), known)
+    return marked[simplices.facets]
+
+
+def _undivided(groups: list[Group], points: np.ndarray, count: int) -> np.ndarray:
+    """Values at points of facets that are no parts, 0 elsewhere, shape (facets, points)."""
+    found = np.zeros((count, len(points)))
+    for group in groups:
+        if group.corners is None:
+            found[group.rows] = group.values(points)
+    return found
+
+
+def _norms(groups: list[Group], factor: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """On some facets the mean of a datum times a linear function, and the root of the mean square of the difference."""
+    count, found = len(factor), []
+    chosen, means, squares = np.zeros(count, dtype=bool), np.zeros(count), np.zeros(count)
+    chosen[rows] = True
+    for group in groups:
+        part = group[np.flatnonzero(chosen[group.rows])]
+        points, weights = rule(factor.shape[1] - 1, 2 * (part.degree + 1))
+        there = np.matmul(part.points(points), factor[part.rows][..., None])[..., 0] * part.values(points)
+        found.append((part, there, weights))
+        means += np.bincount(part.rows, part.share * (there @ weights), count)
+    for part, there, weights in found:
+        squares += np.bincount(part.rows, part.share * ((there - means[part.rows, None]) ** 2 @ weights), count)
+    return means[rows], np.sqrt(squares[rows])
+
+
+def _rests(groups: list[Group], factor: np.ndarray) -> np.ndarray:
+    """The root of the mean square of a bound of what a datum is beyond its polynomials, times a linear function."""
+    squares = np.zeros(len(factor))
+    for group in groups:
+        rest = np.where(group.rest < inf, group.rest, 0.0)  # `Hypotheses` has a word about these
+        size = np.abs(factor[group.rows]).max(axis=1, initial=0.0)
+        squares += np.bincount(group.rows, group.share * (rest * size) ** 2, len(factor))
+    return np.sqrt(squares)
