@@ -62,9 +62,7 @@ def report_command(
     return _drawn(answer, folder, started, picture=picture, newton=newton)
 
 
-def _drawn(
-    answer: Answer, folder: Path, started: float | None, *, picture: bool, newton: bool
-) -> tuple[Answer, str]:
+def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool, newton: bool) -> tuple[Answer, str]:
     comm = answer.level.comm
     write_free_boundary(answer, folder / "free_boundary.csv")
     file = folder / PICTURE if picture and _has_picture(answer) else None
