@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import COMM, slow_except
+from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.discrete import meshing
@@ -172,20 +173,15 @@ def test_a_group_that_holds_nothing(folder):
         solve(scene.change({"boundary": [{"on": "lone", "value": 0}]}))
 
 
-def test_what_is_no_mesh_of_straight_simplices(folder):
-    """Curved cells, quadrilaterals, mixed meshes, points alone and cut files are rejected on all ranks."""
-
-    def quads(model):
-        shape(2)(model)
-        model.mesh.setRecombine(2, 1)
+def test_what_is_no_mesh_of_one_kind(folder):
+    """Cells of degree 3, mixed meshes, points alone and cut files are rejected on all ranks."""
 
     def mixed(model):
         two_squares(model)
         model.mesh.setRecombine(2, 2)
 
     cases = {
-        "curved": (disk_of_arcs, {"order": 2}, "P1 needs straight"),
-        "quads": (quads, {}, "uadri"),
+        "cubic": (disk_of_arcs, {"order": 3}, "of degree 1 or 2"),
         "mixed": (mixed, {}, "uadri"),
         "points": (shape(2), {"dim": 0}, "holds no cells"),
     }
@@ -193,6 +189,75 @@ def test_what_is_no_mesh_of_straight_simplices(folder):
         path = file_of(folder, draw, f"{name}.msh", **how)
         with pytest.raises(InputError, match=rf"{name}\.msh: .*{message}"):
             level_of(path)
+
+
+def of_cubes(dim):
+    """A square or cube of 3 cells a side; its first side, and the whole, are groups without names."""
+
+    def draw(model):
+        geo = model.geo
+        line = geo.addLine(geo.addPoint(0, 0, 0), geo.addPoint(1, 0, 0))
+        geo.mesh.setTransfiniteCurve(line, 4)
+        found = geo.extrude([(1, line)], 0, 1, 0, [3], recombine=True)
+        side = line
+        if dim == 3:
+            side = found[1][1]
+            found = geo.extrude([found[1]], 0, 0, 1, [3], recombine=True)
+        geo.synchronize()
+        model.addPhysicalGroup(dim - 1, [side], 5)
+        model.addPhysicalGroup(dim, [found[1][1]], 8)
+
+    return draw
+
+
+@pytest.mark.parametrize(
+    ("dim", "order", "element"),
+    slow_except([(2, 1, "Q1"), (2, 2, "Q2"), (3, 1, "Q1"), (3, 2, "Q1"), (3, 1, "Q2")], (2, 1, "Q1"), (3, 2, "Q1")),
+)
+def test_quadrilaterals_and_hexahedra(folder, dim, order, element):
+    """A linear u is exact on the cells of files, of degree 2 by their vertices; groups have their numbers."""
+    path, u = file_of(folder, of_cubes(dim), order=order, everything=0), "x - 2*y + 3"
+    scene = Scene(mesh={"file": str(path)}, tension=1, boundary=[{"on": "5", "value": u}, {"value": u}], exact=u,
+                  report={"size": "integral(1)", "side": "integral(1, '5')", "group": "integral(1, '8')"})  # fmt: skip
+    answer = solve(scene, element=element)
+    assert answer.record["errors"]["max"] < 1e-9 and answer.record["cells_total"] == 3**dim
+    assert np.allclose(list(answer.report.values()), 1, rtol=1e-12)
+    assert any("degree 2" in remark for remark in answer.level.remarks) == (order == 2)
+    with pytest.raises(InputError, match="refine is for simplices; take smaller cells in the file"):
+        solve(scene, element=element, refine=1)
+
+
+CIRCLE = (
+    "Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0, 0.4}; Point(3) = {0, 1, 0, 0.4}; Point(4) = {-1, 0, 0, 0.4};"
+    "Point(5) = {0, -1, 0, 0.4}; Circle(1) = {2, 1, 3}; Circle(2) = {3, 1, 4}; Circle(3) = {4, 1, 5};"
+    "Circle(4) = {5, 1, 2}; Curve Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};"
+)
+
+
+@pytest.mark.parametrize(
+    ("element", "norm", "order"), slow_except([("P1", "l2", 2), ("P2", "h1", 1.5)], ("P1", "l2", 2))
+)
+def test_a_circle_stays_one(folder, element, norm, order):
+    """New vertices lie on the CAD curves: on a disk order 2 in L2 (P1) and 3/2 in H1 (P2, whose cells are straight)."""
+    on_root(COMM, lambda: (folder / "disk.geo").write_text(CIRCLE + "\n") and None)
+    scene = Scene(mesh={"file": str(folder / "disk.geo")}, tension=1, load=4, boundary=[{"value": 0}], exact="1 - r^2")
+    answers = [solve(scene, element=element, refine=n) for n in (0, 2)]
+    errors = [answer.record["errors"][norm] for answer in answers]
+    assert abs(np.log2(errors[0] / errors[1]) / 2 - order) < 0.05
+    x = answers[1].level.mesh.geometry.x
+    rim = fem.locate_dofs_topological(answers[1].u.function_space, 1, answers[1].level.boundary_facets)
+    assert len(rim) == 0 or np.isclose(np.linalg.norm(x, axis=1).max(), 1, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_cylinder_stays_one(folder):
+    """In solids new vertices lie on the CAD surfaces, along edges on the curve between two: the volume has order 2."""
+    text = OCC + "Cylinder(1) = {0, 0, 0, 0, 0, 1, 1}; Mesh.MeshSizeMax = 0.7;\n"
+    on_root(COMM, lambda: (folder / "solid.geo").write_text(text) and None)
+    scene = Scene(mesh={"file": str(folder / "solid.geo")}, tension=1, load=1, boundary=[{"value": 0}],
+                  report={"size": "integral(1)"})  # fmt: skip
+    errors = [np.pi - solve(scene, refine=n).report["size"] for n in (0, 1)]
+    assert errors[1] > 0 and np.log2(errors[0] / errors[1]) > 1.8
 
 
 def test_cut_files(folder):

@@ -89,7 +89,7 @@ def compared(found: Sequence[Any], *, bounded: bool = False) -> Any:
         bounded: Whether they are known to be.
     """
     if isinstance(found[0], Mapping):
-        parts = {key: compared([one[key] for one in found], bounded=bounded or key == "area") for key in found[0]}
+        parts = {key: compared([one[key] for one in found], bounded=bounded or key == "contact") for key in found[0]}
         return {key: part for key, part in parts.items() if part}
     if any(value is None for value in found):
         return None

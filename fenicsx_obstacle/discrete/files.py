@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,6 @@ from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
-CELLS = {2: "interval", 3: "triangle", 4: "tetrahedron"}  # by vertices
-
 
 @dataclass(frozen=True)
 class MeshFile:
@@ -34,6 +32,7 @@ class MeshFile:
         mesh: The mesh.
         facets: Local facets of each named curve (in solids, surface).
         groups: Owned cells of each named material.
+        bent: Local facets on each CAD curve (in solids, surface) that is not straight, by Gmsh's number.
         straight: As `Level.straight`.
         remarks: What the user should know of the file.
     """
@@ -41,6 +40,7 @@ class MeshFile:
     mesh: dmesh.Mesh
     facets: Groups
     groups: Groups
+    bent: dict[int, np.ndarray] = field(default_factory=dict)
     straight: bool | None = None
     remarks: tuple[str, ...] = ()
 
@@ -49,7 +49,7 @@ def read(path: Path, comm: MPI.Comm) -> MeshFile:
     """The mesh of a file, with its named parts (collective).
 
     Raises:
-        InputError: If the file is missing, broken, or has curved cells, or from Gmsh other cells than simplices.
+        InputError: If the file is missing, broken, or has cells that DOLFINx does not take.
     """
     on_root(comm, _check, path)
     return _gmsh(path, comm) if path.suffix in (".msh", ".geo") else _xdmf(path, comm)
@@ -72,21 +72,25 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
             raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)")
         found = meshing.load(path)
         kept.append(found)
-        return (*found.points.shape[1:], *found.cells.shape[1:], found.materials, found.parts, found.facets,
-                found.facet_part, found.cell_material, found.straight, found.remarks)  # fmt: skip
+        return (*found.points.shape[1:], *found.cells.shape[1:], found.cell, found.materials, found.parts,
+                found.facets, found.facet_part, found.cell_material, found.bent, found.bent_entity, found.straight,
+                found.remarks)  # fmt: skip
 
-    gdim, vertices, materials, parts, facets, facet_part, cell_material, straight, remarks = on_root(comm, load)
+    (gdim, vertices, cell, materials, parts, facets, facet_part, cell_material, bent, entity, straight,
+     remarks) = on_root(comm, load)  # fmt: skip
     points, cells = np.empty((0, gdim)), np.empty((0, vertices), np.int64)
     if comm.rank == 0:
         points, cells = kept[0].points, kept[0].cells
-    mesh = releases.create_mesh(comm, cells, points, CELLS[vertices])
+    mesh = releases.create_mesh(comm, cells, points, cell)
     numbers = local_facets(mesh, facets)
     named = {name: np.unique(numbers[(facet_part == k) & (numbers >= 0)]) for k, name in enumerate(parts)}
     groups = Groups()
     if materials:
         of_own = cell_material[np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]]
         groups = {name: np.flatnonzero(of_own == k).astype(np.int32) for k, name in enumerate(materials)}
-    return MeshFile(mesh, named, groups, straight, remarks)
+    numbers = local_facets(mesh, bent)
+    curved = {int(k): np.unique(numbers[(entity == k) & (numbers >= 0)]) for k in np.unique(entity)}
+    return MeshFile(mesh, named, groups, curved, straight, remarks)
 
 
 def _xdmf(path: Path, comm: MPI.Comm) -> MeshFile:

@@ -13,9 +13,18 @@ from fenicsx_obstacle.discrete.mesh_validation import place, validate_mesh
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import counted
 
-_LINEAR = {0: 15, 1: 1, 2: 2, 3: 4}  # Gmsh's numbers of points, straight lines, triangles, tetrahedra
+# Gmsh's numbers of cells with straight sides and of those of degree 2, and their kinds with their vertices in Gmsh
+_KNOWN = {15: ("point", 1), 1: ("interval", 2), 2: ("triangle", 3), 3: ("quadrilateral", 4), 4: ("tetrahedron", 4),
+          5: ("hexahedron", 8), 8: ("interval", 2), 9: ("triangle", 3), 10: ("quadrilateral", 4),
+          11: ("tetrahedron", 4), 12: ("hexahedron", 8), 16: ("quadrilateral", 4), 17: ("hexahedron", 8)}  # fmt: skip
+_CURVED = set(range(8, 18)) - {15}
+_TENSOR = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}  # DOLFINx's order of their vertices
+_SIDES: dict[str, list[tuple[int, ...]]] = {"interval": [(0,), (1,)], "quadrilateral": [(0, 1), (0, 2), (1, 3), (2, 3)],
+          "hexahedron": [(0, 1, 2, 3), (0, 1, 4, 5), (0, 2, 4, 6), (1, 3, 5, 7), (2, 3, 6, 7),
+                         (4, 5, 6, 7)]}  # fmt: skip
 _KINDS = ("point", "curve", "surface", "volume")
 _LISTED = 5  # entities in a message
+ROUNDS = 5  # in which a point comes to lie on two surfaces
 
 
 @dataclass(frozen=True)
@@ -24,23 +33,29 @@ class Arrays:
 
     Attributes:
         points: Coordinates, shape (points, gdim); each is a vertex of a cell.
-        cells: Rows of `points`, shape (cells, dim + 1).
+        cell: Kind of the cells.
+        cells: Rows of `points`, in DOLFINx's order, shape (cells, vertices).
         materials: Names of the groups of cells.
         cell_material: Row of `materials` of each cell; empty without materials.
         parts: Names of the groups of facets.
-        facets: Rows of `points` of each facet in a group, shape (facets, dim).
+        facets: Rows of `points` of each facet in a group, shape (facets, vertices).
         facet_part: Row of `parts` of each of these facets.
+        bent: Rows of `points` of each facet on a CAD curve that is no line, in solids on a surface that is no plane.
+        bent_entity: Gmsh's number of that curve or surface, for each of them.
         straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
         remarks: What the user should know of the file.
     """
 
     points: np.ndarray
+    cell: str
     cells: np.ndarray
     materials: tuple[str, ...]
     cell_material: np.ndarray
     parts: tuple[str, ...]
     facets: np.ndarray
     facet_part: np.ndarray
+    bent: np.ndarray
+    bent_entity: np.ndarray
     straight: bool | None
     remarks: tuple[str, ...]
 
@@ -52,16 +67,19 @@ def arrays_of(model: Any) -> Arrays:
     otherwise all cells are.
 
     Raises:
-        InputError: If there are no cells, or others than straight simplices; if one is degenerate; if an entity is in
-            two groups; if a group of facets is not on the mesh.
+        InputError: If there are no cells, or of several kinds; if one is degenerate; if an entity is in two groups; if
+            a group of facets is not on the mesh.
     """
     dims = [dim for dim in (1, 2, 3) if len(model.mesh.getElementTypes(dim))]
     if not dims:
         raise InputError("holds no cells")
     dim = max(dims)
-    if set(model.mesh.getElementTypes(dim)) - {_LINEAR[dim]}:
-        kinds = [model.mesh.getElementProperties(kind)[0] for kind in model.mesh.getElementTypes(dim)]
-        raise InputError(f"has {', '.join(kinds)} cells; P1 needs straight lines, triangles or tetrahedra")
+    types = list(model.mesh.getElementTypes(dim))
+    if len({_KNOWN.get(kind) for kind in types}) != 1 or types[0] not in _KNOWN:
+        kinds = [model.mesh.getElementProperties(kind)[0] for kind in types]
+        raise InputError(f"has {', '.join(kinds)} cells; it needs cells of one kind: lines, triangles, quadrilaterals, "
+                         "tetrahedra or hexahedra, of degree 1 or 2")  # fmt: skip
+    cell = _KNOWN[types[0]][0]
     groups = {d: _groups(model, d) for d in (dim, dim - 1)}
     tags, coordinates, _ = model.mesh.getNodes()
     order = np.argsort(tags)
@@ -74,6 +92,8 @@ def arrays_of(model: Any) -> Arrays:
         for name, members in found.items()
         if not any(len(rows[d, tag]) for tag in members)
     ]
+    if set(types) & _CURVED:
+        remarks.append("the cells of degree 2 are taken by their vertices, with straight edges")
     filled = [tag for d, tag in rows if d == dim and len(rows[d, tag])]
     grouped = {tag for members in groups[dim].values() for tag in members}
     if grouped.intersection(filled):
@@ -86,12 +106,14 @@ def arrays_of(model: Any) -> Arrays:
     else:
         materials, pieces = (), [(0, tag) for tag in filled]
     cells, material = _joined(pieces, rows, dim)
-    validate_mesh(coordinates, cells)
+    if cell in _TENSOR:
+        cells = cells[:, _TENSOR[cell]]
+    validate_mesh(coordinates, cells, cell)
 
     parts = tuple(groups[dim - 1])
     pieces = [(number, tag) for number, name in enumerate(parts) for tag in groups[dim - 1][name]]
     facets, facet_part = _joined(pieces, rows, dim - 1)
-    lone = np.flatnonzero(~_on_mesh(cells, facets))
+    lone = np.flatnonzero(~_on_mesh(cell, cells, facets))
     if len(lone):
         middle, name = place(coordinates[facets[lone[0]]].mean(axis=0)), parts[facet_part[lone[0]]]
         raise InputError(f"'{name}' is not on the mesh; a part inside must be embedded in its domain: see {middle}")
@@ -100,10 +122,39 @@ def arrays_of(model: Any) -> Arrays:
     points = coordinates[used]
     extended = np.abs(points).max(axis=0) > 1e-12 * np.abs(points).max()
     gdim = max(dim, int(np.flatnonzero(extended).max(initial=0)) + 1)
+    sides = [tag for d, tag in rows if d == dim - 1 and gdim == dim > 1]
+    curved = [(tag, tag) for tag in sides if not _is_flat(model.getType(dim - 1, tag))]
+    bent, entity = _joined(curved, rows, dim - 1)
+    on = _on_mesh(cell, cells, bent)
     return Arrays(
-        points[:, :gdim], np.searchsorted(used, cells), materials, material if materials else material[:0],
-        parts, np.searchsorted(used, facets), facet_part, None, tuple(remarks),
+        points[:, :gdim], cell, np.searchsorted(used, cells), materials, material if materials else material[:0],
+        parts, np.searchsorted(used, facets), facet_part, np.searchsorted(used, bent[on]), entity[on], None,
+        tuple(remarks),
     )  # fmt: skip
+
+
+def _is_flat(kind: str) -> bool:
+    """Whether Gmsh's type of a curve or surface is a line or a plane, or it has no geometry."""
+    return kind in ("", "Line", "Plane", "Unknown") or kind.startswith("Discrete")
+
+
+def on_cad(model: Any, dim: int, points: np.ndarray, rows: np.ndarray, entities: np.ndarray) -> np.ndarray:
+    """Points moved to the nearest ones of CAD curves or surfaces; of several in turn, until they are on all.
+
+    Args:
+        model: Gmsh's.
+        dim: 1 for curves, 2 for surfaces.
+        points: Shape (points, 3).
+        rows: A row of `points` for each pair of a point and an entity.
+        entities: Gmsh's number of the entity of each pair.
+    """
+    points = points.copy()
+    for _ in range(1 if dim == 1 else ROUNDS):
+        for entity in np.unique(entities):
+            own = np.unique(rows[entities == entity])
+            found, _ = model.getClosestPoint(dim, int(entity), points[own].ravel().tolist())
+            points[own] = np.array(found).reshape(-1, 3)
+    return points
 
 
 def _joined(
@@ -112,8 +163,9 @@ def _joined(
     """The elements of entities, and the number that goes with each."""
     found = [(number, rows[dim, tag]) for number, tag in pieces]
     numbers = [np.full(len(some), number, np.int32) for number, some in found]
+    vertices = next((some.shape[1] for _, some in found if len(some)), dim + 1)
     return (
-        np.concatenate([np.empty((0, dim + 1), np.int64), *(some for _, some in found)]),
+        np.concatenate([np.empty((0, vertices), np.int64), *(some for _, some in found if len(some))]),
         np.concatenate([np.empty(0, np.int32), *numbers]),
     )
 
@@ -169,25 +221,27 @@ def _groups(model: Any, dim: int) -> dict[str, list[int]]:
 
 
 def _rows(model: Any, dim: int, entity: int, tags: np.ndarray) -> np.ndarray:
-    """Rows of `tags` of the vertices of each element of an entity, shape (elements, dim + 1)."""
-    kinds, _, nodes = model.mesh.getElements(dim, entity)
-    if set(kinds) - {_LINEAR[dim]}:
+    """Rows of `tags` of the vertices of each element of an entity, shape (elements, vertices)."""
+    kinds, elements, nodes = model.mesh.getElements(dim, entity)
+    if len(kinds) > 1 or set(kinds) - set(_KNOWN):
         words = [model.mesh.getElementProperties(kind)[0] for kind in kinds]
         raise InputError(f"{_KINDS[dim]} {entity} has {', '.join(words)}; its cells have other sides")
     if not len(kinds):
         return np.empty((0, dim + 1), np.int64)
-    found = np.searchsorted(tags, nodes[0])
-    if found.max(initial=-1) >= len(tags) or (tags[found] != nodes[0]).any():
+    vertices = nodes[0].reshape(len(elements[0]), -1)[:, : _KNOWN[kinds[0]][1]]
+    found = np.searchsorted(tags, vertices)
+    if found.max(initial=-1) >= len(tags) or (tags[found] != vertices).any():
         raise InputError(f"{_KINDS[dim]} {entity} has a vertex that is not in the file")
-    return found.reshape(-1, dim + 1)
+    return found
 
 
-def _on_mesh(cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
+def _on_mesh(cell: str, cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
     """Whether each of these facets is a facet of a cell."""
     marked = np.zeros(cells.max() + 2, dtype=bool)
     marked[facets[facets < len(marked)]] = True
-    dim = cells.shape[1] - 1
-    sides = [cells[:, side] for side in combinations(range(dim + 1), dim)]
+    vertices = cells.shape[1]
+    members = _SIDES.get(cell) or list(combinations(range(vertices), vertices - 1))
+    sides = [cells[:, list(side)] for side in members]
     candidates = [side[marked[side].all(axis=1)] for side in sides]
     known = {tuple(row) for row in np.sort(np.concatenate(candidates), axis=1).tolist()}
     return np.array([tuple(row) in known for row in np.sort(facets, axis=1).tolist()], dtype=bool)

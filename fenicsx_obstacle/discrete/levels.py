@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -44,6 +45,9 @@ class Level:
         straight: Of a mesh from a file, whether its CAD curves are straight and, in solids, its surfaces flat; None
             where the file does not say, and for the caller's own mesh.
         remarks: What the user should know of the mesh, in words.
+        bent: Local facets on each curve (in solids, surface) of a .geo that is not straight, by Gmsh's number; None
+            where they are those of `coarse`.
+        to_cad: Moves points to these, on one rank; None without them.
     """
 
     mesh: dmesh.Mesh
@@ -57,6 +61,8 @@ class Level:
     places: np.ndarray | None = None
     straight: bool | None = None
     remarks: tuple[str, ...] = ()
+    bent: dict[int, np.ndarray] | None = None
+    to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
 
     @cached_property
     def V(self) -> fem.FunctionSpace:
@@ -111,6 +117,13 @@ class Level:
         if self.coarse is None or self.parents is None:
             return self.named or {}
         return parents.inherited(self.coarse.facets, self.coarse.mesh, self.mesh, self.parents)
+
+    @cached_property
+    def bent_facets(self) -> dict[int, np.ndarray]:
+        """Local facets on curves or surfaces of a .geo that are not straight, by Gmsh's number."""
+        if self.coarse is None or self.parents is None:
+            return self.bent or {}
+        return parents.inherited(self.coarse.bent_facets, self.coarse.mesh, self.mesh, self.parents)
 
     @cached_property
     def groups(self) -> dict[str, np.ndarray]:
@@ -204,7 +217,7 @@ def of_pair(level: Level, pair: Pair) -> Level:
     if not pair.nested_hierarchy:
         below = level if pair.has_p1_coarse_space else None
         return replace(level, pair=pair, coarse=below, parents=None, places=None, named=level.facets,
-                       materials=level.groups)  # fmt: skip
+                       materials=level.groups, bent=level.bent_facets)  # fmt: skip
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
 
@@ -245,10 +258,21 @@ def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
     new, cells, places = parents.halved(level.mesh, level.V)
     fine = replace(
-        level, mesh=new, h=level.h / 2, named=None, materials=None, pair=P1, coarse=level, parents=cells, places=places
+        level,
+        mesh=new,
+        h=level.h / 2,
+        named=None,
+        materials=None,
+        bent=None,
+        pair=P1,
+        coarse=level,
+        parents=cells,
+        places=places,
     )
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
+    if level.to_cad is not None:
+        parents.snap_to_cad(fine.V, fine.bent_facets, level.to_cad)
     return fine
 
 
@@ -263,10 +287,20 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
         return of_pair(refined_where(level.coarse, marked), level.pair)
     new, cells, places = bisection.refined_where(level.V, marked)
     fine = replace(
-        level, mesh=new, h=_largest_side(new), named=None, materials=None, coarse=level, parents=cells, places=places
+        level,
+        mesh=new,
+        h=_largest_side(new),
+        named=None,
+        materials=None,
+        bent=None,
+        coarse=level,
+        parents=cells,
+        places=places,
     )
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
+    if level.to_cad is not None:
+        parents.snap_to_cad(fine.V, fine.bent_facets, level.to_cad)
     return fine
 
 

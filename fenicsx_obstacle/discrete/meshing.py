@@ -1,7 +1,8 @@
 """Gmsh in a separate process, since a file that it cannot read may end the process.
 
-`python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo or .msh file as NumPy arrays; if
-that fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours).
+`python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo or .msh file as NumPy arrays, or, if
+there are arrays already, moves the points in them to the CAD geometry of the .geo; if that fails it prints the reason
+and leaves with status 1 (Gmsh's reason) or 2 (ours).
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, straight
+from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, on_cad, straight
 from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
-FORMAT = b"1"  # of what is kept
+DIMENSIONS = {"interval": 1, "triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+FORMAT = b"2"  # of what is kept
 # commands of a .geo by which its mesh may depend on more than its text
 _ELSEWHERE = re.compile(rb"\b(Merge|Include|ShapeFromFile|System\w*|GetEnv|Onelab\w*|Exists|FileExists)\b")
 
@@ -45,30 +47,60 @@ def load(path: Path) -> Arrays:
             return _arrays(kept)
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "mesh.npz"
-        command = [sys.executable, "-m", __name__, str(path), str(arrays)]
-        # the process is no rank: MPICH would take it for one
-        env = {name: value for name, value in os.environ.items() if not name.startswith("PMI_")}
-        done = subprocess.run(command, env=env, capture_output=True, text=True, errors="replace", check=False)
-        said = done.stdout.strip()
-        if done.returncode < 0:
-            other = ", or mesh it to a .msh there" if path.suffix == ".geo" else ""
-            raise InputError(f"{path}: Gmsh crashed while reading it; open it in Gmsh{other}")
-        if done.returncode == _REJECTED:
-            raise InputError(f"{path}: {said}")
-        if done.returncode:
-            reason = said.splitlines()[-1] if said else "it gives no reason"
-            raise InputError(f"{path}: Gmsh cannot read it: {reason}; is the file complete?")
+        _start(path, arrays)
         if kept is not None:
             _keep(arrays, path, kept)
         return _arrays(arrays)
+
+
+def moved(path: Path, dim: int, points: np.ndarray, rows: np.ndarray, entities: np.ndarray) -> np.ndarray:
+    """Points moved to the nearest ones of curves or surfaces of a .geo (one rank).
+
+    Args:
+        path: The .geo.
+        dim: Arguments as those of `on_cad`.
+        points: Shape (points, 3).
+        rows: Pairs of points and entities.
+        entities: Numbers of Gmsh.
+
+    Raises:
+        InputError: With what Gmsh says.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        arrays = Path(folder) / "points.npz"
+        np.savez(arrays, dim=dim, points=points, rows=rows, entities=entities)
+        _start(path, arrays)
+        with np.load(arrays) as stored:
+            return stored["points"]
+
+
+def _start(path: Path, arrays: Path) -> None:
+    """Run this module for a file.
+
+    Raises:
+        InputError: As `load`.
+    """
+    command = [sys.executable, "-m", __name__, str(path), str(arrays)]
+    # the process is no rank: MPICH would take it for one
+    env = {name: value for name, value in os.environ.items() if not name.startswith("PMI_")}
+    done = subprocess.run(command, env=env, capture_output=True, text=True, errors="replace", check=False)
+    said = done.stdout.strip()
+    if done.returncode < 0:
+        other = ", or mesh it to a .msh there" if path.suffix == ".geo" else ""
+        raise InputError(f"{path}: Gmsh crashed while reading it; open it in Gmsh{other}")
+    if done.returncode == _REJECTED:
+        raise InputError(f"{path}: {said}")
+    if done.returncode:
+        reason = said.splitlines()[-1] if said else "it gives no reason"
+        raise InputError(f"{path}: Gmsh cannot read it: {reason}; is the file complete?")
 
 
 def _arrays(file: Path) -> Arrays:
     with np.load(file) as stored:
         words = json.loads(str(stored["words"]))
         return Arrays(
-            stored["points"], stored["cells"], tuple(words["materials"]), stored["cell_material"],
-            tuple(words["parts"]), stored["facets"], stored["facet_part"],
+            stored["points"], words["cell"], stored["cells"], tuple(words["materials"]), stored["cell_material"],
+            tuple(words["parts"]), stored["facets"], stored["facet_part"], stored["bent"], stored["bent_entity"],
             words["straight"], tuple(words["remarks"]),
         )  # fmt: skip
 
@@ -111,16 +143,22 @@ def _run(source: str, target: str) -> int:
     gmsh.option.setNumber("General.Terminal", 0)
     try:
         gmsh.open(source)
+        if Path(target).exists():
+            with np.load(target) as given:
+                dim, points = int(given["dim"]), given["points"]
+                np.savez(target, points=on_cad(gmsh.model, dim, points, given["rows"], given["entities"]))
+            return 0
         if source.endswith(".geo"):
             gmsh.model.mesh.generate(gmsh.model.getDimension())
         found = arrays_of(gmsh.model)
         words = {
-            "materials": found.materials, "parts": found.parts, "remarks": found.remarks,
-            "straight": straight(gmsh.model, found.cells.shape[1] - 1),
+            "cell": found.cell, "materials": found.materials, "parts": found.parts, "remarks": found.remarks,
+            "straight": straight(gmsh.model, DIMENSIONS[found.cell]),
         }  # fmt: skip
         np.savez(
             target, words=json.dumps(words), points=found.points, cells=found.cells, facets=found.facets,
-            cell_material=found.cell_material, facet_part=found.facet_part,
+            cell_material=found.cell_material, facet_part=found.facet_part, bent=found.bent,
+            bent_entity=found.bent_entity,
         )  # fmt: skip
     except InputError as error:
         sys.stdout.write(f"{error}\n")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from dolfinx import fem
@@ -13,7 +13,10 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices
-from fenicsx_obstacle.parallel import before
+from fenicsx_obstacle.parallel import before, on_root
+
+Name = TypeVar("Name", str, int)
+STAYS = 1e-12  # of its distance from 0: such a move is round-off
 
 
 def ends_of(V: fem.FunctionSpace, coarse: fem.FunctionSpace, parents: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -141,13 +144,13 @@ def numbers(comm: MPI.Comm, entities: Any, local: np.ndarray, first: int) -> np.
 
 
 def inherited(
-    named: dict[str, np.ndarray], mesh: dmesh.Mesh, new: dmesh.Mesh, parents: np.ndarray
-) -> dict[str, np.ndarray]:
+    named: dict[Name, np.ndarray], mesh: dmesh.Mesh, new: dmesh.Mesh, parents: np.ndarray
+) -> dict[Name, np.ndarray]:
     """Named facets of a refined mesh: those that lie within a named facet of their parent cell (local)."""
     dim = new.topology.dim
     members = facet_vertices(dim)
     old_facets, new_facets = cell_facets(mesh), cell_facets(new)
-    found: dict[str, np.ndarray] = {}
+    found: dict[Name, np.ndarray] = {}
     for name, facets in named.items():
         marked = np.zeros(old_facets.max(initial=-1) + 1, dtype=bool)
         marked[facets] = True
@@ -171,3 +174,30 @@ def snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarray
     dofs = fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)
     nodes, gdim = releases.dof_nodes(V)[dofs], mesh.geometry.dim
     mesh.geometry.x[nodes, :gdim] = project(mesh.geometry.x[nodes, :gdim])
+
+
+def snap_to_cad(
+    V: fem.FunctionSpace,
+    facets: dict[int, np.ndarray],
+    to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+) -> None:
+    """Move vertices onto the curves or surfaces that their facets come from (collective).
+
+    Args:
+        V: P1 on a new mesh.
+        facets: Local facets on each curve or surface, with the same names on every rank.
+        to_cad: As `Level.to_cad`.
+    """
+    mesh, comm = V.mesh, V.mesh.comm
+    nodes = {k: releases.dof_nodes(V)[fem.locate_dofs_topological(V, mesh.topology.dim - 1, some)]
+             for k, some in facets.items()}  # fmt: skip
+    mine = np.unique(np.concatenate([np.empty(0, np.int64), *nodes.values()])).astype(np.int64)
+    rows = np.concatenate([np.empty(0, np.int64), *(np.searchsorted(mine, some) for some in nodes.values())])
+    entities = np.repeat(list(nodes), [len(some) for some in nodes.values()]).astype(np.int64)
+    first = before(comm, len(mine))
+    parts = comm.gather((mesh.geometry.x[mine], rows + first, entities))
+    found = on_root(comm, lambda: to_cad(*(np.concatenate(part) for part in zip(*parts, strict=True))))
+    old, new = mesh.geometry.x[mine], found[first : first + len(mine)]
+    far = np.linalg.norm(new - old, axis=1) > STAYS * np.linalg.norm(old, axis=1)
+    gdim = mesh.geometry.dim
+    mesh.geometry.x[mine[far], :gdim] = new[far, :gdim]

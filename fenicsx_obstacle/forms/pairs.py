@@ -49,7 +49,9 @@ class Pair:
             InputError: If the pair is not for such cells.
         """
         if cell not in self.rules:
-            raise InputError(f"element {self.name} is for {', '.join(self.rules)} cells, not for a {cell}")
+            others = " or ".join(name for name, pair in pairs().items() if cell in pair.rules)
+            hint = f": take {others}" if others else ""
+            raise InputError(f"element {self.name} is for {', '.join(self.rules)} cells, not for a {cell}{hint}")
         return self.rules[cell]
 
     def cell_weights(self, corners: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from mpi4py import MPI
 
@@ -11,6 +12,7 @@ from fenicsx_obstacle.discrete import files, shapes
 from fenicsx_obstacle.discrete.grids import coarsest_grid
 from fenicsx_obstacle.discrete.levels import Level, of_mesh, of_pair, refined
 from fenicsx_obstacle.discrete.memory import check_memory
+from fenicsx_obstacle.discrete.meshing import moved
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.scenes.scene import Scene
@@ -69,6 +71,9 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
         found = files.read(path, comm)
         level = of_mesh(found.mesh, str(path), found.facets, found.groups)
         level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
+        if found.bent:
+            to_cad = partial(moved, path, level.mesh.topology.dim - 1)
+            level = replace(level, bent=found.bent, to_cad=to_cad)
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
@@ -80,8 +85,9 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
         pair.rule(releases.cell_name(level.mesh))
     except InputError as error:
         raise InputError(f"{scene.source}: [solve] {error}") from None
-    if refine and level.shape is not None and level.shape.cell not in SIMPLICES:
-        raise InputError(f"{scene.source}: [mesh] refine is for simplices; take more 'cells'")
+    if refine and releases.cell_name(level.mesh) not in SIMPLICES:
+        finer = "smaller cells in the file" if level.shape is None else "more 'cells'"
+        raise InputError(f"{scene.source}: [mesh] refine is for simplices; take {finer}")
     return level, refine
 
 
