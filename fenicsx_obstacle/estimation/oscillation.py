@@ -148,8 +148,8 @@ class Oscillation:
             there = polynomials.combined(group.points(points), nearest[group.rows])
             g = group.values(points) - there
             rest = np.where(np.isfinite(group.rest), group.rest, np.inf)
-            for sums, found in ((means, g @ weights), (squares, g**2 @ weights), (rests, rest**2)):
-                sums += np.bincount(group.rows, group.share * found, len(sums))
+            for collected, found in ((means, g @ weights), (squares, g**2 @ weights), (rests, rest**2)):
+                collected += np.bincount(group.rows, group.share * found, len(collected))
         poincare_there = self.poincare[cells] / 2**depth
         variance = np.maximum(squares - means**2, 0.0) * size
         within = poincare_there * np.sqrt(variance.reshape(-1, count).sum(axis=1))

@@ -165,8 +165,8 @@ class VertexPatches(Patches):
 
 
 def _corners_after(facets: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """For each corner, shape (cells, 3), the one after it in the cell across its last edge, cell by cell; -1 where there
-    is none (local).
+    """For each corner the one after it, in the cell across its last edge, both counted cell by cell; -1 where there is
+    none (local).
 
     Args:
         facets: Local facet opposite to each vertex.
