@@ -7,7 +7,7 @@ formula with conditions may have another value on the boundary of the cell.
 
 from __future__ import annotations
 
-from functools import cache, reduce
+from functools import cache, lru_cache, reduce
 from itertools import product
 from math import comb, factorial, prod
 
@@ -141,7 +141,19 @@ def degree_of(count: int, corners: int) -> int:
 
 def evaluate(coefficients: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     """Values at barycentric points, shape (simplices, points)."""
-    return coefficients @ _basis(points, degree).T
+    return coefficients @ _basis_at(points.tobytes(), points.shape[1], degree).T
+
+
+@lru_cache(64)
+def _basis_at(points: bytes, corners: int, degree: int) -> np.ndarray:
+    """Values of the Bernstein polynomials at few points, which are asked for again and again."""
+    return _basis(np.frombuffer(points).reshape(-1, corners), degree)
+
+
+@cache
+def raised(corners: int, degree: int, to: int) -> np.ndarray:
+    """Bernstein coefficients of a degree from those of one that is no higher, in a matrix."""
+    return _to_bernstein(corners, to) @ _basis(inner_points(corners, to), degree)
 
 
 def combined(weights: np.ndarray, values: np.ndarray) -> np.ndarray:

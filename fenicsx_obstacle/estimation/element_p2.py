@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, quadratics, reference_fields
-from fenicsx_obstacle.estimation.simplices import Simplices, lattice, lattice_cells, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices, lattice, with_ghosts
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
@@ -35,18 +35,33 @@ from fenicsx_obstacle.polynomials import (
     halved,
     inner_points,
     largest,
+    raised,
     round_off,
     row_size,
 )
 
-DENSE = 8  # parts of an edge
+DENSE = 8  # parts of an edge, a power of 2
 AS_THEY_ARE = Division(0)
 SMALL_ONES = Division(4, 1e-4, 1e-4)  # of the lattice: what counts is the distance of an obstacle to linear functions
 BESIDE = 2  # how often small triangles are divided where the obstacle may be above u, which is given at a corner
 FEW = 128  # cells at once: what is made of them fits into the cache of a core
 FINE = 0.05  # of the distance to the chord: a smaller remainder on a small triangle does not matter
 CLOSE = 4  # coefficients of this degree bound quadratic functions well: those of degree 2 are up to twice as high
-POINTS, SMALL = lattice(DENSE), np.array(lattice_cells(DENSE))
+POINTS = lattice(DENSE)
+
+
+def _halved(times: int) -> np.ndarray:
+    """Barycentric corners of the parts of a triangle with edges halved so many times, those of one part following each
+    other, shape (parts, 3, 3)."""
+    corners = np.eye(3)[None]
+    for _ in range(times):
+        corners = halved(corners)
+    return corners
+
+
+TIMES = DENSE.bit_length() - 1  # that edges are halved to give small triangles
+# these by their corners in the lattice
+SMALL = np.abs(_halved(TIMES)[:, :, None] - POINTS).sum(axis=3).argmin(axis=2)
 
 
 def _slopes() -> np.ndarray:
@@ -66,6 +81,24 @@ def _means() -> np.ndarray:
     middles = (corner + corner[:, [1, 2, 0]]) / 2  # the rule there is exact for degree 2
     fields = reference_fields(middles.reshape(-1, 3)).reshape(8, len(SMALL), 3, 2)
     return np.moveaxis(fields.mean(axis=2), 0, 2)
+
+
+def _by_part(matrices: np.ndarray, part: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Rows of values, shape (n, k) or (n, k, axes), each times the matrix of its part, shape (parts, m, k)."""
+    found = np.empty((len(values), matrices.shape[1], *values.shape[2:]))
+    for number, matrix in enumerate(matrices):
+        rows = np.flatnonzero(part == number)
+        found[rows] = np.moveaxis(np.tensordot(values[rows], matrix, (1, 1)), -1, 1)
+    return found
+
+
+def _products() -> np.ndarray:
+    """Integrals of products of two functions that are linear in each small triangle, from their values on the lattice,
+    the small triangles having the size 1."""
+    found = np.zeros((len(POINTS), len(POINTS)))
+    for corner in SMALL:
+        found[np.ix_(corner, corner)] += MASS
+    return found
 
 
 def _nodes_of(corners: np.ndarray) -> np.ndarray:
@@ -89,48 +122,67 @@ class Halves:
 
     Attributes:
         corners: Their barycentric coordinates, shape (parts, 3, 3).
-        small: Corners of the small triangles in a part, in its own coordinates, shape (small, 3, 3).
-        holds: Which small triangles of the lattice these are in each part, shape (parts, small).
+        small: Corners of the small triangles in a part, in its own coordinates, shape (small, 3, 3); those of one part
+            follow each other in the lattice.
         to_nodes: Values of P2 at the nodes of parts from those of the triangle, shape (parts, 6, 6).
     """
 
     corners: np.ndarray
     small: np.ndarray
-    holds: np.ndarray
     to_nodes: np.ndarray
 
     @classmethod
     def of(cls, times: int) -> Halves:
-        """Parts of edges halved so many times; those of one part follow each other."""
-        corners = np.eye(3)[None]
-        for _ in range(times):
-            corners = halved(corners)
-        small = lattice(DENSE >> times)[lattice_cells(DENSE >> times)]
-        middles = (small.mean(axis=1) @ corners)[..., None, :]  # of the small triangles in each part
-        holds = np.abs(middles - POINTS[SMALL].mean(axis=1)).sum(axis=3).argmin(axis=2)
+        """Parts of edges halved so many times."""
+        corners = _halved(times)
         nodes = np.array([_nodes_of(part) for part in corners])
         to_nodes = quadratics(nodes.reshape(-1, 3)).T.reshape(-1, 6, 6)
-        return cls(corners, small, holds, to_nodes)
+        return cls(corners, _halved(TIMES - times), to_nodes)
 
 
 @cache
-def _above_chords(times: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Bernstein coefficients of what polynomials on a part are above their chords on its small triangles, in a matrix.
-
-    Its shape is (n, n small), of that of the coefficients' means (n, small).
+def _to_chords(times: int, degree: int) -> np.ndarray:
+    """Bernstein coefficients of what polynomials on a part are above their chords on its small triangles.
 
     Args:
         times: How often the edges were halved for the part.
         degree: Of the polynomials.
+
+    Returns:
+        Shape (n, small, n): those of a small triangle, and the polynomials' own.
     """
-    above = from_chords(HALVES[times].small, degree)  # shape (small, n, n)
-    count = above.shape[2]
-    return np.ascontiguousarray(above.transpose(2, 1, 0).reshape(count, -1)), above.mean(axis=1).T
+    return np.ascontiguousarray(from_chords(HALVES[times].small, degree).transpose(1, 0, 2))
+
+
+def _above_chords(times: int, degree: int, polynomials: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The largest and the least coefficients of what polynomials are above their chords, and the means.
+
+    Args:
+        times: As for `_to_chords`.
+        degree: Of the polynomials.
+        polynomials: Their coefficients on parts, shape (parts, n).
+
+    Returns:
+        Each of shape (parts, small).
+    """
+    to_chords = _to_chords(times, degree)
+    count, small, _ = to_chords.shape
+    most, least = (np.empty((len(polynomials), small)) for _ in range(2))
+    for block in blocks(len(polynomials), FEW):
+        above = (to_chords.reshape(count * small, count) @ polynomials[block].T).reshape(count, small, -1)
+        most[block], least[block] = above.max(axis=0).T, above.min(axis=0).T
+    return most, least, polynomials @ to_chords.mean(axis=0).T
+
+
+@cache
+def _of_nodes(degree: int) -> np.ndarray:
+    """Bernstein coefficients of the functions of P2, shape (6, n)."""
+    return coefficients(quadratics(inner_points(3, degree)), 3, degree)
 
 
 SLOPES, MEANS = _slopes(), _means()
-HALVES = [Halves.of(times) for times in range(3)]
-SINGLE = Halves.of(3).holds[:, 0]
+HALVES = [Halves.of(times) for times in range(TIMES)]
+PRODUCTS = _products()
 NODES = [_number(*x) for x in ((0, 0), (1, 0), (0, 1), (0.5, 0.5), (0, 0.5), (0.5, 0))]  # those of P2 in the lattice
 # the functions of P2 at the nodes of the small triangles, shape (6, small, 6)
 OF_SMALL = quadratics((_nodes_of(np.eye(3)) @ POINTS[SMALL]).reshape(-1, 3)).reshape(6, len(SMALL), 6)
@@ -317,12 +369,17 @@ class LatticeObstacle:
         """Degree and Bernstein coefficients of obstacle - u on parts, from u at the nodes of the simplex of each; their
         round-off. The degree is at least the one that is named."""
         degree = max(group.degree, degree)
-        reference = inner_points(3, degree)
-        inside = group.points(reference)
-        at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
-        values = self.sign * (group.values(reference) - combined(at_nodes, u))
-        margin = round_off(np.abs(u).max(axis=1, initial=0.0)[:, None] + np.abs(values), 3, degree)
-        return degree, coefficients(values, 3, degree), margin
+        known = group.coefficients
+        if degree > group.degree:
+            known = known @ raised(3, group.degree, degree).T
+        if group.corners is None:
+            nodal = u @ _of_nodes(degree)
+        else:
+            inside = group.points(inner_points(3, degree))
+            at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
+            nodal = coefficients(combined(at_nodes, u), 3, degree)
+        margin = round_off((row_size(u) + row_size(known) + row_size(nodal))[:, None], 3, degree)
+        return degree, self.sign * (known - nodal), margin
 
     def _between(
         self,
@@ -343,30 +400,34 @@ class LatticeObstacle:
             may_touch: Whether the obstacle may be above u in these cells.
             pressing: Whether they have a multiplier.
         """
-        highest = -gap[:, SMALL].min(axis=2)  # at the corners of small triangles
+        highest = -reduce(np.minimum, (gap[:, corner] for corner in SMALL.T))  # at the corners of small triangles
         bend, mean, size = (np.zeros((len(cells), len(SMALL))) for _ in range(3))
         at = np.flatnonzero(may_touch | pressing)
         part = np.zeros(len(at), dtype=np.int64)
         for times, half in enumerate(HALVES):
             rough = np.ones(len(at), dtype=bool)
-            nodes = np.matmul(half.to_nodes[part], u[cells[at], :, None])[..., 0]
-            corners = half.corners[part] @ self.simplices.x[cells[at]]
-            groups = self._whole(cells[at]) if times == 0 else self._on_parts(corners, cells[at])
+            nodes = _by_part(half.to_nodes, part, u[cells[at]])
+            if times == 0:
+                groups = self._whole(cells[at])
+            else:
+                groups = self._on_parts(_by_part(half.corners, part, self.simplices.x[cells[at]]), cells[at])
             for rows, group in groups:
                 degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
                 known = 2 * group.rest[:, None]  # 2: of the chord too
                 rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
-                to_small, to_means = _above_chords(times, degree)
-                above = (coefficient @ to_small).reshape(len(rows), len(to_means), -1)
-                most, least = above.max(axis=1), above.min(axis=1)
-                place = at[rows, None], half.holds[part[rows]]
-                bend[place], mean[place] = most + rest, rest - coefficient @ to_means
-                size[place] = np.maximum(most, -least) + rest
-                matters = pressing[at[rows], None] | (highest[place] + bend[place] > 0)
+                most, least, means = _above_chords(times, degree, coefficient)
+                place = at[rows], part[rows]
+                of_bend, of_mean, of_size, at_corners = (
+                    values.reshape(len(cells), len(half.corners), len(half.small))
+                    for values in (bend, mean, size, highest)
+                )  # views
+                above = most + rest
+                of_bend[place], of_mean[place], of_size[place] = above, rest - means, np.maximum(most, -least) + rest
+                matters = pressing[at[rows], None] | (at_corners[place] + above > 0)
                 rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * margin[:, None]))).any(axis=1)
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
-        small = SINGLE[part]
-        bend[at, small], mean[at, small], size[at, small] = self._bends_anew(u, cells[at], small, gap[at], dirichlet)
+        place = at, part  # each of these is a small triangle
+        bend[place], mean[place], size[place] = self._bends_anew(u, cells[at], part, gap[at], dirichlet)
         touches = may_touch[:, None] & (highest + bend > 0)
         M = np.where(touches, np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
         N = np.where(touches, highest + bend, 0.0).max(axis=1, initial=0.0)
@@ -414,8 +475,7 @@ class LatticeObstacle:
         for rows, group in self._known(cells):
             if group.corners is None:
                 chosen = np.flatnonzero((place[rows] >= 0) & np.isfinite(group.rest))
-                for block in blocks(len(chosen), FEW):
-                    yield place[rows[chosen[block]]], group[chosen[block]]
+                yield place[rows[chosen]], group[chosen]
 
     def _on_parts(self, corners: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
         """Polynomials near the obstacle on triangles in cells, and the places of these (collective where the obstacle
@@ -423,8 +483,7 @@ class LatticeObstacle:
         for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
             if group.corners is None:
                 chosen = np.flatnonzero(np.isfinite(group.rest))
-                for block in blocks(len(chosen), FEW):
-                    yield group.rows[chosen[block]], group[chosen[block]]
+                yield group.rows[chosen], group[chosen]
 
     def _gap(self, u: np.ndarray, cells: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
         """How far u with the boundary values is from the obstacle on the lattice."""
@@ -469,7 +528,7 @@ class ElementP2(Element):
         of_v = np.where(self.tension.varies, (np.sqrt(distance) + np.sqrt(moved)) ** 2, distance - 2 * product + moved)
         v = u.copy()
         v[equilibration.nodes] += added[:, NODES]
-        rest = area * np.einsum("cj,jk,ck->c", flux.rest, MASS, flux.rest)
+        rest = area * np.einsum("cj,cj->c", flux.rest @ MASS, flux.rest)
         none = np.zeros(len(area))
         cover = sum((side.cover_energy for side in self.obstacles), none)
         oscillation = (self.oscillation.norm + self.oscillation.poincare * reduced) / np.sqrt(self.tension.least)
@@ -508,12 +567,15 @@ class ElementP2(Element):
             lift = np.maximum(raised, 0.0)
             added[cells] += side.sign * lift
             positive = mean[:, None] + kept[:, None] * (at_vertices - mean[:, None])
-            weight = np.maximum(positive[cells] @ POINTS.T, 0.0)[:, SMALL]
+            weight = np.maximum(positive[cells] @ POINTS.T, 0.0)
             # int lambda_+ (v - obstacle), v - obstacle being linear on the small triangles but for what is `between`
-            products = np.einsum("csi,ij,csj->c", weight, MASS, (gap + lift)[:, SMALL], optimize=True)
+            products = np.einsum("cp,cp->c", weight @ PRODUCTS, gap + lift)
             # and |lambda_+ - mean| being at most its range
-            products += (weight.mean(axis=2) * between.mean + np.ptp(weight, axis=2) * between.size).sum(axis=1)
-            contact[cells] += area[cells] / len(SMALL) * np.where(weight.any(axis=(1, 2)), products, 0.0)
+            corners = [weight[:, corner] for corner in SMALL.T]
+            width = reduce(np.maximum, corners) - reduce(np.minimum, corners)
+            products += np.einsum("cs,cs->c", reduce(np.add, corners) / 3, between.mean)
+            products += np.einsum("cs,cs->c", width, between.size)
+            contact[cells] += area[cells] / len(SMALL) * np.where(weight.any(axis=1), products, 0.0)
             contact += np.maximum(positive.max(axis=1, initial=0.0), 0.0) * side.cover_volume
         return added, contact, reduced
 
@@ -529,7 +591,8 @@ class ElementP2(Element):
         """||mu^(1/2) grad u_h - mu^(-1/2) sigma||_T^2, from the moments of the difference with the mean tension."""
         simplices, mu = self.simplices, self.equilibration.mu
         slopes_at = self._slopes_of(u)
-        squares = np.einsum("kc,kij,ci,cj->c", self._metric / mu, GRAMS, difference, difference, optimize=True)
+        products = (np.einsum("ci,ci->c", difference @ gram, difference) for gram in GRAMS)
+        squares = reduce(np.add, (along * product for along, product in zip(self._metric, products, strict=True))) / mu
 
         def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             x = simplices.x[cells]
@@ -551,7 +614,7 @@ class ElementP2(Element):
     def _energy(self, e: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad e||_T^2 with the mean tension."""
         gradient = self.equilibration.gradients(e)
-        products = np.einsum("xcj,jk,xck->c", gradient, MASS, gradient, optimize=True)
+        products = np.einsum("xcj,xcj->c", gradient @ MASS, gradient)
         return self.equilibration.mu * self.simplices.area * products
 
     def _least_energy(self, u: np.ndarray) -> np.ndarray:

@@ -154,7 +154,11 @@ class EquilibrationP1(ABC):
             self._in_cells(self._along_the_boundary(values, touches), gap)
             for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
         )
-        drops += (push - pull + patches.along(rest[patches.vertex])) * patches.area
+        forces = patches.along(rest[patches.vertex])
+        forces += push
+        forces -= pull
+        forces *= patches.area
+        drops += forces
         normal, incompatible = self._on_patches(drops, beta, force)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
@@ -229,16 +233,17 @@ class EquilibrationP1(ABC):
         patches, own = self.patches, values[: self.level.owned]
         if total(self.level.comm, np.count_nonzero(own)) == 0:
             return np.zeros(self.simplices.dofs.shape), np.zeros(len(patches.area))
-        along, corner = patches.along(own[patches.vertex]), values[self.simplices.dofs]
+        along, dofs = patches.along(own[patches.vertex]), self.simplices.dofs
         if gap is None:
-            return corner, along
-        gaps = patches.gather(np.repeat(gap[:, None], corner.shape[1], axis=1))[0]
+            return values[dofs], along
+        gaps = patches.gather(np.broadcast_to(gap[:, None], dofs.shape))[0]
         most = patches.smallest(gaps) + NEAR * own * self._softness
         far = (gaps > patches.along(most[patches.vertex])) & (along > 0)
         if total(self.level.comm, np.count_nonzero(far)) == 0:
-            return corner, along
+            return values[dofs], along
         share = patches.mass / patches.at_vertices(np.where(far, 0.0, patches.area))
-        along = np.where(far, 0.0, along * patches.along(share[patches.vertex]))
+        along *= patches.along(share[patches.vertex])
+        along[far] = 0.0
         return patches.scatter(along)[0], along
 
 

@@ -95,13 +95,17 @@ class Oscillation:
         self.rest = self.poincare * np.sqrt(area * squares)
         self.norm = self.poincare * load.oscillation
         moments = load.moments if degree == 0 else load.moments.sum(axis=2)  # int f psi_l
-        mean = sums(moments) / area
-        # the nodal values of Pi_1 f, by the inverse of the mass matrix
-        linear = (dim + 1) * (dim + 2) * (moments / area[:, None]) - ((dim + 1) * mean + mean)[:, None]
-        of_linear = area / ((dim + 1) * (dim + 2)) * (sums(linear**2) + sums(linear) ** 2)
+        mean, of_linear, linear = sums(moments) / area, np.empty(count), np.empty((count, dim + 1))
+        for block in blocks(count):
+            # the nodal values of Pi_1 f, by the inverse of the mass matrix
+            factor, own = (dim + 1) * (dim + 2) / area[block], linear[block]
+            np.subtract(moments[block] * factor[:, None], ((dim + 2) * mean[block])[:, None], out=own)
+            of_linear[block] = (sums(own**2) + sums(own) ** 2) / factor
+            if degree == 0:
+                for k in range(dim):
+                    away = simplices.x[block, :, k] - simplices.middle[block, k : k + 1]
+                    self.first[k, block] = sums(moments[block] * away)
         if degree == 0:
-            away = [simplices.x[..., k] - simplices.middle[:, k : k + 1] for k in range(dim)]
-            self.first = np.stack([sums(moments * part) for part in away])
             self._add_second(load.pieces.groups, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
         self.linear, self.beyond = linear, np.sqrt(np.maximum(beyond, 0.0))

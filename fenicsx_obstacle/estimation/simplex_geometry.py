@@ -25,11 +25,13 @@ def inward(x: np.ndarray) -> np.ndarray:
     dim = x.shape[2]
     if dim == 1:
         return np.repeat(np.array([[[-1.0, 1.0]]]), len(x), axis=1)
+    found = np.empty((dim, len(x), dim + 1))
     if dim == 2:
-        # the edge from the vertex after i to the one before, turned to the left
-        edge = np.take(x, [2, 0, 1], axis=1) - np.take(x, [1, 2, 0], axis=1)
-        return np.stack([-edge[..., 1], edge[..., 0]])
-    found = np.empty((3, len(x), 4))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            # the edge from the vertex after i to the one before, turned to the left
+            np.subtract(x[:, j, 1], x[:, k, 1], out=found[0, :, i])
+            np.subtract(x[:, k, 0], x[:, j, 0], out=found[1, :, i])
+        return found
     for i, (j, k, m) in enumerate(_FACETS):
         for axis, part in enumerate(_cross(x[:, k] - x[:, j], x[:, m] - x[:, j])):
             found[axis, :, i] = part / 2

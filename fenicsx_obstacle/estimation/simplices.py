@@ -133,15 +133,6 @@ def lattice(parts: int) -> np.ndarray:
     return np.array(steps) / parts
 
 
-def lattice_cells(parts: int) -> list[list[int]]:
-    """The small triangles between the points of `lattice`, corners in the order of the cell's own."""
-    steps = [(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]
-    number = {step: k for k, step in enumerate(steps)}
-    same = [[number[i + 1, j], number[i, j + 1], number[i, j]] for i, j in steps if i + j < parts]
-    turned = [[number[i, j + 1], number[i + 1, j], number[i + 1, j + 1]] for i, j in steps if i + j < parts - 1]
-    return same + turned
-
-
 def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:
     """The rule in each of the 4^times parts of a triangle with its edges halved."""
     points, weights = rule(2)

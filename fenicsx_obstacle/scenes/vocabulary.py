@@ -92,7 +92,7 @@ class Vocabulary:
         names: dict[str, Any] = {**CONSTANTS, **(values or {}), **dict(zip("xyz", x, strict=True))}
         needed = self.needs(formula)  # of a million points, only what the formula needs
         if "r" in needed:
-            names["r"] = np.linalg.norm(x, axis=0)
+            names["r"] = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
         if "theta" in needed:
             names["theta"] = np.arctan2(x[1], x[0])
         for key in (key for key in self.define if key in needed):
