@@ -35,8 +35,8 @@ def round_off(problem: Problem, p: np.ndarray, eps: float | None) -> dict[str, f
     if size <= 0:
         return {"from_heights": None, "line": None, "left": None}
     r = np.abs(problem.reference.x.array[:own])
-    stiff = problem.nodal.diagonal * r / np.maximum(problem.weights, 1e-300)
-    left = EPSILON * largest(comm, stiff[pressing]) / size
+    stiff = (problem.nodal.diagonal * r)[pressing] / np.maximum(problem.weights[pressing], 1e-300)
+    left = EPSILON * largest(comm, stiff) / size
     if eps is None:
         return {"from_heights": None, "line": None, "left": left}
     u_values = (problem.w.x.array + problem.reference.x.array)[:own]
