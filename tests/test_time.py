@@ -353,7 +353,7 @@ def test_no_bound_and_no_restart():
         solve(scene, tol=0.1)
     with pytest.raises(InputError, match="no state to continue from"):
         solve(Scene(mesh=INTERVAL, tension=1, lower=-1), restart="nowhere")
-    with pytest.raises(InputError, match="no state to go on from"):
+    with pytest.raises(InputError, match="no state to continue from"):
         solve(scene, restart="nowhere")
 
 
