@@ -150,7 +150,7 @@ def test_obstacles_that_cannot_be_taken():
             own.solve(upper=g)
     if COMM.size > 1:
         alone = dmesh.create_unit_square(MPI.COMM_SELF, 5, 5)
-        with pytest.raises(InputError, match="a mesh of other ranks"):
+        with pytest.raises(InputError, match="on a mesh with another communicator"):
             own.solve(upper=fem.Function(functionspace(alone, "Lagrange", 1)))
 
 

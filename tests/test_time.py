@@ -364,7 +364,7 @@ def test_states_are_of_one_mesh(folder):
     solve(scene, keep=folder)
     with pytest.raises(InputError, match="set a later"):
         solve(scene, restart=folder)
-    with pytest.raises(InputError, match="of another mesh"):
+    with pytest.raises(InputError, match="belongs to another mesh"):
         solve(scene.change({"mesh.cells": 17, "time.end": 2}), restart=folder)
     assert solve(scene.change({"time.end": 2, "time.steps": 4}), restart=folder).record["time"]["steps"] == 4
 
