@@ -222,7 +222,7 @@ def return_freed_memory() -> None:
 
 
 def forget_peak_memory(comm: MPI.Comm) -> float:
-    """Let `peak_memory_mb` begin anew, and what was freed go back to the system; where Linux allows it (collective).
+    """Reset `peak_memory_mb`, and return freed memory to the system, where Linux allows it (collective).
 
     Returns:
         What all ranks occupy now, in MB of 10^6 bytes.

@@ -135,7 +135,7 @@ def round_off(values: np.ndarray, corners: int, degree: int) -> np.ndarray:
 
 
 def degree_of(count: int, corners: int) -> int:
-    """Of polynomials on simplices with so many coefficients."""
+    """Degree of polynomials on simplices with so many coefficients."""
     return next(degree for degree in range(count) if comb(degree + corners - 1, degree) == count)
 
 

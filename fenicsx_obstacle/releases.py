@@ -1,4 +1,4 @@
-"""What differs between dolfinx 0.5, 0.9 and 0.11; every other module knows one spelling only.
+"""Differences between dolfinx 0.5, 0.9 and 0.11; no other module depends on the release.
 
 docs/policy.md says which releases were tested, and when; tests/releases.sh tests them.
 """
@@ -205,13 +205,13 @@ def finite(expression: Any) -> bool:
 
 
 def diagonal(name: str) -> Any:
-    """How rectangles are cut into triangles: right, left, crossed, left_right, right_left."""
+    """DOLFINx's name of the diagonals of rectangles: right, left, crossed, left_right, right_left."""
     kinds = getattr(dmesh, "DiagonalType", None) or _cpp.mesh.DiagonalType
     return getattr(kinds, name)
 
 
 def settle(mesh: dmesh.Mesh) -> dmesh.Mesh:
-    """What every new mesh needs once (collective): facets, and form signatures that stay the same.
+    """Prepare a new mesh (collective): create facets, and make form signatures independent of the process.
 
     On 0.5 the first compilation changes the variant of the coordinate element, and with it the
     signature of every later form: without this the same form compiles twice.
@@ -249,7 +249,7 @@ def create_mesh(comm: MPI.Comm, cells: np.ndarray, points: np.ndarray, cell: str
 
 
 def _partitioner(comm: MPI.Comm, cells: int, stay: bool) -> Any:
-    """How cells get to their ranks. One rank keeps them all, for which no graph of their neighbours has to be made."""
+    """The partitioner of cells. With one rank no graph of neighbours is computed."""
     if comm.size == 1:
         return lambda *_: _cpp.graph.AdjacencyList_int32(
             np.zeros(cells, np.int32), np.arange(cells + 1, dtype=np.int32)
@@ -315,7 +315,7 @@ def failed(solver: Any) -> bool:
 
 
 def polynomial_degree(V: fem.FunctionSpace) -> int | None:
-    """Of the functions of a scalar space on simplices; None where they may be no polynomials."""
+    """Degree of the functions of a scalar space on simplices; None if they may not be polynomials."""
     element = V.ufl_element()
     if cell_name(V.mesh) not in ("interval", "triangle", "tetrahedron"):
         return None

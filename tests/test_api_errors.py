@@ -131,8 +131,8 @@ def test_obstacles_that_cannot_be_taken():
         (function(other, bowl, "DG", 1), "not continuous"),
         (own.u, r"upper is u itself.*u\.copy\(\)"),
         (0.3 + own.u**2, "upper depends on u"),
-        (2 * function(other, bowl), "known on its own mesh only"),
-        (ufl.SpatialCoordinate(other)[0], "known on its own mesh only"),
+        (2 * function(other, bowl), "defined on its own mesh only"),
+        (ufl.SpatialCoordinate(other)[0], "defined on its own mesh only"),
         (x, r"an expression of shape \(2,\)"),
         (ufl.TestFunction(V) + 1, "holds a test or trial function"),
         (np.full(13**2, 0.3), r"upper = array\(.*expected a number, a Constant"),
@@ -150,7 +150,7 @@ def test_obstacles_that_cannot_be_taken():
             own.solve(upper=g)
     if COMM.size > 1:
         alone = dmesh.create_unit_square(MPI.COMM_SELF, 5, 5)
-        with pytest.raises(InputError, match="a mesh of other ranks"):
+        with pytest.raises(InputError, match="on a mesh with another communicator"):
             own.solve(upper=fem.Function(functionspace(alone, "Lagrange", 1)))
 
 

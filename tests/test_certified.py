@@ -179,7 +179,7 @@ def test_polygons():
     record = dict(exact.record)
     record["bound"] = {**record["bound"], "effectivity": 0.579}
     text = exact.__class__(**{**vars(exact), "record": record}).summary()
-    assert "0.579 times the true one, which includes the curved boundary: the bound does not" in text
+    assert "0.579 times the true one, which includes the error of the curved boundary; the bound" in text
     both = Certification((), ("load", "obstacle", "boundary value"), True)
     assert both.words == "certified on the polygon of the mesh for the sampled load, obstacle and boundary value"
 

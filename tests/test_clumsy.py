@@ -158,7 +158,7 @@ def test_options_give_what_a_scene_lacks(folder):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"define.q": 3}, "names no stiffness"),
+        ({"define.q": 3}, "has no stiffness"),
         ({"effects.tension": 1, "define.q": 1, "define.other": 2}, "no 'other', and no formula uses it"),
         ({"effects.tensoin": 1, "define.q": 1}, "did you mean 'tension'"),
         ({"boundary.3.value": 1}, "'3' is no item of the list; take a number from 0 to 0"),

@@ -124,7 +124,7 @@ def test_ladder_of_a_string(folder):
     powers = {norm: price.power_of_h(price.largest_harmless_eps(rows, norm)) for norm in ("energy", "l2")}
     assert powers["l2"] == pytest.approx(2, abs=0.3) and powers["energy"] == pytest.approx(4 / 3, abs=0.3)
     refused = [row for row in rows if row["choice"] == "map" and "reason" in row]
-    assert refused and all("floor of round-off" in row["reason"] and row["eps"] < row["floor"] for row in refused)
+    assert refused and all("limit of round-off" in row["reason"] and row["eps"] < row["floor"] for row in refused)
 
 
 @pytest.mark.slow

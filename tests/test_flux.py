@@ -100,7 +100,7 @@ def test_where_the_tension_is_not_known(folder):
     F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + u * v * ufl.dx + 4 * v * ufl.dx
     found = ObstacleProblem(F, u, lower=-1).solve()
     for solution in (found, _saved(found, folder, Solution)):
-        with pytest.raises(InputError, match="the tension is not known of a form of your own"):
+        with pytest.raises(InputError, match="the tension of a form is not known"):
             solution.at([0.3, 0.4], "flux")
         line = solution.along([0, 0], [1, 1], n=5)
         assert line.flux is None and np.isfinite(line.slope).all()

@@ -70,5 +70,5 @@ def test_what_has_no_slider(disk, monkeypatch):
     with pytest.raises(InputError, match="pip install ipywidgets"):
         slider(solve(disk, cells=4))
     monkeypatch.setitem(sys.modules, "ipywidgets", SimpleNamespace())
-    with pytest.raises(InputError, match="no eps to choose"):
+    with pytest.raises(InputError, match="there is no eps"):
         slider(solve(membrane(load=-1, lower=-0.01), method="vi"))

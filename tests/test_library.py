@@ -230,7 +230,7 @@ def test_models_that_contradict_themselves():
     for effects in ((load,), (tension, tension)):
         with pytest.raises(InputError, match="test: exactly one effect must be"):
             Model(effects, source="test")
-    with pytest.raises(InputError, match="one or the other"):
+    with pytest.raises(InputError, match="these exclude each other"):
         Model((tension,), lower=one, boundary=[Part("edge", lower=one)], source="test")
 
 

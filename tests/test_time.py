@@ -353,7 +353,7 @@ def test_no_bound_and_no_restart():
         solve(scene, tol=0.1)
     with pytest.raises(InputError, match="no state to continue from"):
         solve(Scene(mesh=INTERVAL, tension=1, lower=-1), restart="nowhere")
-    with pytest.raises(InputError, match="no state to go on from"):
+    with pytest.raises(InputError, match="no state to continue from"):
         solve(scene, restart="nowhere")
 
 
@@ -364,7 +364,7 @@ def test_states_are_of_one_mesh(folder):
     solve(scene, keep=folder)
     with pytest.raises(InputError, match="set a later"):
         solve(scene, restart=folder)
-    with pytest.raises(InputError, match="of another mesh"):
+    with pytest.raises(InputError, match="belongs to another mesh"):
         solve(scene.change({"mesh.cells": 17, "time.end": 2}), restart=folder)
     assert solve(scene.change({"time.end": 2, "time.steps": 4}), restart=folder).record["time"]["steps"] == 4
 

@@ -188,7 +188,7 @@ class Refinement:
 
 
 class _Adaptation(Refinement):
-    """The same until a tolerance is reached, or a budget is spent."""
+    """Adaptive refinement until a tolerance is reached or a budget is spent."""
 
     def __init__(self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm):
         tolerance = absolute if relative is None else relative

@@ -55,7 +55,7 @@ def to_arrays(frames: Sequence[Frame]) -> dict[str, np.ndarray]:
 
 
 def from_groups(groups: Iterable[Any]) -> list[Frame]:
-    """Those frames again."""
+    """Frames from the groups of `to_arrays`."""
     return [Frame(float(one["t"][()]), {name: values[()] for name, values in one.items() if name != "t"})
             for one in groups]  # fmt: skip
 
@@ -79,7 +79,7 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 
 def from_csv(text: str) -> tuple[Row, ...]:
-    """Those lines again.
+    """The rows from the lines of `to_csv`.
 
     Raises:
         ValueError: If they are none.

@@ -43,7 +43,7 @@ class Nodes:
     dim: int
 
     def only(self, chosen: np.ndarray) -> Nodes:
-        """Those of an array of row numbers, with new keys."""
+        """A selection of nodes by row numbers, with new keys."""
         tangents = None if self.tangents is None else self.tangents[chosen]
         return Nodes(self.x[chosen], self.kind[chosen], hashed(self.key[chosen]), tangents, self.dim)
 

@@ -95,5 +95,5 @@ def _first_midpoints(mesh: dmesh.Mesh, labels: np.ndarray, count: int) -> np.nda
 
 
 def _smallest_rows(tables: list[np.ndarray]) -> list[tuple[float, ...]]:
-    """Of tables of the same shape the lexicographically smallest of each row."""
+    """The lexicographically smallest of each row of tables of the same shape."""
     return [min(map(tuple, rows)) for rows in zip(*(table.tolist() for table in tables), strict=True)]

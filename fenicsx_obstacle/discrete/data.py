@@ -105,7 +105,7 @@ class Data:
         return self._here[field]
 
     def names(self, field: Field) -> Names:
-        """What a datum may depend on besides x, now (collective if it is the first to need the distance)."""
+        """Present values on which a datum may depend besides x (collective if it is the first to need the distance)."""
         return {**self.now, **({"distance": self.boundary_distance} if field.needs_distance else {})}
 
     def at(self, field: Field, x: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
@@ -235,7 +235,8 @@ class Data:
         return ufl.as_matrix(entries)
 
     def eigenvalues(self, rows: Rows) -> np.ndarray:
-        """Of the symmetric part, ascending, at local dofs of W, shape (dofs or 1, rows) (collective on first use)."""
+        """Eigenvalues of the symmetric part, ascending, at local dofs of W, shape (dofs or 1, rows) (collective on
+        first use)."""
         from fenicsx_obstacle.discrete.tensors import matrices_of
 
         matrices = matrices_of(self, rows)
@@ -367,7 +368,7 @@ class Data:
 
     @cached_property
     def held(self) -> list[np.ndarray]:
-        """Those where u is given; none of a part without a value (first use is collective)."""
+        """The facets of each part on which u is given (first use is collective)."""
         parts = zip(self.model.boundary, self.facets, strict=True)
         return [facets[:0] if part.value is None else facets for part, facets in parts]
 

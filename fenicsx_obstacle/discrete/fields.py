@@ -38,7 +38,7 @@ def array_of(function: Cellwise) -> np.ndarray:
 
 
 class Symbols:
-    """What UFL expressions of data are made of, on one mesh.
+    """The building blocks of UFL expressions of data on one mesh.
 
     Attributes:
         mesh: The mesh.
@@ -377,7 +377,7 @@ def _continuous(V: fem.FunctionSpace) -> bool:
 
 
 def _arguments(function: Callable[..., Any]) -> int:
-    """How many positional arguments a callable must be given; 1 where that is unknown."""
+    """Number of positional arguments that a callable needs; 1 if that is unknown."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):

@@ -86,7 +86,7 @@ class Problem:
         self.set_reference(self.cold_start())
 
     def _make_forms(self) -> Forms:
-        """What assembles the residual.
+        """The object that assembles the residual.
 
         Raises:
             InputError: If the element is not for these data.
@@ -103,7 +103,7 @@ class Problem:
         return (Nodal if self.affine and pair.nodal else Forms)(model.effects, self.data)
 
     def _check_support(self) -> tuple[np.ndarray | None, bool]:
-        """What `check_support` finds."""
+        """The result of `check_support`."""
         return check_support(self)
 
     def options_of(self, solver: str) -> str:
@@ -152,7 +152,7 @@ class Problem:
         self.set_reference(self.cold_start())
 
     def _take_data(self, *, stiffness: bool) -> bool:
-        """What is assembled of data that have changed; whether the stiffness has."""
+        """Assemble again what depends on changed data; returns whether the stiffness has changed."""
         changed = self.forms.renew(self.A, stiffness=stiffness)
         if self.data.moving:
             check_admissible(self.data)
@@ -250,7 +250,7 @@ class Problem:
         return releases.vec(self.w).copy()
 
     def set_state(self, x: PETSc.Vec) -> None:
-        """Let w be x, ghosts included."""
+        """Set w to x, ghosts included."""
         own = self.level.owned
         self.w.x.array[:own] = x.array_r
         self.w.x.scatter_forward()

@@ -116,7 +116,8 @@ class Reference:
         return np.einsum("cvi,qpvd->cpid" if len(slopes) == 1 else "cvi,cpvd->cpid", self._corners[cells], slopes)
 
     def duals(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
-        """What turns derivatives along the axes of the reference cell into gradients, shape (cells, points, 3, dim)."""
+        """The matrices that map derivatives along the axes of the reference cell to gradients, shape (cells, points,
+        3, dim)."""
         J = self.jacobians(cells, where)
         return J @ np.linalg.inv(J.transpose(0, 1, 3, 2) @ J)
 

@@ -76,7 +76,7 @@ def _inside(data: Data, points: np.ndarray, material: str | None) -> np.ndarray:
 
 
 def _first(data: Data, nodes: np.ndarray, bad: np.ndarray) -> np.ndarray:
-    """Of the bad nodes of all ranks the first by coordinates, shape (0 or 1, 3) (collective)."""
+    """The first of the bad nodes of all ranks, by coordinates, shape (0 or 1, 3) (collective)."""
     some = np.concatenate(data.level.comm.allgather(nodes[:, bad].T[:1]))
     return some[np.lexsort(some.T[::-1])[:1]]
 

@@ -159,7 +159,7 @@ def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
 
 
 def _diagonal(problem: Problem) -> np.ndarray:
-    """Of the stiffness at u = 0 (collective)."""
+    """The diagonal of the stiffness at u = 0 (collective)."""
     state = problem.state()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
     values = diagonal.array_r.copy()

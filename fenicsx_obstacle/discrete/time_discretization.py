@@ -43,5 +43,5 @@ class TimeDiscretization:
 
     @property
     def share(self) -> float:
-        """Of the force that balances a step, the part that is the contact force: with inertia a step has it twice."""
+        """The contact force over the contact term of a step: with inertia the step contains it twice."""
         return 0.5 if self.order == INERTIA else 1.0

@@ -206,7 +206,7 @@ class Effect:
 
     @property
     def integrals(self) -> int:
-        """How many integrals the residual has of it."""
+        """Number of integrals of its part of the residual."""
         return int(type(self).terms is not Effect.terms)
 
     @property

@@ -71,7 +71,7 @@ class Enclosed(Protocol):
         """The same on some of the simplices."""
 
     def truth(self) -> Truth:
-        """What it may be as a condition: true where it is not 0."""
+        """Whether it may be true and may be false as a condition; numbers other than 0 are true."""
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of some simplices that a condition cuts.
@@ -139,7 +139,8 @@ class Field:
         return self.at(x, names)
 
     def on(self, level: Any) -> Field:
-        """The same on the mesh of a `discrete.levels.Level`: what lives on another one is interpolated (collective)."""
+        """The datum on the mesh of a `discrete.levels.Level`; Functions of other meshes are interpolated
+        (collective)."""
         return self
 
     def margins(self, x: np.ndarray, names: Names) -> list[np.ndarray]:

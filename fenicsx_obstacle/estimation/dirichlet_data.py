@@ -117,7 +117,7 @@ class DirichletData(BoundaryValues):
     def _take(
         self, groups: list[Group], beside: np.ndarray, opposite: np.ndarray, number: int, ends: np.ndarray
     ) -> None:
-        """Let a boundary value count on the edges of its part where it is not its interpolant."""
+        """Add a boundary value on the edges of its part on which it differs from its interpolant."""
         found, curved = [], np.zeros(len(beside), dtype=bool)
         for group in groups:
             degree, rows = max(group.degree, self.degree), group.rows
@@ -148,13 +148,13 @@ class DirichletData(BoundaryValues):
         self._number = np.append(self._number, np.full(np.count_nonzero(curved), number))
 
     def _ends(self, cells: np.ndarray, opposite: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of edges, coordinates."""
+        """Coordinates of the ends of edges."""
         x = self.simplices.x
         return x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]
 
     @property
     def degree(self) -> int:
-        """Of the elements."""
+        """Degree of the elements."""
         return 1 if self._middles is None else 2
 
     def _interpolated(self, cells: np.ndarray, opposite: np.ndarray, ends: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -187,7 +187,7 @@ class DirichletData(BoundaryValues):
         return edges * np.bincount(self.cells, weights=energy, minlength=len(mu))
 
     def _shapes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each cone the length of its edge, the height of its cell, and its foot along the edge."""
+        """For each cone: length of its edge, height of its cell, and foot of the height along the edge."""
         a = self.simplices.x[self.cells, self.opposite]
         b, c = self._ends(self.cells, self.opposite)
         length = np.linalg.norm(c - b, axis=1)

@@ -106,7 +106,7 @@ class Jumps:
         self._judge(field, close, far, edges.at(which, (low + high) / 2))
 
     def between_samples(self, field: Field, edges: Edges, group: Group) -> Group:
-        """Let samples bound a boundary value on the short parts of edges where its conditions are undecided.
+        """Bound a boundary value by samples on short parts of edges on which its conditions are undecided.
 
         Its terms may jump there although it does not, as `look` has found: bounds of the terms over a short part would
         make it steep without limit. Its slope stays unknown there, so that the bound of the error rests on samples.
@@ -199,7 +199,7 @@ class Jumps:
         return ~(bounds.whole & bounds.finite)
 
     def _finest(self, edges: Edges) -> np.ndarray:
-        """How near to a jump values are compared, in parts of each edge."""
+        """The distance from a jump at which values are compared, relative to each edge."""
         size = np.abs(edges.corners).max(axis=(1, 2), initial=0.0)
         return np.clip(FINEST * size / np.linalg.norm(edges.end - edges.start, axis=1), FINEST, 1e-3)
 

@@ -216,7 +216,7 @@ class EquilibrationP2:
     def _pulls(
         self, u: np.ndarray, gradient: np.ndarray, K: np.ndarray, R: np.ndarray, drops: np.ndarray
     ) -> list[np.ndarray]:
-        """How far each corner's flux without further moments is from its target, against each unknown."""
+        """Products of the difference of each corner's flux and its target with the function of each unknown."""
         normal, mu = self.simplices.normal, self.mu
         found = []
         for i in range(3):

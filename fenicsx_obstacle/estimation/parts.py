@@ -41,12 +41,12 @@ class Parts:
 
     @property
     def size(self) -> int:
-        """How many corners each has."""
+        """Number of corners of each part."""
         return self.x.shape[1]
 
     @property
     def times(self) -> int:
-        """How many parts one is halved into."""
+        """Number of parts into which one is halved."""
         return 2 ** (self.size - 1)
 
     def __getitem__(self, chosen: np.ndarray | slice) -> Parts:
@@ -112,7 +112,7 @@ class Parts:
         return parts, (weights @ values[source][..., None])[..., 0], np.abs(levels[source])
 
     def within(self, least: np.ndarray, most: np.ndarray) -> Parts:
-        """The same with bounds that were found meanwhile."""
+        """The same parts with other bounds."""
         return replace(self, least=least, most=most)
 
     def with_(self, other: Parts) -> Parts:

@@ -123,7 +123,7 @@ def previous(values: np.ndarray) -> np.ndarray:
 
 
 def sums(values: np.ndarray) -> np.ndarray:
-    """Of values at the vertices of each cell, shape (cells, vertices)."""
+    """Sums of values at the vertices of each cell, shape (cells, vertices)."""
     return reduce(np.add, values.T)  # several times faster than values.sum(axis=1)
 
 

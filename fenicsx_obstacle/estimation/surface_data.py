@@ -436,7 +436,7 @@ class SurfaceData(BoundaryValues):
 
 
 def _share_of_edge(group: Group, i: int, j: int) -> np.ndarray:
-    """How much of the edge from i to j of its facet each part of a group has."""
+    """The share of the edge from i to j of its facet in each part of a group."""
     assert group.corners is not None
     on = group.corners[..., 3 - i - j] == 0
     places = group.corners[..., j]

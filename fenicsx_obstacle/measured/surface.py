@@ -44,7 +44,7 @@ class Surface(ABC):
 
     @abstractmethod
     def beside(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How far the heights are from linear functions.
+        """The distance of the values from linear functions.
 
         Args:
             corners: Of the simplices.

@@ -428,12 +428,12 @@ class Solution:
 
     @property
     def _tension_degree(self) -> int:
-        """Of polynomials in a cell that hold the tension as it is sampled: those of `Level.W`."""
+        """Degree of the polynomials of the sampled tension in a cell, those of `Level.W`."""
         return 0 if self.level.pair.degree == 1 else self.level.pair.degree
 
     @property
     def _slope_degree(self) -> int:
-        """Of polynomials that hold the gradients of V_h."""
+        """Degree of the gradients of V_h."""
         pair = self.level.pair
         return pair.degree - 1 if pair.nested_hierarchy or pair.has_p1_coarse_space else pair.degree
 

@@ -37,14 +37,14 @@ COORDINATE = Slopes(lambda k: 1.0 if k == 1 else 0.0)
 
 
 def plus(f: Slopes, g: Slopes) -> Slopes:
-    """Of f + g and f - g."""
+    """Derivative bounds of f + g and f - g."""
     if f is NONE or g is NONE:
         return g if f is NONE else f
     return Slopes(lambda k: _sum((f.order(k), g.order(k))))
 
 
 def product(f0: Callable[[], Any], f: Slopes, g0: Callable[[], Any], g: Slopes) -> Slopes:
-    """Of f g, f0 and g0 giving the largest absolute values."""
+    """Derivative bounds of f g; f0 and g0 return the largest absolute values of f and g."""
     if f is NONE and g is NONE:
         return NONE
 
@@ -57,7 +57,7 @@ def product(f0: Callable[[], Any], f: Slopes, g0: Callable[[], Any], g: Slopes) 
 
 
 def composed(f: Slopes, outer: Series) -> Slopes:
-    """Of p(f); outer gives bounds of the derivatives of p on the values of f, divided by factorials too."""
+    """Derivative bounds of p(f); outer returns those of p on the values of f, divided by factorials."""
     # of (f_1 t + f_2 t^2 + ..)^j the coefficient of t^k
     powers, outer = {1: f}, Slopes(outer).order
     for j in range(2, ORDER + 1):
@@ -71,12 +71,12 @@ def composed(f: Slopes, outer: Series) -> Slopes:
 
 
 def _power(f: Slopes, before: Slopes, j: int) -> Slopes:
-    """Of the j-th power of a power series from the power before, which begins with t^(j - 1)."""
+    """Coefficients of the j-th power of a power series from those of the (j - 1)-th power."""
     return Slopes(lambda k: _sum(_times(before.order(k - i), f.order(i)) for i in range(1, k - j + 2)))
 
 
 def radius(least: Any) -> Slopes:
-    """Of |x|, from its least value.
+    """Derivative bounds of |x|, from its least value.
 
     |x + t e| = |x| sum_k c_k (t/|x|)^k, c_k = (P_(k-2) - P_k)/(2 k - 1) of the cosine between e and x, P_k Legendre's.
     """
@@ -85,17 +85,17 @@ def radius(least: Any) -> Slopes:
 
 
 def angle(least: Any, x: Slopes, y: Slopes) -> Slopes:
-    """Of the angle of (x, y), from the least |(x, y)|: it is harmonic, of order k at most (k - 1)!/|(x, y)|^k."""
+    """Derivative bounds of the angle of (x, y), from the least |(x, y)|: order k is at most (k - 1)!/|(x, y)|^k."""
     return composed(Slopes(lambda k: np.hypot(x.order(k), y.order(k))), turn(least).order)
 
 
 def turn(least: Any) -> Slopes:
-    """Of the angle as a function of the point."""
+    """Derivative bounds of the angle as a function of the point."""
     return Slopes(lambda k: _negative_power(least, k) / k)
 
 
 def either(may_hold: Any, may_fail: Any, yes: Slopes, no: Slopes) -> Slopes:
-    """Of what is chosen by a condition, the larger ones where it is undecided."""
+    """Derivative bounds of `where`; the larger ones if the condition is undecided."""
     if yes is NONE and no is NONE:
         return NONE
     return Slopes(lambda k: np.maximum(np.where(may_hold, yes.order(k), 0.0), np.where(may_fail, no.order(k), 0.0)))
@@ -132,17 +132,17 @@ def _negative_power(least: Any, k: int) -> Any:
 
 # bounds of derivatives of functions on [low, high], divided by factorials; s is the largest absolute argument
 def of_power(p: float, low: Any, high: Any) -> Series:
-    """Of t^p, t >= 0, p no whole number >= 0."""
+    """Derivative bounds of t^p for t >= 0 and p that is not a whole number >= 0."""
     return lambda k: prod(abs(p - i) / (i + 1) for i in range(k)) * np.maximum(low if p < k else high, 0.0) ** (p - k)
 
 
 def of_whole_power(n: int, s: Callable[[], Any]) -> Series:
-    """Of t^n, n >= 0, |t| <= s."""
+    """Derivative bounds of t^n for n >= 0 and |t| <= s."""
     return lambda k: comb(n, k) * s() ** (n - k) if k < n else float(k == n)
 
 
 def of_inverse(low: Any, high: Any) -> Series:
-    """Of 1/t."""
+    """Derivative bounds of 1/t."""
     return lambda k: 1 / np.where((low <= 0) & (high >= 0), 0.0, np.minimum(np.abs(low), np.abs(high))) ** (k + 1)
 
 
@@ -155,7 +155,7 @@ def _of_log(low: Any, high: Any) -> Series:
 
 
 def _of_sinh(low: Any, high: Any) -> Series:
-    """Of cosh too."""
+    """Derivative bounds of sinh and cosh."""
     return lambda k: np.cosh(_size(low, high)) / factorial(k)
 
 
@@ -173,7 +173,7 @@ def _of_tan(low: Any, high: Any) -> Series:
 
 
 def _of_asin(low: Any, high: Any) -> Series:
-    """Of acos too: the derivatives of asin grow with |t|."""
+    """Derivative bounds of asin and acos, which grow with |t|."""
     numerators = ((1.0,), (0.0, 1.0), (1.0, 0.0, 2.0), (0.0, 9.0, 0.0, 6.0), (9.0, 0.0, 72.0, 0.0, 24.0))
 
     def find(k: int) -> Any:

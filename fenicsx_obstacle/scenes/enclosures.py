@@ -40,7 +40,7 @@ class Cells:
         self.count = len(corners)
 
     def of(self, cells: np.ndarray) -> Cells:
-        """Some of them."""
+        """A selection of the cells."""
         return Cells(self.vocabulary, self.corners[cells], self.distance)
 
     @cached_property
@@ -54,7 +54,7 @@ class Cells:
         return (self, cells) if self.count <= min(KEPT, FEW + 4 * len(cells)) else (self.of(cells), slice(None))
 
     def truth(self, formula: Formula) -> Truth:
-        """What a condition, or a number as one, may be on each cell."""
+        """Whether a condition may be true and may be false on each cell."""
         with np.errstate(all="ignore"):
             return TreeWalk(self).condition(formula, formula.tree)
 

@@ -30,7 +30,7 @@ def is_object(value: Any) -> bool:
 
 
 def plain(value: Any, objects: Objects, place: str = "") -> Any:
-    """The same with names for objects, which are kept by these, and with Python's numbers and lists for NumPy's."""
+    """Tables in which objects are replaced by names, and NumPy's numbers and arrays by those of Python."""
     if isinstance(value, Table) and value.file is not None:
         return plain(value.in_toml, objects, place)
     if is_object(value):

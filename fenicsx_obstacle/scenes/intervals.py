@@ -66,15 +66,15 @@ class Enclosure:
         return np.isfinite(self.lower) & np.isfinite(self.upper) & self.defined
 
     def cut(self, where: np.ndarray) -> Enclosure:
-        """The same, not one expression on some cells."""
+        """The same enclosure, marked as cut by a condition on some cells."""
         return replace(self, whole=self.whole & ~where)
 
     def clipped(self, least: Any, most: Any) -> Enclosure:
-        """The same with bounds that are known otherwise."""
+        """The same enclosure, intersected with other bounds."""
         return replace(self, lower=np.maximum(self.lower, least), upper=np.minimum(self.upper, most))
 
     def inheriting(self, other: Enclosure) -> Enclosure:
-        """The same, whole and defined only where another is."""
+        """The same enclosure, whole and defined only where another one is."""
         return replace(self, whole=self.whole & other.whole, defined=self.defined & other.defined)
 
 
@@ -101,7 +101,7 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
 
 
 def _known(values: np.ndarray, otherwise: float) -> np.ndarray:
-    """The same with a number where there is none."""
+    """The same array with a given number in place of not-a-number."""
     return np.where(np.isnan(values), otherwise, values) if has_nan(values) else values
 
 
@@ -125,7 +125,7 @@ def whole_numbers(a: Enclosure) -> np.ndarray:
 
 
 def _degree(*parents: Enclosure) -> np.ndarray:
-    """Of a function that is no polynomial: of numbers it is a number."""
+    """Degree of a function that is not a polynomial; 0 if the argument is a number."""
     return np.where(_all([p.degree == 0 for p in parents]), 0, NO_POLYNOMIAL)
 
 
@@ -221,7 +221,7 @@ def raised(a: Enclosure, b: Enclosure) -> Enclosure:
 
 
 def _least(a: Enclosure) -> np.ndarray:
-    """What counts as 0 at the lower end of an argument that must not be negative."""
+    """The round-off below 0 that is accepted in an argument that must not be negative."""
     return -1e-12 * np.where(np.isfinite(a.upper), np.abs(a.upper), 1.0)
 
 

@@ -107,7 +107,7 @@ class _Forms:
         self._middle[:, : cells.corners.shape[2]] = cells.corners.mean(axis=1)
 
     def form(self, formula: Formula, node: ast.expr) -> Form:
-        """Of a node. What has no rule here is within its bounds, without slopes."""
+        """The mean value form of a node; without a rule it consists of the bounds only."""
         match node:
             case ast.Name(id=name):
                 if name not in self._known:
@@ -155,7 +155,7 @@ class _Forms:
         return self.form(defined, defined.tree)
 
     def _along(self, *slopes: Enclosure) -> tuple[Enclosure, ...]:
-        """Those along the coordinates that cells have."""
+        """The slopes along the coordinates of the cells."""
         return slopes[: len(self._none)]
 
     def _operation(self, formula: Formula, sign: str, left: ast.expr, right: ast.expr) -> Form:
@@ -229,12 +229,12 @@ class _Forms:
 
 
 def _point(values: np.ndarray) -> Enclosure:
-    """Of numbers known up to round-off."""
+    """Enclosure of numbers that are known up to round-off."""
     return add(intervals.of_bounds(values, values, 0), intervals.of_bounds(-1e-15, 1e-15, 0))
 
 
 def _through(inner: Form, value: Enclosure, outer: Enclosure) -> Form:
-    """Of a function with a derivative within given bounds."""
+    """Mean value form of a function with a derivative within given bounds."""
     return Form(value, tuple(_product(outer, slope) for slope in inner.slopes))
 
 

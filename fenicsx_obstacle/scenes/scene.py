@@ -259,7 +259,7 @@ class Scene(Vocabulary):
         return replace(self.options, **changes)
 
     def with_options(self, options: SolverOptions) -> Scene:
-        """The same scene with these in its table [solve]."""
+        """The scene with these values in its table [solve]."""
         eps = options.eps.text if isinstance(options.eps, EpsFormula) else options.eps
         solve = msgspec.structs.replace(self.tables.solve, method=options.method, start=options.start, eps=eps)
         new = copy(self)
@@ -302,7 +302,7 @@ class Scene(Vocabulary):
         return known[name]
 
     def _effects(self) -> tuple[Effect, ...]:
-        """Those of [effects] and of [[boundary]]; only what is named is imported."""
+        """The effects of [effects] and [[boundary]]; only modules of named effects are imported."""
         keys = known()
         for key in self.tables.effects:
             if key not in keys:

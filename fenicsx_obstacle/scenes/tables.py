@@ -252,7 +252,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def checked(raw: dict[str, Any], source: str) -> Tables:
-    """The same tables, typed.
+    """The tables as typed structures.
 
     Raises:
         InputError: Naming the table and key, and the nearest known key for an unknown one.

@@ -32,7 +32,7 @@ TOUCHING = 1e-12  # of the numbers compared
 
 @dataclass(frozen=True)
 class Sign:
-    """What the sign of a value may be inside each cell; 0 where the others meet is not counted."""
+    """The possible signs of a value inside each cell; zeros between cells of other signs are not counted."""
 
     up: np.ndarray
     down: np.ndarray
@@ -200,7 +200,7 @@ class TreeWalk:
         return chosen(Truth(one, ~one), number, found).inheriting(a)
 
     def condition(self, formula: Formula, node: ast.expr) -> Truth:
-        """What a node may be as a condition, found once; numbers are true where they are not 0."""
+        """Whether a node may be true and may be false as a condition, computed once; numbers other than 0 are true."""
         if id(node) not in self._truths:
             self._truths[id(node)] = node, self._condition(formula, node)
         return self._truths[id(node)][1]

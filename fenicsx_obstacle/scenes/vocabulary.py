@@ -45,7 +45,7 @@ class Vocabulary:
         return found
 
     def operations(self, formula: Formula) -> int:
-        """How many operations a formula has when definitions are written out in it."""
+        """Number of operations of a formula after its definitions are inserted."""
         counts: dict[str, int] = {}
         for key, defined in self.define.items():
             counts[key] = _operations(defined, counts)

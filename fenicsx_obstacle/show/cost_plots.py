@@ -206,7 +206,7 @@ def _nothing(axes: Any) -> None:
 
 
 def _floor(axes: Any, rows: Rows, norm: str) -> None:
-    """What round-off leaves, along the rows of the default."""
+    """Draw the error due to round-off, along the rows of the default."""
     part = [row for row in _lines(rows, norm).get("P1 auto", []) if row["floor"] > 0]
     low = axes.get_ylim()[0]
     if part and max(row["floor"] for row in part) > low / 1e3:

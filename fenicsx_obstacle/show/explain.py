@@ -73,7 +73,7 @@ def _equation(scene: Scene) -> list[str]:
 
 
 def integrals(scene: Scene) -> int:
-    """How many integrals are assembled: those of the effects, and the penalty."""
+    """Number of assembled integrals: those of the effects, and the penalty."""
     return sum(effect.integrals for effect in scene.effects) + scene.penalised
 
 

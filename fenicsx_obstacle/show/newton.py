@@ -91,7 +91,7 @@ def _draw(axis: Any, patch: Patch, name: str, time_history: Sequence[Iterate], n
 
 
 def _free_boundary(patch: Patch) -> tuple[list[Patch], str]:
-    """That of the exact solution where it is known, otherwise that of the answer; and whose it is."""
+    """The exact free boundary, or that of the answer if it is not known; and its name."""
     fields = patch.fields
     if "error" not in fields:
         return free_boundary(patch), "final free boundary"

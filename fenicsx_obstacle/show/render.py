@@ -60,7 +60,7 @@ class View:
 
     @property
     def centre(self) -> np.ndarray:
-        """Of the box, in the units of the data."""
+        """Centre of the box, in the units of the data."""
         return (np.array(self.lower) + self.upper) / 2
 
 

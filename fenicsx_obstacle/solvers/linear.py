@@ -111,7 +111,7 @@ def user_has_set(option: str) -> bool:
 
 
 def unread(options: Iterable[str]) -> list[str]:
-    """Those of some options, with their prefix, that are set and that no PETSc object has asked for."""
+    """The options with a prefix that are set, and that no PETSc object has read."""
     library, found = ctypes.CDLL(PETSc.__file__), []
     for option in options:
         used = ctypes.c_int(1)  # PetscBool, in newer releases one byte, of which the first counts

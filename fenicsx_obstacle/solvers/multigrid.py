@@ -112,7 +112,7 @@ class Holding(Protocol):
 
     @property
     def problem(self) -> Problem:
-        """Whose matrix it is for."""
+        """The problem whose matrix is preconditioned."""
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
         """Set the penalty diagonal at owned nodes; infinite entries fix a node (collective)."""

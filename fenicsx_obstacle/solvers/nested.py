@@ -84,7 +84,7 @@ def solve_nested(
 
 
 def solve_from(grid: Multigrid | Problem, start: np.ndarray, solve: Callable[..., Outcome]) -> Outcome | None:
-    """Solve from the solution of other data; None where that takes more than a few steps (collective).
+    """Solve from the solution for other data; None if a few steps are not enough (collective).
 
     Args:
         grid: The multigrid of the problem, or the problem where multigrid does not serve.
@@ -107,7 +107,7 @@ def _algebraic(grids: Sequence[Multigrid | Problem]) -> bool:
 
 
 def begin_from(problem: Problem, coarse: Problem) -> None:
-    """Let a problem's state be that of the next coarser level, interpolated (collective).
+    """Set the state to the interpolant of the next coarser level (collective).
 
     Where both ends of an edge are in contact its middle is: gaps, not values of u, are interpolated there, or
     the middle of a curved obstacle's edge would start far off.

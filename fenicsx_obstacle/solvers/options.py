@@ -1,4 +1,4 @@
-"""How a discrete problem is solved: by which method, with which eps, from which start. Needs no scene and no mesh."""
+"""Options of a solve: method, eps and start. Needs no scene and no mesh."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ class Steps:
         return dt * (factor if factor < 1 or factor > WORTH else 1.0)
 
     def _used(self) -> int:
-        """How many earlier moments the next step takes: the first steps have fewer."""
+        """Number of earlier time steps in the next difference formula; the first steps use fewer."""
         return min(self.depth, len(self.times))
 
 

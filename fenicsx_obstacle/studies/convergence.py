@@ -145,7 +145,7 @@ class Study:
         return self._solves.answer(combination, scene, uncertainty=self._uncertainty)
 
     def keep_in(self, store: RowStore | None) -> None:
-        """Let finished rows be kept: on rank 0, None elsewhere or for none (collective)."""
+        """Set the store of finished rows: on rank 0, None on other ranks or without a store (collective)."""
         self._store, self._stored = store, self.comm.bcast(store is not None)
 
     def row(self, combination: Mapping[str, Any], scene: Scene, *, keep: bool = True) -> tuple[Row, Answer | None]:

@@ -176,7 +176,7 @@ class CostStudy:
         return row
 
     def _figures(self, work: SolverContext, answer: Answer, before: float, distance: Distance) -> Row:
-        """What every row has (collective)."""
+        """Values that every row has (collective)."""
         memory, record = peak_memory_mb(self.comm) - before - self.truth.occupied, answer.record
         seconds, occupied = record["seconds"], forget_peak_memory(self.comm)
         errors = self.truth.errors(work, answer)

@@ -112,7 +112,7 @@ def ending(
 
 
 def too_many(budget: Budget) -> str:
-    """That a mesh is too large for a budget."""
+    """The message that a mesh exceeds a budget."""
     return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"
 
 

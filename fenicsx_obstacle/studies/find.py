@@ -109,7 +109,7 @@ class Find:
 
     @property
     def comm(self) -> MPI.Comm:
-        """Of the solves."""
+        """Communicator of the solves."""
         return self.study.comm
 
     @property

@@ -21,7 +21,7 @@ def along(vary: Vary) -> str:
 
 
 def line_of(row: Row, key: str) -> str:
-    """What a row has in common with those that differ from it in this key only: the values of all others."""
+    """The values of all keys of a row but this one, which identify its line."""
     others = {name: value for name, value in row["vary"].items() if name != key}
     return ", ".join(f"{last_part(name)} = {short(value)}" for name, value in others.items())
 

@@ -121,7 +121,7 @@ def relative(row: Mapping[str, Any], norm: str) -> float | None:
 
 
 def norms(rows: Rows) -> list[str]:
-    """Those that these rows measure."""
+    """The norms that these rows contain."""
     return [
         norm for norm in NORMS if any((relative(row, norm) or 0) > 0 for row in solved(rows)) and _there(rows, norm)
     ]
@@ -168,7 +168,7 @@ def _slope(rows: Rows, errors: np.ndarray, key: str) -> float:
 
 
 def price(rows: Rows, norm: str) -> Price | None:
-    """Of the next digit; None where nothing is measured."""
+    """The cost of one more digit; None without measurements."""
     lines = curves(rows, norm)
     if not lines:
         return None

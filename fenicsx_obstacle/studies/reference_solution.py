@@ -59,7 +59,7 @@ class ExactReference:
         return errors | _contact_errors(answer, self._contact)
 
     def forget(self) -> None:
-        """Let go of a solver context."""
+        """Release the solver context."""
         self._exact, self.occupied = None, 0.0
 
 
@@ -85,7 +85,7 @@ class Reference:
         return {**self._nearby[1].norms(answer.u), **_contact_errors(answer, self.record)}
 
     def forget(self) -> None:
-        """Let go of a mesh."""
+        """Release the mesh."""
         self._nearby, self.occupied = None, 0.0
 
 

@@ -99,7 +99,7 @@ class RowStore:
         write_text(self.folder / "rows.csv", as_csv(rows))
 
     def close(self) -> None:
-        """Let another study have the folder; without a row it leaves nothing behind."""
+        """Unlock the folder; without a row the file is removed."""
         if not self._rows:
             Path(self._lock.name).unlink(missing_ok=True)
         self._lock.close()

@@ -109,7 +109,7 @@ class Solves:
         return answer.u.x.array
 
     def _measure(self, values: Mapping[str, Any], answer: Answer) -> None:
-        """How many nodes change between contact and none when a number changes (collective)."""
+        """Number of nodes that enter or leave contact when a number changes (collective)."""
         if self._last is None or self._last[1].level is not answer.level:
             self._speed = None
             return
