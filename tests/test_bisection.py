@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import COMM, slow_except
+from fenicsx_obstacle.estimation.shapes import longest_edges, sizes
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
@@ -18,6 +19,8 @@ MESHES = {
     "disk": {"shape": "disk", "cells": 12},
     "l-shape": {"shape": "l-shape", "cells": 8},
     "interval": {"shape": "interval", "cells": 20},
+    "box": {"shape": "box", "cells": 3},
+    "perturbed box": {"shape": "box", "cells": 3, "perturb": 0.2},
 }
 
 
@@ -25,7 +28,7 @@ def near_a_point(level, radius):
     """Marks the owned cells near a point."""
     middles = corners(level.mesh)[: own_cells(level.mesh)].mean(axis=1)
     dim = level.mesh.topology.dim
-    return np.linalg.norm(middles[:, :dim] - [0.3, 0.2][:dim], axis=1) < radius
+    return np.linalg.norm(middles[:, :dim] - [0.3, 0.2, 0.4][:dim], axis=1) < radius
 
 
 def refined(comm, mesh, times=4):
@@ -46,15 +49,15 @@ def test_meshes_fit_and_are_the_same_on_all_ranks(name):
     places = {tuple(x) for x in np.round(alone.points.T, 10) + 0.0}
     assert all(tuple(x) in places for x in np.round(level.points.T, 10) + 0.0)
     # a hanging node would leave a facet with one cell inside the domain
-    if level.mesh.topology.dim == 2 and name != "disk":
-        assert np.isclose(length(level, level.boundary_facets), 4.0)
+    if level.mesh.topology.dim > 1 and name != "disk":
+        assert np.isclose(extent(level, level.boundary_facets), 4.0 if level.mesh.topology.dim == 2 else 6.0)
 
 
-def length(level, facets):
-    """Length of local facets on the boundary, of all ranks together."""
+def extent(level, facets):
+    """Length or area of local facets on the boundary, of all ranks together."""
     cells, numbers, _ = sides(level.mesh, facets)
-    ends = corners(level.mesh)[cells[:, None], np.array(facet_vertices(2))[numbers]]
-    return total(COMM, np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+    x = corners(level.mesh)[cells[:, None], np.array(facet_vertices(level.mesh.topology.dim))[numbers]]
+    return total(COMM, sizes(x))
 
 
 @pytest.mark.parametrize("name", sorted(MESHES.keys() - {"disk"}))  # whose new vertices move onto the circle
@@ -63,17 +66,18 @@ def test_prolongation_keeps_linear_functions(name):
     fine = refined(COMM, MESHES[name])
     P = parents.prolongation(fine.ends, fine.V, fine.coarse.V)
     x, y = P.createVecs()
-    linear = np.array([1.0, 2.0, 0.0])
+    linear = np.array([1.0, 2.0, 3.0])
     x.array[:] = (linear @ fine.coarse.points)[: fine.coarse.owned]
     P.mult(x, y)
     assert largest(COMM, np.abs(y.array - (linear @ fine.points)[: fine.owned])) < 1e-14
 
 
 def test_names_are_inherited():
-    """Named parts of the boundary keep their length."""
-    level = refined(COMM, MESHES["rectangle"])
-    for name in ("left", "right", "top", "bottom"):
-        assert np.isclose(length(level, level.facets[name]), 1.0)
+    """Named parts of the boundary keep their length or area."""
+    for mesh, names in (("rectangle", ("left", "right", "top", "bottom")), ("box", ("left", "top", "front", "back"))):
+        level = refined(COMM, MESHES[mesh])
+        for name in names:
+            assert np.isclose(extent(level, level.facets[name]), 1.0)
 
 
 def test_angles_stay_bounded():
@@ -84,10 +88,34 @@ def test_angles_stay_bounded():
     assert smallest(COMM, np.degrees(np.arccos(cosines))) > 44.9
 
 
-def test_solids_are_refused():
-    """Tetrahedra are not cut here: a message, no wrong mesh."""
-    level = meshes.build(Scene(mesh={"shape": "box", "cells": 2}, tension=1, upper=1), COMM)
-    with pytest.raises(InputError, match="intervals or triangles"):
+def shapes_of(level):
+    """Volume over the cube of the longest edge of all tetrahedra, times 6."""
+    x = corners(level.mesh)[: own_cells(level.mesh)]
+    return 6 * volumes(x) / longest_edges(x) ** 3
+
+
+def test_tetrahedra_of_boxes_have_children_of_three_shapes():
+    """Kuhn's tetrahedra are bisected into Maubach's three classes, however often."""
+    level = refined(COMM, MESHES["box"])
+    expected = np.array([3**-1.5, 0.5 * 2**-1.5, 0.25])
+    # of the whole, its half and its quarter, the longest edges 3^(1/2), 2^(1/2) and 1
+    nearest = np.abs(shapes_of(level)[:, None] - expected).min(axis=1)
+    assert largest(COMM, nearest) < 1e-12
+    assert smallest(COMM, longest_edges(corners(level.mesh)[: own_cells(level.mesh)])) < 3**0.5 / 3 / 2**4 + 1e-12
+
+
+def test_other_tetrahedra_keep_their_quality():
+    """Volume over the cube of the longest edge falls to no less than a fourth of what it was, however often."""
+    first = refined(COMM, MESHES["perturbed box"], times=0)
+    least = smallest(COMM, shapes_of(first))
+    assert smallest(COMM, shapes_of(refined(COMM, MESHES["perturbed box"]))) > least / 4
+
+
+def test_other_cells_are_refused():
+    """Quadrilaterals are not cut here: a message, no wrong mesh."""
+    scene = Scene(mesh={"shape": "rectangle", "cell": "quadrilateral", "cells": 2}, tension=1, upper=1)
+    level = meshes.build(scene.change({"solve.element": "Q1"}), COMM)
+    with pytest.raises(InputError, match="intervals, triangles or tetrahedra"):
         levels.refined_where(level, np.ones(own_cells(level.mesh), dtype=bool))
 
 

@@ -123,7 +123,7 @@ class SolverContext:
         """A solver context on the mesh with marked owned cells refined; it starts from the solution here (collective).
 
         Raises:
-            InputError: For other cells than intervals and triangles.
+            InputError: For cells that are no simplices.
         """
         level = self.problem.level
         return SolverContext(self.scene, level.comm, levels.refined_where(level, marked), self, self.options)

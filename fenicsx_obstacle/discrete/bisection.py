@@ -1,7 +1,10 @@
-"""Local refinement: marked triangles are cut into four, and neighbours are bisected for conformity.
+"""Local refinement: marked triangles are cut into four, tetrahedra into eight; neighbours are bisected for conformity.
 
-A triangle with a marked edge has its longest edge marked too, so that angles stay bounded (Rivara). DOLFINx's own
-refinement gives no parents in 0.5, and omits ghosts in 0.9.
+A triangle with a marked edge has its longest edge marked too, also one that is a face of a tetrahedron, so that angles
+stay bounded (Rivara 1984; Plaza and Carey 2000). Tetrahedra are bisected at their longest marked edge, and the halves
+at theirs, until no marked edge is left: so a face is cut alike from both sides. The tetrahedra of our boxes have
+children of three shapes only, which are Maubach's (1995). DOLFINx's own refinement gives no parents in 0.5, and omits
+ghosts in 0.9.
 """
 
 from __future__ import annotations
@@ -15,9 +18,12 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.parents import EDGES, numbers
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before, total
 
 ALIKE = 1e-9  # relative difference of lengths that are the same
+# edges of the faces of a cell
+_FACES: dict[int, list[tuple[int, ...]]] = {1: [(0,)], 2: [(0, 1, 2)], 3: [(0, 1, 2), (0, 3, 4), (1, 3, 5), (2, 4, 5)]}
 # children of a cell with vertices and, after them, middles of edges, by the edges that are marked. A triangle is turned
 # so that its first edge, opposite to vertex 0, is the longest one
 _CHILDREN: dict[int, dict[tuple[bool, ...], list[tuple[int, ...]]]] = {
@@ -37,7 +43,7 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     (collective).
 
     Args:
-        V: P1 space on intervals or triangles.
+        V: P1 space on intervals, triangles or tetrahedra.
         marked: Whether to refine each owned cell.
 
     Returns:
@@ -49,9 +55,9 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     """
     mesh = V.mesh
     comm, dim, gdim, own = mesh.comm, mesh.topology.dim, mesh.geometry.dim, own_cells(mesh)
-    if dim not in _CHILDREN:
-        raise InputError("adaptive meshes need intervals or triangles; use uniform refinement, 'refine'")
-    marks, halves, turned = _marks(mesh, marked)
+    if releases.cell_name(mesh) not in SIMPLICES:
+        raise InputError("adaptive meshes need intervals, triangles or tetrahedra; use uniform refinement, 'refine'")
+    marks, halves, order = _marks(mesh, marked)
     vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
     count, mine = vertices.size_local, marks.array_r[: edges.size_local] > 0
     # points in the order of ranks, of each its vertices and then the middles of its marked edges
@@ -68,8 +74,8 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     middle[halves] = corner[:, sides].mean(axis=2)
     points = np.vstack([x[releases.dof_nodes(V)[:count]], middle[: edges.size_local][mine]])
     with marks.localForm() as local:
-        pattern = np.take_along_axis(local.array_r[halves[:own]] > 0, turned[:own, dim + 1 :] - dim - 1, axis=1)
-    parents, places = _cut(turned[:own], pattern)
+        chosen = np.where(local.array_r[halves[:own]] > 0, order[halves[:own]], -1)
+    parents, places = _bisected(chosen) if dim == 3 else _cut(order[halves[:own]], chosen >= 0)
     new = releases.create_mesh(comm, number[parents[:, None], places], points, releases.cell_name(mesh), stay=True)
     kept = np.asarray(new.topology.original_cell_index)[: own_cells(new)] - before(comm, len(parents))
     for owner in (marks, place):
@@ -78,10 +84,8 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
 
 
 def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[PETSc.Vec, np.ndarray, np.ndarray]:
-    """Marked edges as a ghosted vector, edges of local cells, and how each cell is turned (collective).
-
-    A cell is turned by a permutation of its vertices and edges, shape (cells, vertices + edges).
-    """
+    """Marked edges as a ghosted vector, edges of local cells, and the place of each local edge in order of length
+    (collective)."""
     dim, own = mesh.topology.dim, own_cells(mesh)
     mesh.topology.create_entities(1)
     mesh.topology.create_connectivity(dim, 1)
@@ -90,16 +94,17 @@ def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[PETSc.Vec, np.ndarray,
         halves = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
     else:
         halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(EDGES[dim]))
-    turned = _longest_first(mesh)
+    order = _by_length(mesh, halves, edges.size_local + edges.num_ghosts)
     size = edges.size_local, edges.size_global
     marks = PETSc.Vec().createGhost(np.asarray(edges.ghosts, dtype=PETSc.IntType), size, comm=mesh.comm)
     _mark(marks, halves[:own][marked])
-    longest = np.take_along_axis(halves[:own], turned[:own, dim + 1 : dim + 2] - dim - 1, axis=1)[:, 0]
+    faces = halves[:own][:, np.array(_FACES[dim])].reshape(-1, len(_FACES[dim][0]))
+    longest = np.take_along_axis(faces, order[faces].argmax(axis=1)[:, None], axis=1)[:, 0]
     while True:
         with marks.localForm() as local:
-            missing = (local.array_r[halves[:own]] > 0).any(axis=1) & (local.array_r[longest] == 0)
+            missing = (local.array_r[faces] > 0).any(axis=1) & (local.array_r[longest] == 0)
         if total(mesh.comm, np.count_nonzero(missing)) == 0:
-            return marks, halves, turned
+            return marks, halves, order
         _mark(marks, longest[missing])
 
 
@@ -115,25 +120,65 @@ def _mark(marks: PETSc.Vec, edges: np.ndarray) -> None:
     new.destroy()
 
 
-def _longest_first(mesh: dmesh.Mesh) -> np.ndarray:
-    """Vertices and edges of each local cell in turn, so that the first edge is the longest."""
-    dim = mesh.topology.dim
-    corner = mesh.geometry.x[releases.geometry_dofs(mesh)]
-    if dim == 1:
-        return np.tile([0, 1, 2], (len(corner), 1))
-    ends = corner[:, np.array(EDGES[dim])]
-    length = np.linalg.norm(ends[:, :, 0] - ends[:, :, 1], axis=2)
-    # of edges alike the one farthest in some direction: the same whatever the order of the vertices
-    farthest = ends.mean(axis=2) @ np.array([1.0, np.sqrt(2.0), np.sqrt(3.0)])
-    alike = length >= (1 - ALIKE) * length.max(axis=1, keepdims=True)
-    first = np.where(alike, farthest, -np.inf).argmax(axis=1)
-    turn = (first[:, None] + np.arange(3)) % 3
-    return np.hstack([turn, 3 + turn])
+def _by_length(mesh: dmesh.Mesh, halves: np.ndarray, count: int) -> np.ndarray:
+    """The place of each local edge among all in order of length, the same on all ranks.
+
+    Of edges alike the one farther in some direction is the longer one: the same whatever the order of the vertices.
+    """
+    ends = np.zeros((count, 2, 3))
+    ends[halves] = mesh.geometry.x[releases.geometry_dofs(mesh)][:, np.array(EDGES[mesh.topology.dim])]
+    length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    alike = np.round(np.log(np.maximum(length, 1e-300)) / ALIKE)
+    farther = ends.sum(axis=1) @ np.array([1.0, np.sqrt(2.0), np.sqrt(3.0)])
+    order = np.empty(count, dtype=np.int64)
+    order[np.lexsort((farther, alike))] = np.arange(count)
+    return order
 
 
-def _cut(turned: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Parents of all children, and the places of their corners in them."""
+def _bisected(order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parents of all children of tetrahedra, and the places of their corners in them.
+
+    Args:
+        order: Of edges by length where they are marked, otherwise -1, shape (cells, 6).
+    """
+    sides, edge = np.array(EDGES[3]), np.zeros((4, 4), dtype=np.int64)
+    for number, (i, j) in enumerate(EDGES[3]):
+        edge[i, j] = edge[j, i] = number
+    parents, places = np.arange(len(order)), np.tile(np.arange(4), (len(order), 1))
+    done = []
+    while len(parents):
+        ends = places[:, sides]
+        whole, number = ends.max(axis=2) < 4, edge[tuple(np.minimum(ends, 3).transpose(2, 0, 1))]
+        here = np.where(whole, order[parents[:, None], number], -1)
+        first = here.argmax(axis=1)
+        cut = np.flatnonzero(here.max(axis=1) >= 0)
+        kept = np.setdiff1d(np.arange(len(parents)), cut, assume_unique=True)
+        done.append((parents[kept], places[kept]))
+        halves = np.repeat(places[cut], 2, axis=0)
+        for k in range(2):  # the middle in place of one end
+            halves[np.arange(k, len(halves), 2), sides[first[cut], k]] = 4 + number[cut, first[cut]]
+        parents, places = np.repeat(parents[cut], 2), halves
+    all_parents = np.concatenate([order[:0, 0], *(part[0] for part in done)])
+    all_places = np.concatenate([places[:0], *(part[1] for part in done)])
+    by_parent = np.argsort(all_parents, kind="stable")
+    return all_parents[by_parent], all_places[by_parent]
+
+
+def _cut(order: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parents of all children of intervals or triangles, and the places of their corners in them.
+
+    Args:
+        order: Of edges by length, shape (cells, edges).
+        pattern: Whether they are marked.
+    """
     dim = 1 if pattern.shape[1] == 1 else 2
+    turn = (
+        (order.argmax(axis=1)[:, None] + np.arange(dim + 1)) % (dim + 1)
+        if dim == 2
+        else np.tile([0, 1], (len(order), 1))
+    )
+    turned = np.hstack([turn, dim + 1 + (turn if dim == 2 else turn[:, :1])])
+    pattern = np.take_along_axis(pattern, turned[:, dim + 1 :] - dim - 1, axis=1)
     parents, places = [np.empty(0, dtype=np.int64)], [np.empty((0, dim + 1), dtype=np.int64)]
     for marked, pieces in _CHILDREN[dim].items():
         cells = np.flatnonzero((pattern == marked).all(axis=1))

@@ -280,7 +280,7 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
     """The level with marked owned cells refined, and a few neighbours so that cells fit (collective).
 
     Raises:
-        InputError: For other cells than intervals and triangles.
+        InputError: For cells that are no simplices.
     """
     if level.pair.has_p1_coarse_space:
         assert level.coarse is not None
