@@ -28,9 +28,12 @@ class Inexact:
 
     Attributes:
         stopping: Knows the state of the Newton iteration.
+        cold_start: The iteration begins without contact and may have no forces before there is any, as that of a body
+            that is only moved: those of the step before count too, and the first system is not the last.
     """
 
     stopping: Stopping
+    cold_start: bool = False
     _least: int = 1
     _target: float = 0.0
 
@@ -51,8 +54,10 @@ class Inexact:
         """The least number of CG steps, and the tolerance of the residual force (collective)."""
         stopping = self.stopping
         step = stopping.history[-1]
-        if not stopping.exact and step.changed > FEW * step.active:
+        first = self.cold_start and step.active == 0 and len(stopping.history) == 1
+        if not stopping.exact and (step.changed > FEW * step.active or first):
+            forces = max(one.forces for one in stopping.history[-2:]) if self.cold_start else step.forces
             # the first step of CG only reduces the residual of nodes that have just come into contact
-            return 2, ON_THE_WAY * min(step.unbalanced, step.forces)
+            return 2, ON_THE_WAY * min(step.unbalanced, forces)
         enough = 0.0 if stopping.exact else TO_SPARE * stopping.tolerance * step.forces
         return 1, max(enough, EXACT * step.unbalanced, stopping.round_off())

@@ -18,10 +18,11 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.parallel import total
 
-STIFFER = (
-    10.0  # times the membrane around a node: a larger penalty diagonal fixes it; coarse corrections do not change it
-)
+# times the membrane around a node: a larger penalty diagonal fixes it; coarse corrections do not change it
+STIFFER = 10.0
+ENOUGH_CLOSED = 0.75  # of the nodes for which coarse levels were made: the others are left to the smoother
 SMOOTHER = {
     # Chebyshev, PETSc's default, would estimate eigenvalues anew at every set-up
     "mg_levels_ksp_type": "richardson",
@@ -148,13 +149,47 @@ class HeldRows:
         return False
 
 
-def renew(ksp: PETSc.KSP, prefix: str) -> None:
-    """Give a KSP a new PC with its options: GAMG keeps the sizes of the coarse levels of the first matrix."""
-    pc = PETSc.PC().create(ksp.comm)
-    pc.setOptionsPrefix(prefix)
-    pc.setFromOptions()
-    ksp.setPC(pc)
-    pc.destroy()
+class KeptLevels:
+    """PETSc Python PC for the whole matrix of a problem that has a preconditioner of its own.
+
+    Interpolation from rigid body motions is 0 at the normal components of closed nodes, so that coarse matrices do not
+    depend on the penalty there. While no other nodes close, coarse levels stay as they are; PETSc renews the finest
+    smoother by itself. At fixed dofs, where interpolation may be other than 0 by round-off, it is the identity.
+    """
+
+    def __init__(self, problem: Problem, prefix: str):
+        self.problem, self.prefix = problem, prefix
+        self._inner: PETSc.PC | None = None
+        self._closed = np.empty(0, dtype=bool)
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Keep the coarse levels, or make new ones (collective)."""
+        problem, closed = self.problem, self.problem.nodal.penalty_diagonal() > 0
+        if self._inner is not None and problem.affine:
+            counted = (closed & ~self._closed, closed, self._closed)
+            others, now, then = (total(problem.level.comm, np.count_nonzero(one)) for one in counted)
+            if others == 0 and now >= ENOUGH_CLOSED * then:
+                return
+        self.destroy(pc)
+        self._closed, self._inner = closed, PETSc.PC().create(problem.level.comm)
+        self._inner.setOptionsPrefix(self.prefix)
+        self._inner.setOperators(problem.A)
+        self._inner.setFromOptions()
+        self._inner.setUp()
+        self._inner.setReusePreconditioner(True)
+
+    def apply(self, _: PETSc.PC, residual: PETSc.Vec, correction: PETSc.Vec) -> None:
+        """PETSc's callback (collective)."""
+        assert self._inner is not None
+        self._inner.apply(residual, correction)
+        fixed = self.problem.fixed
+        correction.array[fixed] = residual.array_r[fixed]
+
+    def destroy(self, _: PETSc.PC) -> None:
+        """Free the inner PC."""
+        if self._inner is not None:
+            self._inner.destroy()
+            self._inner = None
 
 
 class OnInactive:

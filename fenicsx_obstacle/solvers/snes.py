@@ -27,7 +27,7 @@ from fenicsx_obstacle.solvers.linear import (
     direct_first,
     user_has_set,
 )
-from fenicsx_obstacle.solvers.multigrid import HeldRows, Holding, Multigrid, OnInactive, renew
+from fenicsx_obstacle.solvers.multigrid import HeldRows, Holding, KeptLevels, Multigrid, OnInactive
 from fenicsx_obstacle.solvers.plausibility import violation
 from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
 
@@ -103,7 +103,11 @@ def run(
         held = HeldRows(problem)
         # SNES VI reads the options again when the active set changes
         linear = {key: value for key, value in linear.items() if key != "pc_type"}
+    by_rigid_motions = bool(problem.preconditioner) and penalised and not chosen and linear is not DIRECT
+    inexact = multigrid is not None or (by_rigid_motions and problem.symmetric)
     database = {**options, **(linear if multigrid is None else INEXACT)}
+    if inexact:
+        database["ksp_norm_type"] = INEXACT["ksp_norm_type"]
     if user_has_set(f"{prefix}ksp_type"):
         database.pop("ksp_norm_type", None)  # the natural norm is one of few methods
     snes = PETSc.SNES().create(problem.level.comm)
@@ -118,8 +122,6 @@ def run(
             multigrid.truncate(problem.nodal.penalty_diagonal())
         else:
             problem.jacobian(x, penalised=penalised)
-            if penalised and problem.preconditioner and linear is not DIRECT:
-                renew(snes.ksp, prefix)
 
     snes.setJacobian(jacobian, problem.A)
     if objective:
@@ -129,13 +131,16 @@ def run(
         if multigrid is not None and penalised:
             multigrid.install(snes.ksp.pc)
         snes.setFromOptions()
+        if by_rigid_motions:
+            snes.ksp.pc.setType("python")
+            snes.ksp.pc.setPythonContext(KeptLevels(problem, prefix))
         if held is not None and not penalised:
             snes.ksp.pc.setType("python")
             snes.ksp.pc.setPythonContext(OnInactive(snes, held, prefix))
         if prepare is not None:
             prepare(snes)
-        if multigrid is not None:
-            snes.ksp.setConvergenceTest(Inexact(stopping))
+        if inexact:
+            snes.ksp.setConvergenceTest(Inexact(stopping, cold_start=multigrid is None))
         snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
         finished = attempt(lambda: snes.solve(None, x), snes, x, residual)
     problem.set_state(x)
