@@ -16,17 +16,20 @@ from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
+    ABOVE,
     BLUE,
     INK,
     VERMILION,
     blank,
     check_name,
+    digits,
     figure,
     heading,
     legend_below,
     missing_glyphs,
     plain,
     save,
+    steady,
 )
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles
 from fenicsx_obstacle.show.render import OBSTACLE, UPPER
@@ -80,7 +83,7 @@ def draw_answer(solution: Solution, path: Path | None) -> Picture:
 
 
 def _draw(solution: Solution, arrays: dict[str, np.ndarray], path: Path | None, pages: list[Any]) -> str:
-    patch, u = patch_of(arrays), plain(solution.symbol)
+    patch, u = patch_of({**arrays, "u": steady(arrays["u"])}), plain(solution.symbol)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if (largest := max(np.abs(patch.fields[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
         raise InputError(f"values up to {largest:.3g} are not drawn: at most {MAX_DRAWN:g}; choose another unit")
@@ -116,7 +119,7 @@ def _line(patch: Patch, u: str, p: str) -> tuple[Any, str]:
             axis.axvline(end, color=INK, linewidth=1, linestyle="--",
                          label="free boundary" if axis is top and number == 0 else None)  # fmt: skip
     top.set_ylabel(u)
-    top.legend(fontsize=8, loc="best", framealpha=1)
+    top.legend(fontsize=8, **ABOVE)
     bottom.set_ylabel(fill(p, 34), fontsize=8)
     bottom.set_xlabel("x")
     return page, "matplotlib, as intervals need no third dimension"
@@ -145,7 +148,7 @@ def _in_space(patch: Patch, u: str, p: str, kind: str) -> tuple[Any, str]:
     for axis, scale, label in zip(page.axes, scales.values(), (u, _cut(p, patch)), strict=True):
         page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(label, 42), fontsize=8.5)
         if kind == "solid":
-            axis.set_title(f"cut open at y = {cut_at(patch):.3g}", fontsize=9)
+            axis.set_title(f"cut open at y = {digits(cut_at(patch), np.ptp(patch.points), '.3g')}", fontsize=9)
     _legend(page, patch, [])
     return page, who
 
