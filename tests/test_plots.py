@@ -8,10 +8,13 @@ import pytest
 from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import InputError, Scene, study
+from fenicsx_obstacle.answers.time_history import Frame
 from fenicsx_obstacle.show import render
+from fenicsx_obstacle.show.figures import digits, steady, style
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.tables import StudyTable
+from fenicsx_obstacle.show.time_history import _chosen
 from fenicsx_obstacle.verification.show.theory import drawing
 from fenicsx_obstacle.verification.theory.statement import Curve, Found, Panel
 
@@ -60,7 +63,8 @@ def test_no_line_goes_to_and_fro(name, disk, folder):
         steps = np.diff(x)
         assert len(x) > 1
         assert np.all(steps > 0) or np.all(steps < 0), x
-    assert len(main.axes[0].get_legend().get_texts()) >= 2
+    (legend,) = [axes.get_legend() for axes in main.axes if axes.get_legend() is not None]
+    assert len(legend.get_texts()) >= 2
 
 
 @pytest.mark.slow
@@ -190,3 +194,26 @@ def test_a_legend_of_many_curves_covers_none():
     assert box.x0 >= page.bbox.x0
     assert box.x1 <= page.bbox.x1
     assert box.y0 >= page.bbox.y0
+
+
+def test_axes_do_not_magnify_round_off():
+    """Values that differ by round-off are drawn as their mean; numbers that are round-off are 0, and never -0."""
+    noise = 0.1 * (1 + 1e-15 * np.arange(9))
+    assert np.ptp(steady(noise)) == 0 and np.isclose(steady(noise)[0], 0.1)
+    rising = 5 + 1e-6 * np.arange(9)
+    assert np.array_equal(steady(rising), rising)
+    assert np.isnan(steady(np.array([np.nan, 1, 1 + 1e-15]))[0])
+    assert [digits(value, 1.0) for value in (-0.0, -1e-17, 0.25)] == ["0", "0", "0.25"]
+
+
+def test_curves_look_different():
+    """Sixteen curves of a plot have sixteen pairs of colour and marker."""
+    looks = [style(number, 4) for number in range(16)]
+    assert len({(look["color"], look["marker"]) for look in looks}) == 16
+
+
+def test_moments_that_are_drawn():
+    """Of the moments in the picture of a course one has the largest contact set; first and last stay."""
+    frames = [Frame(t, {"contact": np.arange(8) < (5 if t == 4 else 0)}) for t in range(31)]
+    chosen = _chosen(frames)
+    assert 4 in chosen and chosen[0] == 0 and chosen[-1] == 30 and len(chosen) == 6

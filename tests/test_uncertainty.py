@@ -27,6 +27,7 @@ def test_contact_area_of_a_string():
     assert max(off) > 1
 
 
+@pytest.mark.slow
 def test_contact_area_has_order_1_5():
     """In the plane the contact area converges with order 1.5 at least, where a count of nodes has order 1."""
     scene = catalogue.read("disk_flat").change({"report": {"counted": "integral(contact)"}})
@@ -98,6 +99,7 @@ def test_peaks_are_unbounded():
     assert solve(scene, cells=64, uncertainty=True).record["uncertainty"]["report"]["peak"]["verdict"] == "unbounded"
 
 
+@pytest.mark.slow
 def test_quadrilaterals_and_rows():
     """Q1 has no geometric levels: two coarser meshes are made; rows of a study have the uncertainties."""
     scene = Scene(mesh={"shape": "rectangle", "cell": "quadrilateral"}, tension=1, load=8, upper=0.2,

@@ -12,6 +12,8 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
+import numpy as np
+
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import one_line
 
@@ -20,6 +22,9 @@ BLUE, VERMILION, *_ = COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 INK = "#111111"  # of free boundaries
 MARKERS = ("o", "s", "^", "D")
 KINDS = (".png", ".pdf", ".svg")
+ROUND_OFF = 1e-11  # relative
+BESIDE: Mapping[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}  # a legend that covers no data
+ABOVE: Mapping[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncol": 4, "frameon": False}
 LABEL, LINE = 60, 64  # characters of a label, and of each line of a title
 DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))  # dots are for what is expected
 
@@ -62,14 +67,27 @@ def legend_below(page: Any, swatches: Mapping[str, Mapping[str, Any]], line: str
 def style(number: int, dashed: int = 1) -> dict[str, Any]:
     """Colour, marker and dash of line `number`; dashes change after `dashed` lines, and later lines are thinner.
 
-    Where lines coincide, all are seen; where colours come again, markers are hollow.
+    Where lines coincide, all are seen; where colours come again, they have other markers, hollow every second time.
     """
     again, place = divmod(number, len(COLOURS))
     return {
-        "color": COLOURS[place], "marker": MARKERS[place], "markersize": 7 - 1.2 * place,
+        "color": COLOURS[place], "marker": MARKERS[(place + again) % len(MARKERS)], "markersize": 7 - 1.2 * place,
         "markerfacecolor": "white" if again % 2 else COLOURS[place],
         "linewidth": 2.4 - 0.5 * place, "linestyle": DASHES[number // dashed % len(DASHES)],
     }  # fmt: skip
+
+
+def steady(values: np.ndarray) -> np.ndarray:
+    """The values, or their mean where they differ by round-off only: axes would magnify it."""
+    known = values[np.isfinite(values)]
+    if not known.size or np.ptp(known) > ROUND_OFF * np.abs(known).max():
+        return values
+    return np.where(np.isfinite(values), known.mean(), values)
+
+
+def digits(value: float, size: float, form: str = "g") -> str:
+    """A number in digits; 0 where it is round-off beside a size, never -0."""
+    return format(0.0 if abs(value) <= ROUND_OFF * size else value, form)
 
 
 def plain(text: str, longest: int = LABEL) -> str:

@@ -67,6 +67,8 @@ def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
     axis.tick_params(labelsize=8)
     exponent = power(values.min(), values.max())
     title = f"grey lines: {over(u, exponent)}, every {(ticks[1] - ticks[0]) / 10.0**exponent:g}"
+    if np.ptp(values) == 0:
+        title = f"{u} = {values[0]:.6g} everywhere"
     axis.set_title(fill(title, 48), fontsize=9)
 
 

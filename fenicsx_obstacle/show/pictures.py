@@ -16,17 +16,20 @@ from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
+    ABOVE,
     BLUE,
     INK,
     VERMILION,
     blank,
     check_name,
+    digits,
     figure,
     heading,
     legend_below,
     missing_glyphs,
     plain,
     save,
+    steady,
 )
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles, heights, pressures
 from fenicsx_obstacle.show.render import OBSTACLE, UPPER
@@ -100,7 +103,7 @@ def _drawn(solution: Solution, arrays: dict[str, np.ndarray]) -> tuple[Any, str]
         assert isinstance(solution, VectorSolution)
         sides = {"upper": 1.0, "lower": -1.0}
         return draw_body(arrays, solution.nodes, [sides[one] for one in sides if one in solution.record["contact"]])
-    patch, u = patch_of(arrays), plain(solution.symbol)
+    patch, u = patch_of({**arrays, "u": steady(arrays["u"])}), plain(solution.symbol)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if kind == 2 and gdim > 1:
         raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
@@ -127,7 +130,7 @@ def _line(patch: Patch, u: str, p: str) -> tuple[Any, str]:
             axis.axvline(end, color=INK, linewidth=1, linestyle="--",
                          label="free boundary" if axis is top and number == 0 else None)  # fmt: skip
     top.set_ylabel(u)
-    top.legend(fontsize=8, loc="best", framealpha=1)
+    top.legend(fontsize=8, **ABOVE)
     bottom.set_ylabel(fill(p, 34), fontsize=8)
     bottom.set_xlabel("x")
     return page, "matplotlib, as intervals need no third dimension"
@@ -156,7 +159,7 @@ def _in_space(patch: Patch, u: str, p: str, kind: str) -> tuple[Any, str]:
     for axis, scale, label in zip(page.axes, scales.values(), (u, _cut(p, patch)), strict=True):
         page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(label, 42), fontsize=8.5)
         if kind == "solid":
-            axis.set_title(f"cut open at y = {cut_at(patch):.3g}", fontsize=9)
+            axis.set_title(f"cut open at y = {digits(cut_at(patch), np.ptp(patch.points), '.3g')}", fontsize=9)
     _legend(page, patch, [])
     return page, who
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import DASHES, figure, heading, plain, style
+from fenicsx_obstacle.show.figures import BESIDE, DASHES, figure, heading, plain, style
 from fenicsx_obstacle.show.sweep import sweep
 from fenicsx_obstacle.studies.grid import Vary, along, lines_of
 from fenicsx_obstacle.studies.orders import Quantity, lookup, parameter, quantities
@@ -34,7 +34,7 @@ def convergence(rows: Rows, vary: Vary) -> Any:
     """Measured quantities against eps or h; a dotted line has the order to expect, written at its end."""
     by, drawn = parameter(list(vary)), quantities(list(vary), rows[-1])
     lines = lines_of(rows, along(vary))
-    page, axes = figure(6.4 if len(lines) == 1 else 8.4, 4.8)
+    page, axes = figure(8.4, 4.8)
     for line, part in enumerate(lines.values()):
         x = np.array([row[by] for row in part], dtype=float)
         for number, quantity in enumerate(drawn):
@@ -53,13 +53,13 @@ def convergence(rows: Rows, vary: Vary) -> Any:
     axes.margins(x=0.12)
     axes.set_xlabel(f"{by}   ({'h' if by == 'eps' else 'eps'}: {_other(rows, by)})")
     axes.set_ylabel("against the solution of SNES VI" if by == "eps" else "error")
-    _finish(axes, rows, beside=len(lines) > 1)
+    _finish(axes, rows)
     return page
 
 
 def cost(rows: Rows, vary: Vary) -> Any:
     """The first measured quantity against the time of the solve."""
-    page, axes = figure(6.4, 4.8)
+    page, axes = figure(8.4, 4.8)
     by, quantity = parameter(list(vary)), quantities(list(vary), rows[-1])[0]
     for number, (name, part) in enumerate(lines_of(rows, along(vary)).items()):
         seconds = [lookup(row, "seconds.solve") for row in part]
@@ -101,8 +101,8 @@ def _other(rows: Rows, by: str) -> str:
     return f"{low:.3g}" if low == high else f"{high:.1e} to {low:.1e}"
 
 
-def _finish(axes: Any, rows: Rows, *, beside: bool = False) -> None:
-    """Ticks, title, and the legend, within the axes or beside them."""
+def _finish(axes: Any, rows: Rows) -> None:
+    """Ticks, title, and the legend beside the axes."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     for axis, limits in ((axes.xaxis, axes.set_xlim), (axes.yaxis, axes.set_ylim)):
@@ -117,6 +117,6 @@ def _finish(axes: Any, rows: Rows, *, beside: bool = False) -> None:
         if few and low > 1e-4 and high < 1e5:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.grid(True, which="major", color="0.9")
-    axes.legend(fontsize=8, **({"loc": "center left", "bbox_to_anchor": (1.01, 0.5)} if beside else {}))
+    axes.legend(fontsize=8, **BESIDE)
     title, methods = heading(rows[0]["title"] or rows[0]["scene"]), dict.fromkeys(row["method"] for row in rows)
     axes.set_title(f"{title} ({rows[0]['element']}, {', '.join(methods)})", fontsize=10)

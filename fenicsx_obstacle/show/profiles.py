@@ -14,6 +14,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.problems.solution import Profile
 from fenicsx_obstacle.show.figures import (
+    ABOVE,
     BLUE,
     COLOURS,
     DASHES,
@@ -23,6 +24,7 @@ from fenicsx_obstacle.show.figures import (
     heading,
     plain,
     save,
+    steady,
     svg,
 )
 from fenicsx_obstacle.text import counted, short
@@ -119,7 +121,7 @@ def _drawn(curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: s
     several = len(curves) > 1
     for number, (label, columns) in enumerate(curves.items()):
         s, p, gap = (np.array(columns[key], dtype=float) for key in ("s", "p", "gap"))
-        height = np.array(columns["u"], dtype=float)
+        height = steady(np.array(columns["u"], dtype=float))
         look = _look(number, len(curves), label)
         above.plot(s, height, **look)
         below.plot(s, p, **({**look, "color": VERMILION} if not several else look))
@@ -127,7 +129,7 @@ def _drawn(curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: s
             if np.isfinite(gap).all():
                 side = -1.0 if p.max(initial=0.0) >= -p.min(initial=0.0) else 1.0
                 above.plot(s, height + side * gap, color="0.45", linewidth=1.0, linestyle=(0, (4, 2)), label="obstacle")
-                above.legend(fontsize=8, frameon=False)
+                above.legend(fontsize=8, **ABOVE)
             for start, end in _runs(np.abs(p) > TOUCHING * np.abs(p).max(initial=0.0)):
                 for axes in (above, below):
                     axes.axvspan(s[start], s[end], color=BLUE, alpha=0.12, linewidth=0)

@@ -149,7 +149,7 @@ def _add(plotter: Any, grid: Any, view: View) -> None:
         # beside the nodes: a cut through a layer of them is full of triangles without area
         plane = (0.0, view.lower[1] * view.scale[1] + 1e-4, 0.0)
         shell = grid.extract_surface().clip(normal="-y", origin=plane)
-        body = shell + grid.slice(normal="y", origin=plane)
+        body = grid.clip(normal="-y", origin=plane).extract_surface()
     scale = {"scalars": view.shown, "cmap": view.colours, "clim": view.limits, "show_scalar_bar": False}
     smooth, apart = view.kind != "solid", body
     for level in levels.values():
@@ -174,6 +174,8 @@ def _add_obstacle(plotter: Any, grid: Any, view: View, side: str, level: str) ->
     """An obstacle within the box, without the part that u covers in contact."""
     surface, lower = grid.warp_by_scalar(side, factor=view.scale[2]), side == "lower"
     for scalars, value, below in ((side, view.lower[2], False), (side, view.upper[2], True), (level, 0.0, False)):
+        if surface.n_cells == 0:  # far away
+            return
         surface = surface.clip_scalar(scalars=scalars, value=value, invert=below)
     # a little behind u: where both are equal the eye would see one through the other in patches
     offset = 4e-3 * (view.upper[2] - view.lower[2]) * view.scale[2]

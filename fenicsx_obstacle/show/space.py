@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.boundary import LEVELS, SIDES, Patch, free_boundary, rim
-from fenicsx_obstacle.show.figures import INK, over, power
+from fenicsx_obstacle.show.figures import INK, digits, over, power
 from fenicsx_obstacle.show.render import View
 
 HEIGHT = 0.42  # of the graph of u, in units of its widest side
@@ -91,13 +92,17 @@ def _box(page: Any, place: Any, view: View, label: str) -> Any:
     for line, (low, high), name in zip(axes, limits, ("x", "y", label), strict=True):
         exponent = power(low, high)
         line.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-        line.set_major_formatter(FuncFormatter(lambda value, _, ten=10.0**exponent: f"{value / ten:g}"))
+        line.set_major_formatter(FuncFormatter(partial(_tick, 10.0**exponent, high - low)))
         line.set_label_text(over(name, exponent), fontsize=9)
         line.set_tick_params(labelsize=7.5, pad=0)
         line.labelpad = 1
         line.set_pane_color((1.0, 1.0, 1.0, 0.0))
         line.pane.set_edgecolor("0.8")
     return axis
+
+
+def _tick(ten: float, size: float, value: float, _: int) -> str:
+    return digits(value / ten, size / ten)
 
 
 def _put(axis: Any, view: View, picture: np.ndarray) -> None:

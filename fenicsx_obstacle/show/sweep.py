@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import COLOURS, figure, heading, plain, style
+from fenicsx_obstacle.show.figures import BESIDE, COLOURS, figure, heading, plain, steady, style
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, lines_of
 from fenicsx_obstacle.studies.orders import lookup
 from fenicsx_obstacle.text import short
@@ -29,14 +29,14 @@ def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary) -> Any:
             x = np.array([_place(vary[key], row["vary"][key]) for row in part])
             y = np.array([lookup(row, name) for row in part], dtype=float)  # not a number where it is None
             order = np.argsort(x)
-            axes.plot(x[order], y[order], label=plain(line), **style(number, len(COLOURS)))
+            axes.plot(x[order], steady(y)[order], label=plain(line), **style(number, len(COLOURS)))
         axes.set(xlabel=plain(last_part(key)), ylabel=plain(label))
         axes.grid(True, color="0.9")
         _scale(axes, vary[key])
     for axes in panels[len(names) :]:
         axes.remove()
     if len(lines) > 1:
-        panels[0].legend(fontsize=8)
+        panels[min(columns, len(names)) - 1].legend(fontsize=8, **BESIDE)
     page.suptitle(heading(rows[0]["title"] or rows[0]["scene"]), fontsize=11)
     return page
 

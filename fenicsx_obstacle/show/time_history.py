@@ -10,8 +10,19 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
-from fenicsx_obstacle.show.boundary import Patch
-from fenicsx_obstacle.show.figures import BLUE, COLOURS, VERMILION, blank, figure, heading, plain, save, write_gif
+from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
+from fenicsx_obstacle.show.figures import (
+    BLUE,
+    COLOURS,
+    VERMILION,
+    blank,
+    figure,
+    heading,
+    plain,
+    save,
+    steady,
+    write_gif,
+)
 from fenicsx_obstacle.show.maps import hatch_obstacles, triangles
 from fenicsx_obstacle.text import title_of
 
@@ -19,6 +30,7 @@ HISTORY, ANIMATION = "history.png", "answer.gif"
 COUNTS = ("step", "t", "dt", "newton", "krylov")
 USUAL = ("energy", "kinetic", "contact_area", "force_lower", "force_upper", "penetration")
 SHOWN = 6  # moments in the picture of the fields
+LINES = 9  # free boundaries in it
 PER_SECOND = 10  # frames of the animation
 
 Arrays = Mapping[str, np.ndarray]
@@ -42,20 +54,29 @@ def draw_course(answer: Answer, arrays: Arrays, path: Path) -> str:
     page = blank(10.0, sum(heights) + 0.5)
     grid = page.add_gridspec(len(heights), 6, height_ratios=heights)
     if fields:
-        chosen = np.unique(np.linspace(0, len(time_history.frames) - 1, SHOWN).round().astype(int))
         draw = _lines if arrays["cells"].shape[1] == 2 else _maps
-        draw(page, grid, answer, arrays, [time_history.frames[k] for k in chosen])
+        draw(page, grid, answer, arrays, [time_history.frames[k] for k in _chosen(time_history.frames)])
     for number, column in enumerate(columns):
         row, place = divmod(number, 3)
         axis = page.add_subplot(grid[fields + row, 2 * place : 2 * place + 2])
-        axis.plot(
-            time_history.column("t"), time_history.column(column), color=COLOURS[number % len(COLOURS)], linewidth=1.6
-        )
+        values = steady(time_history.column(column))
+        axis.plot(time_history.column("t"), values, color=COLOURS[number % len(COLOURS)], linewidth=1.6)
         axis.set_xlabel(name)
         axis.set_title(plain(column.replace("_", " ")), fontsize=9)
     page.suptitle(heading(title_of(answer.scene.tables.title, answer.scene.name)), fontsize=12)
     save(page, path)
     return f"{path}: {', '.join(column.replace('_', ' ') for column in columns)} over {_moments(answer).name}"
+
+
+def _chosen(frames: Sequence[Frame]) -> list[int]:
+    """Numbers of the moments that are drawn: at equal distances, but one has the largest contact set."""
+    chosen = np.unique(np.linspace(0, len(frames) - 1, SHOWN).round().astype(int))
+    sizes = [np.count_nonzero(frame.fields["contact"] > 0.5) for frame in frames]
+    most = int(np.argmax(sizes))
+    if sizes[most] > 0 and most not in chosen and len(chosen) > 2:
+        inner = chosen[1:-1]
+        inner[np.argmin(np.abs(inner - most))] = most
+    return sorted(map(int, chosen))
 
 
 def animate(answer: Answer, arrays: Arrays, path: Path) -> str:
@@ -134,14 +155,36 @@ def _lines(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequenc
 
 
 def _maps(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequence[Frame]) -> None:
-    """u from above at some moments, contact outlined."""
-    limits = _range(chosen, "u")
-    shown = chosen[-3:] if len(chosen) < SHOWN else chosen[1::2]
+    """u from above when the contact set is largest and at the end, contact outlined; the free boundary over time."""
+    limits, name = _range(chosen, "u"), plain(_moments(answer).name)
+    most = max(chosen, key=lambda frame: float(np.count_nonzero(frame.fields["contact"] > 0.5)))
+    shown = [most, chosen[-1]] if most is not chosen[-1] else [chosen[len(chosen) // 2], most]
     for number, frame in enumerate(shown):
         axis = page.add_subplot(grid[0, 2 * number : 2 * number + 2])
         colours = _map(axis, arrays, frame, limits)
-        axis.set_title(f"{plain(_moments(answer).name)} = {frame.t:.3g}", fontsize=9)
+        axis.set_title(f"{name} = {frame.t:.3g}", fontsize=9)
     page.colorbar(colours, ax=axis, label=plain(answer.scene.tables.u), shrink=0.8)
+    axis = page.add_subplot(grid[0, 4:])
+    _free_boundaries(page, axis, arrays, _course(answer).frames, name)
+
+
+def _free_boundaries(page: Any, axis: Any, arrays: Arrays, frames: Sequence[Frame], name: str) -> None:
+    """The edge of the contact set at `LINES` moments, in colours that stand for the time."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import Normalize
+
+    scale = ScalarMappable(Normalize(frames[0].t, frames[-1].t), "plasma")
+    for number in np.unique(np.linspace(0, len(frames) - 1, LINES).round().astype(int)):
+        frame = frames[number]
+        patch = patch_of({**frame.fields, "points": arrays["points"], "cells": arrays["cells"]})
+        for line in free_boundary(patch):
+            pieces = line.points[:, :2][line.cells]
+            axis.add_collection(LineCollection(pieces, colors=[scale.to_rgba(frame.t)], linewidths=1.2))
+    low, high = arrays["points"].min(axis=0), arrays["points"].max(axis=0)
+    axis.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    axis.set_title("free boundary", fontsize=9)
+    page.colorbar(scale, ax=axis, label=name, shrink=0.8)
 
 
 def _map(axis: Any, arrays: Arrays, frame: Frame, limits: tuple[float, float]) -> Any:
