@@ -9,7 +9,7 @@ from test_enclosures import CORNERS, FORMULAS, SCENE, area
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.pieces import Division, pieces_of
+from fenicsx_obstacle.estimation.pieces import Division, pieces_of, range_of
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.scenes.fields import FormulaField
 
@@ -145,3 +145,36 @@ def test_the_rule_of_parts_is_that_of_the_cell(data):
     mean = sum((group.share * (group.values(points) @ weights)).sum() for group in found.groups)
     exact = (1 - 0.63**4) / 12  # int_0^0.37 (1 - x)^3/3 dx
     assert mean / 2 == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("text", [
+    "sin(7*x)*y + where(hypot(x - 0.4, y - 0.3) < 0.25, 2, x)", "sqrt(where(x + y < 0.7, 1, x + y) - 0.2)",
+    "max(x^2 - y, 0.1)^2", "abs(x - 0.31)/(0.4 + y)", "1/(hypot(x, y) - 0.05)",
+    "floor(3*x) + where(y > x^2, exp(x), y)",
+])  # fmt: skip
+def test_cells_in_many_blocks_have_the_same_pieces(data, monkeypatch, text):
+    """Of many cells intervals settle most, the others are looked at again, all together; of few cells all that is found
+    is kept. Neither changes bounds, parts, polynomials or rests."""
+    ends = np.linspace(0, 1, 12)
+    low, high = (np.stack([a.ravel() for a in np.meshgrid(side, side)], axis=1) for side in (ends[:-1], ends[1:]))
+    other = np.stack([high[:, 0], low[:, 1]], axis=1)
+    x = np.concatenate([np.stack([low, other, high], axis=1), np.stack([low, high, low + high - other], axis=1)])
+    field = FormulaField(SCENE.formula(text, "here"), SCENE)
+    expected, bounds = pieces(data, text, x), field.over(x, {}, np.zeros(len(x), dtype=int)).once()
+    monkeypatch.setattr("fenicsx_obstacle.estimation.pieces.AT_ONCE", 10)
+    for kept in (0, 10**6):
+        monkeypatch.setattr("fenicsx_obstacle.scenes.enclosures.KEPT", kept)
+        found = pieces(data, text, x)
+        for one, other in zip(_by_simplex(found, len(x)), _by_simplex(expected, len(x)), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+    ranges = range_of(data, field, x, np.zeros(len(x), dtype=int))
+    for one, other in ((ranges.lower, bounds.lower), (ranges.upper, bounds.upper)):
+        known = bounds.finite
+        np.testing.assert_array_equal(one[known], other[known])
+
+
+def _by_simplex(found, count):
+    """Bounds of a datum, and sums over the parts of each simplex: of shares, rests and means of polynomials."""
+    yield from (found.lower, found.upper, found.rough)
+    for values in (lambda g: g.share, lambda g: g.share * g.rest, lambda g: g.share * g.coefficients.mean(axis=1)):
+        yield sum(np.bincount(group.rows, values(group), count) for group in found.groups)
