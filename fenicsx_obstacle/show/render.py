@@ -175,6 +175,8 @@ def _add_obstacle(plotter: Any, grid: Any, view: View, side: str, level: str) ->
     surface, lower = grid.warp_by_scalar(side, factor=view.scale[2]), side == "lower"
     for scalars, value, below in ((side, view.lower[2], False), (side, view.upper[2], True), (level, 0.0, False)):
         surface = surface.clip_scalar(scalars=scalars, value=value, invert=below)
+        if not surface.n_cells:  # nothing of it is within the box; VTK drops the data then
+            return
     # a little behind u: where both are equal the eye would see one through the other in patches
     offset = 4e-3 * (view.upper[2] - view.lower[2]) * view.scale[2]
     surface.points[:, 2] += -offset if lower else offset
