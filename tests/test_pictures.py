@@ -201,6 +201,19 @@ def test_contact_is_drawn_on_the_obstacle(side, monkeypatch):
 
 
 @pytest.mark.slow
+def test_an_obstacle_outside_the_picture_is_not_drawn(monkeypatch):
+    """Of two obstacles the far one is outside the box around u: the other one is drawn, and the contact."""
+    pytest.importorskip("pyvista")
+    patch = on_rank_0(solve(membrane(load=8, lower=-5, upper=0.1, mesh={"shape": "rectangle", "cells": 8})))
+    if COMM.rank != 0:
+        return
+    plotter, view = seen(patch, "graph", "pressure", monkeypatch)
+    (obstacle,) = plotter.with_look(color=render.OBSTACLE)
+    assert np.allclose(obstacle.points[:, 2] / view.scale[2], 0.1, atol=0.01)
+    assert len(plotter.with_look(scalars="pressure")) == 1
+
+
+@pytest.mark.slow
 def test_a_solid_is_cut_open_without_slivers(monkeypatch):
     """A cut through a whole layer of nodes: none of its triangles is without area, and together they are the cut."""
     pytest.importorskip("pyvista")

@@ -177,6 +177,8 @@ def _add_obstacle(plotter: Any, grid: Any, view: View, side: str, level: str) ->
         if surface.n_cells == 0:  # far away
             return
         surface = surface.clip_scalar(scalars=scalars, value=value, invert=below)
+        if not surface.n_cells:  # nothing of it is within the box; VTK drops the data then
+            return
     # a little behind u: where both are equal the eye would see one through the other in patches
     offset = 4e-3 * (view.upper[2] - view.lower[2]) * view.scale[2]
     surface.points[:, 2] += -offset if lower else offset
