@@ -26,6 +26,7 @@ if find_spec("dolfinx_solver") is not None:  # DOLFINx as pip installs it, which
 
 _HOME = {
     "Answer": "answers.answer",
+    "Elasticity": "forms.elasticity",
     "InputError": "errors",
     "NotConverged": "errors",
     "ObstacleError": "errors",
@@ -36,7 +37,9 @@ _HOME = {
     "contact_pressure": "forms.penalty",
     "find": "studies.find",
     "nodal_rule": "forms.rules",
+    "plane_gap": "forms.elasticity",
     "penalty": "forms.penalty",
+    "ball_gap": "forms.elasticity",
     "compare": "answers.difference",
     "solve": "answers.adapt",
     "solve_form": "problems.solve_form",
@@ -45,6 +48,7 @@ _HOME = {
 
 __all__ = [
     "Answer",
+    "Elasticity",
     "InputError",
     "NotConverged",
     "ObstacleError",
@@ -52,11 +56,13 @@ __all__ = [
     "Scene",
     "Solution",
     "Table",
+    "ball_gap",
     "compare",
     "contact_pressure",
     "find",
     "nodal_rule",
     "penalty",
+    "plane_gap",
     "solve",
     "solve_form",
     "study",
