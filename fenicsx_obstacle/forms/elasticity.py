@@ -15,7 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.words import nearest, shown
+from fenicsx_obstacle.text import nearest, shown
 
 PLANES = ("strain", "stress", "axial")
 UNKNOWN = (0.25, 0.25)  # of UFL nothing is known here: what passes every check
