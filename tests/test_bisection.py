@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import COMM, slow_except
-from fenicsx_obstacle.estimation.shapes import longest_edges, sizes
+from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene

@@ -82,7 +82,7 @@ def quantities(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def compared(found: Sequence[Any], *, bounded: bool = False) -> Any:
-    """What values on three meshes say, by the same fields; those that are not finite somewhere are left out.
+    """The uncertainty of values on three meshes, by the same fields; values that are not finite on some mesh have none.
 
     Args:
         found: On each mesh.
