@@ -228,7 +228,7 @@ def test_names_in_the_exact_table_are_checked():
     for exact, message in (
         ({"u": 0, "pressure": "q"}, r"\[exact\] pressure: unknown name 'q'"),
         ({"u": 0, "presure": 0}, r"\[exact\] unknown key 'presure'; did you mean 'pressure'"),
-        ({"u": 0, "pressure": "distance"}, "not in .exact"),
+        ({"u": 0, "pressure": "distance"}, "not allowed in .exact"),
         ({"u": 0, "rates": {"l3": 1}}, r"unknown key 'l3'"),
         ({"pressure": 0}, r"\[exact\] the key 'u' is missing"),
     ):

@@ -77,7 +77,7 @@ def test_values_that_cannot_be_drawn(folder):
         solve(scene).plot(folder / "huge.png")
     far = Scene(mesh={"shape": "interval", "cells": 2}, tension=1, load=-1, lower=-1e300)
     assert "drawn by" in solve(far).plot(folder / "far.png").said
-    assert "carry half of the bound" in _with_bound(membrane(), folder)
+    assert "contribute half of the bound" in _with_bound(membrane(), folder)
 
 
 def _with_bound(scene, folder):

@@ -157,7 +157,7 @@ def test_budget_of_nothing(folder, monkeypatch):
     monkeypatch.setattr(price, "TRUSTED", 1e9)
     page = {name: drawn for name, _, drawn in drawings(rows)}["prices"]
     words = [text.get_text() for axes in page.axes for text in axes.texts]
-    assert len(words) == 3 and all("no error is large enough" in text for text in words)
+    assert len(words) == 3 and all("all errors are smaller" in text for text in words)
 
 
 def test_peak_memory_begins_anew():
@@ -192,7 +192,7 @@ def test_killed_and_page(tmp_path):
     assert done.returncode == 0, done.stderr
     keys = [json.loads(text)["key"] for text in rows.read_text().splitlines()]
     assert keys[: len(kept)] == kept and len(set(keys)) == len(keys) > len(kept)
-    assert "next digit of" in done.stdout and "P2 auto: did not do it" in done.stdout
+    assert "next digit of" in done.stdout and "P2 auto: failed: " in done.stdout
     page = (out / "report.html").read_text()
     assert page.count("<svg") == 4 and "Time for one more digit" in page
     assert "http" not in page.replace("http://www.w3.org", "") and "<script" not in page

@@ -227,6 +227,13 @@ def test_what_is_no_number_has_no_finite_bounds():
         assert not enclosed(text, [[(0, 0), (0, 1), (1, 0)]]).finite.any(), text
 
 
+@pytest.mark.parametrize("largest", ["max((-1.5)^0.5, 1/x)", "-min((-1.5)^0.5, -1/x)"])
+def test_the_largest_of_what_is_no_number_is_above_nothing(largest):
+    """A comparison with it fails, however large the other value is."""
+    found = enclosed(f"where({largest} > 1, 1, 0)", [[(0.1, 0), (0.1, 1), (0.4, 0)]])
+    assert found.lower[0] <= 0
+
+
 @settings(max_examples=400, deadline=None)
 @given(FORMULAS, CORNERS, st.integers(0, 99))
 def test_linear_functions_are_near(text, x, seed):
