@@ -231,10 +231,10 @@ class TreeWalk:
                 holds, fails = [t.may_hold for t in truths], [t.may_fail for t in truths]
                 if (name == "max") == sign.startswith("<"):
                     return Truth(np.logical_and.reduce(holds), np.logical_or.reduce(fails))
-                # where one of them is no number, neither is the largest: the comparison fails
-                defined = [self.number(formula, part).defined for part in parts]
-                undefined = ~np.logical_and.reduce(defined)
-                return Truth(np.logical_or.reduce(holds), np.logical_and.reduce(fails) | undefined)
+                may_fail = np.logical_and.reduce(fails)
+                for part in parts:  # where one of them is no number, neither is the largest: the comparison fails
+                    may_fail = may_fail | ~self.number(formula, part).defined
+                return Truth(np.logical_or.reduce(holds), may_fail)
             case _, ast.Call(func=ast.Name(id="max" | "min")) if sign in MIRRORED:
                 return self._compared(formula, MIRRORED[sign], right, left)
         a, b = self.number(formula, left), self.number(formula, right)
