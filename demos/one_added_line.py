@@ -40,6 +40,7 @@ def newton(F, u, bc, rtol):
     owned = u.function_space.dofmap.index_map.size_local
 
     def residual(snes, x, out):
+        x.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)  # lifting reads the ghosts
         u.x.array[:owned] = x.array_r
         u.x.scatter_forward()
         with out.localForm() as local:

@@ -62,7 +62,7 @@ def raw(k, limit=40):
         A = fem.petsc.assemble_matrix(jacobian, bcs=bcs)
         A.assemble()
         b = fem.petsc.assemble_vector(residual)
-        fem.petsc.apply_lifting(b, [jacobian], bcs=[bcs], x0=[releases.vec(u)], scale=-1.0)
+        fem.petsc.apply_lifting(b, [jacobian], [bcs], [releases.vec(u)], -1.0)
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         fem.petsc.set_bc(b, bcs, releases.vec(u), -1.0)
         size = b.norm()

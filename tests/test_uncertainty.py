@@ -79,15 +79,15 @@ def test_true_errors(name, change):
     area = {"ball": math.pi * 0.697965148223374**2}.get(name, force / (4 if name == "disk_flat" else 8))
     scene = catalogue.read(name).change({"report": {"held": "integral(abs(p))"}})
     answer, plain = solve(scene, uncertainty=True, **change), solve(scene, **change)
-    assert np.array_equal(answer.u.x.array, plain.u.x.array)
+    assert np.allclose(answer.u.x.array, plain.u.x.array, rtol=0, atol=1e-12)  # sums over ranks have no fixed order
     found = answer.record["uncertainty"]
     side = "lower" if name == "ball" else "upper"
     for one, truth in ((found["contact"][side]["force"], force), (found["contact"]["area"], area),
                        (found["report"]["held"], force)):  # fmt: skip
         if one["error"] is not None:
             assert abs(one["values"][-1] - truth) <= 3 * one["error"]
-    assert found["energy"]["order"] > 1 and found["energy"]["values"][-1] == plain.energy
-    assert found["contact"]["area"]["values"][-1] == plain.area
+    assert found["energy"]["order"] > 1 and found["energy"]["values"][-1] == pytest.approx(plain.energy, rel=1e-10)
+    assert found["contact"]["area"]["values"][-1] == pytest.approx(plain.area, rel=1e-8)
     json.dumps(dict(answer.record))
     assert " +- " in answer.summary() and "(order " in answer.summary()
     assert "uncertainty" not in plain.record and "+-" not in plain.summary()
