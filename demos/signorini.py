@@ -76,7 +76,7 @@ solutions = [signorini(n) for n in sizes]
 def energy_error(solution):
     """||grad(u - u_h)||_0 (collective)."""
     x = ufl.SpatialCoordinate(solution.level.mesh)
-    r, theta = ufl.sqrt(x[0] ** 2 + x[1] ** 2), ufl.atan_2(x[1], x[0])
+    r, theta = ufl.sqrt(x[0] ** 2 + x[1] ** 2), releases.atan2(x[1], x[0])
     slope = 1.5 * ufl.sqrt(r) * ufl.as_vector([ufl.cos(theta / 2), -ufl.sin(theta / 2)])
     difference = ufl.grad(solution.u) - slope
     square = fem.form(ufl.inner(difference, difference) * ufl.dx(metadata={"quadrature_degree": 6}))
