@@ -257,23 +257,7 @@ def _nodal_pair(cell: str, degree: int) -> Pair | None:
 def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
     new, cells, places = parents.halved(level.mesh, level.V)
-    fine = replace(
-        level,
-        mesh=new,
-        h=level.h / 2,
-        named=None,
-        materials=None,
-        bent=None,
-        pair=P1,
-        coarse=level,
-        parents=cells,
-        places=places,
-    )
-    if level.shape is not None and level.shape.project is not None:
-        parents.snap(fine.V, fine.boundary_facets, level.shape.project)
-    if level.to_cad is not None:
-        parents.snap_to_cad(fine.V, fine.bent_facets, level.to_cad)
-    return fine
+    return _above(level, new, level.h / 2, cells, places, P1)
 
 
 def refined_where(level: Level, marked: np.ndarray) -> Level:
@@ -286,17 +270,15 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
         assert level.coarse is not None
         return of_pair(refined_where(level.coarse, marked), level.pair)
     new, cells, places = bisection.refined_where(level.V, marked)
+    return _above(level, new, _largest_side(new), cells, places, level.pair)
+
+
+def _above(level: Level, new: dmesh.Mesh, h: float, cells: np.ndarray, places: np.ndarray, pair: Pair) -> Level:
+    """The next finer level, new vertices on curved boundaries moved there (collective)."""
     fine = replace(
-        level,
-        mesh=new,
-        h=_largest_side(new),
-        named=None,
-        materials=None,
-        bent=None,
-        coarse=level,
-        parents=cells,
+        level, mesh=new, h=h, named=None, materials=None, bent=None, pair=pair, coarse=level, parents=cells,
         places=places,
-    )
+    )  # fmt: skip
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
     if level.to_cad is not None:
