@@ -109,7 +109,7 @@ class OnCells:
         return at_corners[places], rest[places], steep[places]
 
     def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from fenicsx_obstacle.scenes.mean_value_forms import lines  # likewise
+        from fenicsx_obstacle.scenes.mean_value_forms import lines  # only where it is needed
 
         among, places = self.cells.among(cells)
         values, rest = lines(among, self.formula)
