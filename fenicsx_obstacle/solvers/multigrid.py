@@ -153,8 +153,8 @@ class KeptLevels:
     """PETSc Python PC for the whole matrix of a problem that has a preconditioner of its own.
 
     Interpolation from rigid body motions is 0 at the normal components of closed nodes, so that coarse matrices do not
-    depend on the penalty there. While no other nodes close, coarse levels stay as they are, and only the finest smoother
-    is renewed. At fixed dofs, where interpolation may be other than 0 by round-off, it is the identity.
+    depend on the penalty there. While no other nodes close, coarse levels stay as they are, and only the finest
+    smoother is renewed. At fixed dofs, where interpolation may be other than 0 by round-off, it is the identity.
     """
 
     def __init__(self, problem: Problem, prefix: str):
