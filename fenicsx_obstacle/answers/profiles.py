@@ -14,7 +14,7 @@ from fenicsx_obstacle.discrete.cells import corners, facet_corners, sides
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.problems.solution import Profile
+from fenicsx_obstacle.problems.values import Profile
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import counted, nearest
 
@@ -75,9 +75,7 @@ def moments_of(answer: Answer, profile: Profile) -> list[tuple[float, Profile]]:
             function.x.scatter_forward()
             values[name] = values_of(function, points)
         gap = values.pop("gap", np.full(len(points), np.inf))
-        found.append(
-            (frame.t, replace(profile, gap=gap, slope=np.full_like(profile.slope, np.nan), flux=None, **values))
-        )
+        found.append((frame.t, replace(profile, gap=gap, slope=None, flux=None, **values)))
     return found
 
 
@@ -95,13 +93,16 @@ def along_text(text: str) -> tuple[list[float], list[float]]:
 
 
 def as_columns(profile: Profile) -> dict[str, list[float]]:
-    """Its columns by their names: x, s, u, p, gap, slope and flux."""
+    """Its columns by their names: the coordinates, s, and the quantities that are known."""
     axes = "xyz"[: profile.points.shape[1]]
-    columns = {axis: profile.points[:, k] for k, axis in enumerate(axes)}
-    columns |= {"s": profile.s, "u": profile.u, "p": profile.pressure, "gap": profile.gap}
-    for name, vectors in (("slope", profile.slope), ("flux", profile.flux)):
-        if vectors is not None and np.isfinite(vectors).any():
-            columns |= {f"{name}_{axis}": vectors[:, k] for k, axis in enumerate(axes)}
+    columns = {axis: profile.points[:, k] for k, axis in enumerate(axes)} | {"s": profile.s}
+    named = {"u": profile.u, "p": profile.pressure, "gap": profile.gap, "slope": profile.slope, "flux": profile.flux,
+             "von_mises": profile.von_mises}  # fmt: skip
+    for name, values in named.items():
+        if values is not None and values.ndim == 1:
+            columns[name] = values
+        elif values is not None:
+            columns |= {f"{name}_{axis}": values[:, k] for k, axis in enumerate(axes)}
     return {name: values.tolist() for name, values in columns.items()}
 
 

@@ -24,8 +24,8 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
-from fenicsx_obstacle.problems.solution import Seconds
 from fenicsx_obstacle.problems.state import State, state_of
+from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers import multigrid

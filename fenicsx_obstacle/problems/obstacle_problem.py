@@ -26,8 +26,9 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
 from fenicsx_obstacle.problems.residual_form import ResidualForm, check_form, conditions, facets_of, number_of, obstacle
-from fenicsx_obstacle.problems.solution import Seconds, Solution
+from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.state import State, state_of
+from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
 from fenicsx_obstacle.solvers.linear import overriding, unread

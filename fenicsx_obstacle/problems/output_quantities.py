@@ -14,8 +14,8 @@ from fenicsx_obstacle.estimation.round_off import round_off
 from fenicsx_obstacle.io.origin import command, versions
 from fenicsx_obstacle.measured.table import MeasuredField
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
-from fenicsx_obstacle.problems.solution import Seconds
 from fenicsx_obstacle.problems.state import State
+from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.solvers.snes import Outcome
 
 COARSE = 1.5  # distance of nodes over that of measured data from which on the mesh is said to be too coarse

@@ -22,7 +22,8 @@ from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.problems.residual_form import facets_of
-from fenicsx_obstacle.problems.solution import Force, Solution
+from fenicsx_obstacle.problems.solution import Solution
+from fenicsx_obstacle.problems.values import Force, Profile
 from fenicsx_obstacle.text import nearest, shown
 
 NO_STRESS = "give the problem its stress in UFL, stress=sigma(u)"
@@ -133,27 +134,6 @@ class VectorForce(Force):
 
 
 @dataclass(frozen=True, eq=False)
-class VectorProfile:
-    """Values along a line; not-a-number outside the mesh, gaps outside the contact boundary.
-
-    Attributes:
-        points: Shape (n, gdim).
-        s: Distance from the first point, along the points, shape (n,).
-        u: Displacement, shape (n, gdim).
-        pressure: Contact pressure, shape (n,); 0 off the contact boundary.
-        gap: Distance to the nearest obstacle along the normal, shape (n,).
-        von_mises: Von Mises stress of the cell, shape (n,); None if no stress was given.
-    """
-
-    points: np.ndarray
-    s: np.ndarray
-    u: np.ndarray
-    pressure: np.ndarray
-    gap: np.ndarray
-    von_mises: np.ndarray | None
-
-
-@dataclass(frozen=True, eq=False)
 class VectorSolution(Solution):
     """A converged vector-valued solution.
 
@@ -174,7 +154,7 @@ class VectorSolution(Solution):
         sides = super().force
         return VectorForce(sides.lower, sides.upper, self.nodes.resultant, self.nodes.moment())
 
-    def on(self, points: np.ndarray) -> VectorProfile:  # type: ignore[override]
+    def on(self, points: np.ndarray) -> Profile:
         """All quantities at points that follow each other on a curve (collective).
 
         Args:
@@ -186,7 +166,7 @@ class VectorSolution(Solution):
         names = ("u", "pressure", "gap", *(("von_mises",) if self.von_mises is not None else ()))
         values = {name: self.at(points, name) for name in names}
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return VectorProfile(points, s, values["u"], values["pressure"], values["gap"], values.get("von_mises"))
+        return Profile(points, s, **values)
 
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         if of != "gap":

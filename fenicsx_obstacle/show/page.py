@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle.parallel import write_text
-from fenicsx_obstacle.problems.solution import report_in_words, uncertain
+from fenicsx_obstacle.problems.summary import report_in_words, uncertain
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable

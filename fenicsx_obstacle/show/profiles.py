@@ -12,7 +12,7 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import as_columns, as_csv, moments_of, profiles_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root, write_text
-from fenicsx_obstacle.problems.solution import Profile
+from fenicsx_obstacle.problems.values import Profile
 from fenicsx_obstacle.show.figures import (
     ABOVE,
     BLUE,

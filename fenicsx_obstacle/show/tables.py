@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from fenicsx_obstacle.problems.solution import uncertain
+from fenicsx_obstacle.problems.summary import uncertain
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
 from fenicsx_obstacle.studies.orders import lookup, order, parameter, quantities
 from fenicsx_obstacle.text import counted, short

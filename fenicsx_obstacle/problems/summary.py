@@ -1,0 +1,171 @@
+"""The main values of a solution in words, from its record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fenicsx_obstacle.text import counted
+
+PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
+LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
+
+
+def summary(record: Mapping[str, Any], title: str) -> str:
+    """The main values of a solution in a few lines of text.
+
+    Args:
+        record: Of the solution.
+        title: Of its problem.
+    """
+    r = record
+    size = f"{counted(r['cells_total'], 'cell')}, {counted(r['dofs'], 'unknown')}, h = {r['h']:.4g}"
+    eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
+    figures = main_values(r)
+    if "peclet" in r:
+        how = "upwinded where it is above 1" if r["peclet"] > 1 else "so nowhere upwinded"
+        figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
+    if r["free"] == 0:
+        figures.append("u is given at every node: use more cells")
+    linear = "GMRES step" if "peclet" in r else "linear step"
+    steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
+    if "time" in r:
+        steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"
+    lines = [
+        title,
+        f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
+        *_steps(r),
+        f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
+        f"{r['seconds']['total']:.2f} s in all, {r['memory_mb']:.0f} MB",
+        "  " + "; ".join(figures),
+        *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
+        *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
+    ]
+    if r["penetration"] > LARGE_PENETRATION * r["u_range"]:
+        large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
+        share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
+        lines.append(f"  penetration is {share} range of u: for accurate values take a smaller eps, or the method vi")
+    lines += _round_off(r)
+    if "reason" in r.get("uncertainty", {}):
+        lines.append(f"  no uncertainty: {r['uncertainty']['reason']}")
+    if "errors" in r:
+        lines.append("  error: " + ", ".join(f"{key} {value:.4g}" for key, value in r["errors"].items()))
+    if "bound" in r:
+        b = r["bound"]
+        relative = "" if b["relative"] is None else f", {b['relative']:.3g} of its norm"
+        parts = ", ".join(f"{key} {b[key]:.3g}" for key in ("discretisation", "penalty", "algebraic", "data"))
+        most = "at most" if b["words"].startswith("certified") else "about"
+        times = _effectivity(r["bound"])
+        lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
+    lines += _enclosure(r) + _tolerance(r)
+    if r.get("report"):
+        lines.append("  report: " + ", ".join(f"{name} = {words}" for name, words in report_in_words(r).items()))
+    return "\n".join(lines)
+
+
+def _steps(record: Mapping[str, Any]) -> list[str]:
+    """The steps in time, in words."""
+    time = record.get("time")
+    if time is None:
+        return []
+    scheme = {"equilibria": "equilibria", "euler": "implicit Euler", "bdf2": "BDF2",
+              "midpoint": "midpoint rule"}[time["scheme"]]  # fmt: skip
+    again = f", {counted(time['rejected'], 'step')} repeated" if time["rejected"] else ""
+    return [f"  {counted(time['steps'], 'step')} to {time['name']} = {time['t']:g}, {scheme}{again}; at the end:"]
+
+
+def _round_off(record: Mapping[str, Any]) -> list[str]:
+    """Lines about the round-off of the pressure, if it is large."""
+    found, lines = record.get("round_off", {}), []
+    if (found.get("left") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
+        lines.append(
+            f"  round-off of the pressure {found['left']:.1g}, because u is large; subtract a constant from "
+            "u and the "
+            "obstacle"
+        )
+    if (found.get("line") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
+        lines.append(
+            f"  eps is very small: p was computed from the unknown u - obstacle; computed from the saved u and "
+            f"obstacle it would have an error of {found['line']:.1g}"
+        )
+    return lines
+
+
+def _enclosure(record: Mapping[str, Any]) -> list[str]:
+    """A line about the distance of u from the solution of the inequality on the same mesh."""
+    enclosure = record.get("enclosure")
+    if enclosure is None:
+        return []
+    side = "above" if "lower" in record["contact"] else "below"
+    words = "" if enclosure["guaranteed"] else "; not guaranteed, the stiffness is no M-matrix"
+    return [f"  the solution without penalty is {side} u by at most {enclosure['width']:.3g} at each node{words}"]
+
+
+def _effectivity(b: Mapping[str, Any]) -> str:
+    """Bound over true error, in words; if it is below 1, with the reason."""
+    if b["effectivity"] is None:
+        return ""
+    times = f"; {b['effectivity']:.3g} times the true one"
+    if b["effectivity"] >= 1 or not b["words"].startswith("certified"):
+        return times
+    if b["guaranteed"]:
+        return times + ", so that [exact] is not the solution of this scene, or both are round-off"
+    what = ["the curved boundary"] if "polygon" in b["words"] else []
+    what += ["data between samples"] if "sampled" in b["words"] else []
+    return f"{times}, which includes the error of {' and '.join(what)}; the bound does not"
+
+
+def _tolerance(record: Mapping[str, Any]) -> list[str]:
+    """Whether the tolerance was reached, in words."""
+    adaptive = record.get("adaptive")
+    if adaptive is None:
+        return []
+    kind = "relative" if adaptive["relative"] else "absolute"
+    goal = f"{kind} tolerance {adaptive['tolerance']:g}"
+    if adaptive["reached"]:
+        kind, _, what = record["bound"]["words"].partition(":")[0].partition("certified")
+        words = ", by an indicator only" if kind else f",{what}" if what else ""
+        where = f"on mesh {len(adaptive['path'])}"
+        return [f"  the {goal} is reached{words}, {where}; eps and meshes were chosen for it"]
+    return [f"  THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]
+
+
+def main_values(r: Mapping[str, Any]) -> list[str]:
+    """Energy and contact, in words."""
+    contact = r["contact"]
+    sides = [side for side in ("lower", "upper") if side in contact]
+    figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}{uncertain(r, 'energy')}"]
+    if sides:
+        figures.append(f"contact area {contact['area']:.6g}{uncertain(r, 'contact', 'area')}")
+        figures += [f"force on {side} obstacle {contact[side]['force']:.6g}{uncertain(r, 'contact', side, 'force')}"
+                    for side in sides]  # fmt: skip
+        figures.append(f"penetration {r['penetration']:.3g}{uncertain(r, 'penetration')}")
+    return figures
+
+
+def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
+    """The values of [report], by name; extremes with their places."""
+    places, found = record.get("report_places", {}), {}
+    for name, value in (record.get("report") or {}).items():
+        where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
+        found[name] = "not finite" if value is None else f"{value:.6g}{uncertain(record, 'report', name)}{where}"
+    return found
+
+
+def uncertain(record: Mapping[str, Any], *keys: str, short: bool = False) -> str:
+    """What follows the value of a field: its uncertainty, in words; nothing where none was asked for.
+
+    Args:
+        record: Of a solution, or a row of a study.
+        keys: The field, and the fields in it.
+        short: Without the order and the last change.
+    """
+    found: Any = record.get("uncertainty", {})
+    for key in keys:
+        found = found.get(key, {})
+    if not found:
+        return ""
+    if found["error"] is None:
+        return f" ({found['verdict']}{'' if short else ': the last change is {:.2g}'.format(found['change'])})"
+    order = "no order" if found["order"] is None else f"order {found['order']:.1f}"
+    return f" +- {found['error']:.2g}{'' if short else f' ({order})'}"
