@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def effectivities(context: SolverContext, many: list) -> None:
-    """Bounds beside true errors (collective)."""
+    """Bounds and true errors (collective)."""
     scene = context.scene
     for eps in many:
         answer = context.answer(scene.options_with(eps=eps), bound=True)

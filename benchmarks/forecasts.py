@@ -1,4 +1,4 @@
-"""Forecasts of `explain --tol` beside what `solve --tol` then takes, each in a process of its own.
+"""Forecasts of `explain --tol` compared with what `solve --tol` then takes, each in a process of its own.
 
     .venv/bin/python benchmarks/forecasts.py
     .venv/bin/python benchmarks/forecasts.py ball:P2:1e-3 nsv:P1:0.01

@@ -6,7 +6,7 @@
     .venv/bin/python benchmarks/ladder.py demos/ball.toml --gmsh 0.0205,0.01035 --cold
 
 Runs under mpirun as it stands. On each mesh every solve is made `--times` times, with spaces, assembly and set-up anew,
-and the fastest counts; a unit is one Poisson solve on the same mesh in the same process. `--beside` adds what one would
+and the fastest counts; a unit is one Poisson solve on the same mesh in the same process. `--amg` adds what one would
 write without this package: SNES VI with algebraic multigrid, from a cold start and from the next coarser grid.
 `--gmsh` takes sizes of cells in place of their number: Gmsh then meshes the rectangle or box of the scene, and the mesh
 has no coarser one. `--cold` adds cold starts with BoomerAMG.
@@ -51,12 +51,12 @@ def main() -> None:
     parser.add_argument("--cold", action="store_true")
     parser.add_argument("--eps", default="h^2,1e-8,1e-12")
     parser.add_argument("--times", type=int, default=3)
-    parser.add_argument("--beside", action="store_true")
+    parser.add_argument("--amg", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     ways: dict[str, dict[str, Any]] = {f"eps={eps}": {"eps": eps} for eps in values_of(options.eps, "eps")}
     ways["vi"] = {"method": "vi"}
-    if options.beside:
+    if options.amg:
         ways["vi-amg-grids"] = {"method": "vi"}
         ways["vi-amg-cold"] = {"method": "vi", "start": "cold"}
     if options.cold:

@@ -1,4 +1,4 @@
-"""What a second rank is worth: the same solve on 1, 2, ... ranks beside the Poisson solve on as many.
+"""What a second rank is worth: the same solve on 1, 2, ... ranks compared with the Poisson solve on as many.
 
     .venv/bin/python benchmarks/ranks.py demos/ball.toml --cells 1024 --ranks 1,2
 

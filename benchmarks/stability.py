@@ -21,7 +21,7 @@ def families(text: str) -> dict[str, str]:
 
 
 def renew(folder: Path) -> None:
-    """Put the tables of tables.md in place of those of the same families, and the pictures beside."""
+    """Put the tables of tables.md in place of those of the same families, and the pictures next to it."""
     page = DOCS / "hard_scenes.md"
     text, new = page.read_text(), families((folder / "tables.md").read_text())
     start = text.find(HEADING, text.index(LAST))

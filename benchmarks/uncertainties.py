@@ -1,4 +1,4 @@
-"""How often the stated uncertainties hold: stated beside true errors, on scenes with exact solutions.
+"""How often the stated uncertainties hold: stated and true errors, on scenes with exact solutions.
 
     .venv/bin/python benchmarks/uncertainties.py
     .venv/bin/python benchmarks/uncertainties.py ball cone --cells 32..128 --each

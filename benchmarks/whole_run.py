@@ -1,4 +1,4 @@
-"""What a whole run costs beside a plain DOLFINx script: processes, from start to end, with all files.
+"""What a whole run costs compared with a plain DOLFINx script: processes, from start to end, with all files.
 
     .venv/bin/python benchmarks/whole_run.py demos/ball.toml --cells 512,1024
 

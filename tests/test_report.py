@@ -374,7 +374,7 @@ def test_flux_through_a_curve_inside(element):
         ("integral(normal_flux, 'middle', 'west')", "no material named 'west'"),
         ("integral(normal_flux, 'middle')", "from one side it is integral"),
         ("integral(jump)", "jump is defined on a curve inside"),
-        ("integral(normal_flux, 'west', 'stiff')", "'stiff' is not beside 'west'"),
+        ("integral(normal_flux, 'west', 'stiff')", "'stiff' is not next to 'west'"),
     ):
         with pytest.raises(InputError, match=message):
             solve(halves(1, report={"q": text}, boundary=[{"on": "west", "value": 0}]))

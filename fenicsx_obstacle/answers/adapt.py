@@ -274,5 +274,5 @@ def _marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:
         middle = (low + high) / 2
         enough = total(comm, indicator[indicator >= middle]) >= share * everything
         low, high = (middle, high) if enough else (low, middle)
-    # cells alike by symmetry are marked together, whatever their last digit
+    # cells that are equal by symmetry are marked together, whatever their last digit
     return indicator >= low * (1 - 1e-6)

@@ -106,7 +106,7 @@ class Cloud:
 class Nearby:
     """Distances of functions on one mesh to a cloud; the cells that contain its points are found once.
 
-    Points outside the mesh, where shapes are curved, count 0; on a side all cells beside it count alike.
+    Points outside the mesh, where shapes are curved, count 0; on a side both cells have equal weight.
     """
 
     def __init__(self, cloud: Cloud, level: Level):

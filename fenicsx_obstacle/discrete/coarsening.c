@@ -12,7 +12,7 @@ enum { UNDECIDED, CHOSEN, DROPPED };
 #define FAR_MOST 1.5
 #define COINCIDENT 1e-12       /* of the largest squared distance: two nodes at one place */
 #define SINGULAR 1e-8          /* of the trace of a covariance: what its eigenvalues are raised by */
-#define NEARLY_NOTHING 1e-10   /* likewise where there is one candidate only; distances are at most 1 */
+#define NEARLY_NOTHING 1e-10   /* the same, where there is one candidate only; distances are at most 1 */
 
 /* Decide about owned nodes as far as the states of ghosts allow; returns how many are left undecided. */
 int64_t choose(int64_t nodes, const int64_t *starts, const int32_t *neighbours, const double *priority,

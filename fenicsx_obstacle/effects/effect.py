@@ -144,7 +144,7 @@ class Effect:
     term: ClassVar[str] = ""  # its part of a(u, v) - f(v), for `explain`
     unit: ClassVar[str] = ""
     holds: ClassVar[bool] = False  # keeps u from floating away where it is given nowhere
-    note: ClassVar[str] = ""  # what `explain` says besides
+    note: ClassVar[str] = ""  # what `explain` adds
     upwinded: ClassVar[bool] = False  # its test functions are upwinded where there is drift
     radial: ClassVar[bool] = False  # gives all integrals the weight x
     elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness

@@ -16,7 +16,9 @@ if TYPE_CHECKING:  # reading a scene imports no finite elements
     import numpy as np
     from dolfinx import fem
 
-Names = Mapping[str, Any]  # what a datum may depend on besides x: t, eps, `distance` as a function of points (n, 3)
+Names = Mapping[
+    str, Any
+]  # what a datum may depend on in addition to x: t, eps, `distance` as a function of points (n, 3)
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 
 

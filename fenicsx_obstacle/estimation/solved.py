@@ -1,8 +1,8 @@
 """Reference problems: computed solutions with bounds of their distance from the discrete solution.
 
 A state w leaves the residual r = A w + ... + D (u - g)^+/eps - f at free dofs. Its distance e to the solution satisfies
-(A + theta D/eps) e = r with some 0 <= theta_i <= 1, since t^+ is monotone and Lipschitz; for the inequality likewise
-with theta_i = 0 or infinite. Hence, with r taken to contain the round-off of its own evaluation,
+(A + theta D/eps) e = r with some 0 <= theta_i <= 1, since t^+ is monotone and Lipschitz; for the inequality
+this holds with theta_i = 0 or infinite. Hence, with r taken to contain the round-off of its own evaluation,
 
     |e| <= A^-1 |r|  at every node, and   ||e||_a <= R, R^2 = |r|' A^-1 |r|,   where A is an M-matrix,
     ||e||_a <= R,  R^2 = r' A^-1 r,   everywhere,

@@ -18,7 +18,7 @@ class Grid(Surface):
 
         Args:
             x: Ascending, two or more.
-            y: Likewise, or None: the heights depend on x alone.
+            y: In the same form, or None: the heights depend on x alone.
             z: Heights, shape (len(x), len(y)), or (len(x),).
         """
         self.z = np.column_stack([z, z]) if y is None else z

@@ -270,7 +270,7 @@ class Report:
                 raise InputError(formula.pointing(node, message))
         cells, _, _ = sides(self.level.mesh, facets[str(curve.value)])
         if total(self.level.comm, np.count_nonzero(np.isin(cells, groups[str(side.value)]))) == 0:
-            raise InputError(formula.pointing(side, f"'{side.value!s}' is not beside '{curve.value!s}'"))
+            raise InputError(formula.pointing(side, f"'{side.value!s}' is not next to '{curve.value!s}'"))
 
     def _check_normal_flux(self, formula: Formula, node: ast.expr, name: str) -> None:
         """Reject the normal flux on parts where it is not the reaction force (collective)."""

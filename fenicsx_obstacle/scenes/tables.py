@@ -60,7 +60,7 @@ class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     perturb: Annotated[float, Meta(ge=0, lt=0.5)] = 0.0
 
 
-OF_SHAPE = {  # keys that say something about it, beside `cells` and `refine`
+OF_SHAPE = {  # its keys other than `cells` and `refine`
     "interval": ("x",), "rectangle": ("x", "y", "cell", "diagonal", "perturb"),
     "box": ("x", "y", "z", "cell", "perturb"), "l-shape": ("x", "y"), "disk": ("radius",),
 }  # fmt: skip
@@ -74,7 +74,7 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     upper: Datum | None = None
 
 
-ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] beside `value`: effects, obstacles
+ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] other than `value`: effects, obstacles
 
 
 class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -108,7 +108,7 @@ class TimeTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
         velocity: u_t at t = 0, with inertia.
         scheme: Of rate.
         tolerance: Of rate: what a step may add to the error, in the unit of u; chooses the steps.
-        frames: How many moments are kept as fields, beside t = 0.
+        frames: How many moments are kept as fields, in addition to t = 0.
         name: What t is, with its unit, on axes.
     """
 

@@ -1,7 +1,7 @@
 """A formula's tree evaluated in interval arithmetic on many cells together.
 
-Each value is a pair of arrays, its bounds over the bounding box of each cell, rounded outward. Beside the bounds each
-node carries its degree as a polynomial, whether it is one expression on the whole cell (no condition in it changes
+Each value is a pair of arrays, its bounds over the bounding box of each cell, rounded outward. Each node also carries
+its degree as a polynomial, whether it is one expression on the whole cell (no condition in it changes
 there), and whether it is defined.
 
 A condition that changes on the boundary of a cell alone, up to 1e-12 of the numbers that are compared, counts as

@@ -29,7 +29,7 @@ SMOOTHER = {
     "mg_levels_ksp_max_it": 1,
     "mg_levels_ksp_norm_type": "none",
     "mg_levels_pc_type": "sor",
-    "mg_levels_pc_sor_omega": 1.3,  # smooths better than 1 (Yavneh 1996); 1.2 to 1.4 do alike
+    "mg_levels_pc_sor_omega": 1.3,  # smooths better than 1 (Yavneh 1996); 1.2 to 1.4 do as well
     "mg_coarse_ksp_type": "preonly",
     "mg_coarse_pc_type": "cholesky",
     "mg_coarse_pc_factor_mat_solver_type": "mumps",

@@ -46,7 +46,7 @@ class Choice:
 def choices(scene: Scene) -> list[Choice]:
     """All methods; one that is not possible for a scene raises an error when it is tried.
 
-    The element is the scene's own; P2 stands beside it.
+    The element is the scene's own; P2 is added.
     """
     own, nested, penalty = scene.pair.name, "started from the solution on the next coarser mesh", {"method": "penalty"}
     if own == "P2":

@@ -175,7 +175,7 @@ def _msh(
     triangles: tuple[tuple[int, ...], ...] = ((1, 2, 3), (1, 3, 4)),
     kind: int = 2,
 ) -> bytes:
-    """A Gmsh file, version 2.2, of a square with its diagonal; nodes 5 and 6 are its middle and beside it."""
+    """A Gmsh file, version 2.2, of a square with its diagonal; node 5 is its middle, node 6 is outside."""
     places: dict[int, tuple[object, object]] = {1: (0, 0), 2: (1, 0), 3: (1, 1), 4: (0, 1), 5: (0.5, 0.5), 6: (0.5, 2)}
     places |= dict(nodes or {})
     points = "\n".join(f"{number} {x} {y} 0" for number, (x, y) in places.items())

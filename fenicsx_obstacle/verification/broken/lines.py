@@ -87,7 +87,7 @@ def broken_lines() -> Iterator[Broken]:
     for key in ("[define] c", "[effects] tension", "[effects] load", "[obstacle] lower", "[obstacle] upper",
                 "[[boundary]] value", "[[boundary]] where", "[mesh] radius", "[exact] u", "[exact] pressure",
                 "[report] q", "[solve] eps", "[time] end", "[time] start", "[time] velocity"):  # fmt: skip
-        # a figure that is not finite is said to be so beside the others
+        # a figure that is not finite is said to be so next to the others
         for what, value in {**FORMULAS, **TYPES, **({} if key == "[report] q" else NUMBERS)}.items():
             yield _with(key, value, what)
     for key in ("title", "u", "[mesh] file", "[exact] free", "[exact] regularity", "[time] name"):

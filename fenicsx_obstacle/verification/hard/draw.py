@@ -28,11 +28,11 @@ STRIDE = 10000  # between the seeds of processes for two seeds of the user
 
 
 def shares(count: int, *, truths: bool = False) -> dict[str, int]:
-    """How many scenes of each family to draw: half of them admissible ones, the others alike.
+    """How many scenes of each family to draw: half of them admissible ones, the others in equal parts.
 
     Args:
         count: Of all.
-        truths: Whether only families whose true error is known, all alike.
+        truths: Whether only families whose true error is known, in equal parts.
 
     Raises:
         InputError: Without Hypothesis or SymPy.

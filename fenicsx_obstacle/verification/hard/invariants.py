@@ -8,7 +8,7 @@ chosen. Where a theorem needs what an operator has not, the figure is given and 
   tensions, and drift where the symmetric part of its matrix is positive definite (`ReferenceProblem.held`);
 - energies exist for all effects but drift, and are compared where they are convex;
 - what is said node by node needs the maximum principle (`ReferenceProblem.monotone`): matrices with the signs of an
-  M-matrix, with drift too, and soft obstacles beside them, never a tension that depends on the slope.
+  M-matrix, with drift too, and soft obstacles in addition, never a tension that depends on the slope.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def _signs(s: Solved) -> list[Finding]:
 
 
 def beside_inequality(s: Solved, vi: Solved) -> list[Finding]:
-    """A penalised answer beside the inequality's, to the same problem (collective).
+    """A penalised solution compared with the inequality's, of the same problem (collective).
 
     From a(e, e) + eps I(d, d) <= -eps I(d, p_h), e = u_eps - u_h, d = p_eps - p_h, on any mesh: a(e, e) <= (eps/4)
     ||p_h||_I^2 and ||p_eps||_I <= ||p_h||_I; for other operators with (F(u_eps) - F(u_h)) . e in place of a(e, e).
@@ -168,7 +168,7 @@ def beside_inequality(s: Solved, vi: Solved) -> list[Finding]:
 def falling(larger: Solved, smaller: Solved) -> list[Finding]:
     """Two answers of the penalty, eps falling: they move towards the obstacle, and store more energy (collective).
 
-    J_eps = a(u, u)/2 - f(u) + I((u - g)^+ ^2)/(2 eps) grows as eps falls at each u, hence its minimum does. Where the
+    J_eps = a(u, u)/2 - f(u) + I((u - g)^+ ^2)/(2 eps) grows as eps falls at each u, so its minimum does too. Where the
     maximum principle holds and there is one obstacle, u with the larger eps is a sub- or supersolution of the other.
     """
     g = larger.ground

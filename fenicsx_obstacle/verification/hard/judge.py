@@ -89,7 +89,7 @@ class _Verifier:
         self.known: dict[tuple[str, float | str | None], Trial] = {}
 
     def sweep(self, epsilons: Sequence[float | str], methods: Sequence[str]) -> Iterator[Row]:
-        """The inequality, then each method for each eps, beside those before."""
+        """The inequality, then each method for each eps, compared with those before."""
         yield from self._judged("vi", None, [])
         last: dict[str, Trial] = {}
         for eps in epsilons:
@@ -196,7 +196,7 @@ def take(context: SolverContext, ground: ReferenceProblem, eps: float | None) ->
 
 
 def _scatter(points: np.ndarray) -> np.ndarray:
-    """Numbers between -1 and 1 by place, alike on all ranks."""
+    """Numbers between -1 and 1 by place, the same on all ranks."""
     mixed = np.sin(np.array([12.9898, 78.233, 37.719]) @ points) * 437.585453
     return 2 * (mixed - np.floor(mixed)) - 1
 

@@ -127,7 +127,7 @@ def panels(all_figures: Sequence[tuple[Summary, Sequence[Row]]]) -> list[Panel]:
 
 
 def digits_panels(rows: Sequence[Row]) -> list[Panel]:
-    """What round-off takes from the pressure, beside what theory says of it."""
+    """The round-off of the pressure, and what theory says of it."""
     plain = _pairs(rows, "line", "from_heights", shifted=False)
     left = _pairs(rows, "left", "moved", shifted=True)
     return [

@@ -29,8 +29,8 @@ class Units:
     """How many new units make an old one, and the new height of the old zero.
 
     -div(tension grad u) = load + p becomes the same equation with tension * force, load * force * height / length^2 and
-    p likewise; eps has the unit of u/p. Slopes are heights over lengths: tensions that depend on them are the same only
-    if both grow alike, but for a power law, which is homogeneous.
+    p too; eps has the unit of u/p. Slopes are heights over lengths: tensions that depend on them are the same only
+    if both grow by the same factor, but for a power law, which is homogeneous.
 
     Attributes:
         name: In words.

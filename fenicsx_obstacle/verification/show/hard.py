@@ -106,7 +106,7 @@ def _described(figures: Summary) -> list[str]:
 
 
 def _verdicts(figures: Summary) -> str:
-    """All alike, or how many were refused or have failed."""
+    """Whether all have the same result, or how many were rejected or have failed."""
     count = figures.verdicts
     few = [f"{count[verdict]} {verdict}" for verdict in (REFUSED, FAILED) if count[verdict]]
     if not count[RIGHT]:

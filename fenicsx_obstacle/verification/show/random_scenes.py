@@ -68,7 +68,7 @@ def show_random(
 
 
 def table(rows: Sequence[Row]) -> str:
-    """The bounds of each family beside their true errors."""
+    """The bounds of each family and their true errors."""
     families = list(dict.fromkeys(row["family"] for row in rows))
     lines = [HEADS, *(_line(name, [row for row in rows if row["family"] == name]) for name in families)]
     lines.append(_line("all", rows))

@@ -71,7 +71,7 @@ def conclusion(findings: Sequence[Finding]) -> str:
 
 
 def table(findings: Sequence[Finding]) -> str:
-    """Claims beside observations, as lines of text: a group of rows for each scene or pair."""
+    """Claims and observations, as lines of text: a group of rows for each scene or pair."""
     groups: dict[str, list[tuple[str, ...]]] = {}
     for one in findings:
         quantity, scene = split(one.quantity)
@@ -105,7 +105,7 @@ def slug(number: str) -> str:
 
 
 def drawing(found: Found, title: str) -> Any:
-    """The picture of a statement: one panel beside the other, at most three in a row."""
+    """The picture of a statement: panels side by side, at most three in a row."""
     columns = min(len(found.panels), 3)
     rows = math.ceil(len(found.panels) / columns)
     labels = {tuple(curve.label for curve in panel.curves) for panel in found.panels}
@@ -118,7 +118,7 @@ def drawing(found: Found, title: str) -> Any:
         _panel(part, panel)
         if not crowded:
             part.legend(fontsize=7)
-    if crowded:  # one legend beside all panels: within them it would cover curves
+    if crowded:  # one legend outside of all panels: within them it would cover curves
         flat[columns - 1].legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False,
                                  handlelength=4)  # fmt: skip
     page.suptitle(textwrap.fill(title, 55 * columns), fontsize=11)

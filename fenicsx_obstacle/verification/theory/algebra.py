@@ -1,7 +1,7 @@
 """The algebra on one element behind Examples 1-3: (3.6), (3.27), (3.28), (3.32), (3.33), (3.36), (3.38).
 
 A function on an element is given by coefficients q_k of a basis; I(q, q) and ||q||_0^2 are quadratic forms in them,
-here divided by the area, so that they can be laid beside the printed ones.
+here divided by the area, so that they can be compared with the printed ones.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ GAP, RESIDUAL, PLAIN, LINE = "-(u - g)^+/eps, unknown u - g", "(A u - f)/D in co
 
 @statement("digits", "Digits of the contact pressure at small eps", "3.7", "3.8")
 def digits(comm: MPI.Comm) -> Found:
-    """Three forms of p_eps beside p_h, and the plain one beside the round-off of u (collective).
+    """Three forms of p_eps compared with p_h, and the plain one with the round-off of u (collective).
 
     The unknown of the package is w = u - g. In the plain form the same state is stored as u = w + g, in double
     precision, and g taken away again: what an unknown u cannot but do.

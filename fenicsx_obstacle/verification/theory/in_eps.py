@@ -28,7 +28,7 @@ DECADES = (1e-5, 1e-6, 1e-7, 1e-8)
 SMALL = 1e-7  # far below h^2
 LARGE = (1e-3, 1e-4)  # above h^2 on the finest mesh
 FINE, SOME, QUADS = (64, 128, 256), (16, 32, 64, 128), {"mesh.cell": "quadrilateral"}
-# eps of order h must be small beside the square of what the contact measures: where that is little, a part of h
+# eps of order h must be small compared with the square of the size of the contact set: where that is small, a part of h
 SCENES = (
     (MeshSequence("disk_flat", "disk_flat", JUMP, cells=FINE), "h"),
     (MeshSequence("halfplane", "halfplane", JUMP, cells=FINE), "h"),

@@ -144,7 +144,7 @@ def inverse(comm: MPI.Comm) -> Found:
 @statement("1*", "In the dual norm pairs whose rule is exact on V_h are stable uniformly in h",
            "dual", "4.2*")  # fmt: skip
 def dual(comm: MPI.Comm) -> Found:
-    """beta_h with ||q||_1* over V_h and over H^1_0, beside how far I(1, v) is from the integral of v."""
+    """beta_h with ||q||_1* over V_h and over H^1_0, and how far I(1, v) is from the integral of v."""
     rows, curves = [], []
     for case in CASES:
         found = case.values(comm, lambda one: (one.beta(), one.beta(rich=True), one.consistency()))
@@ -167,7 +167,7 @@ def dual(comm: MPI.Comm) -> Found:
 @statement("Example 3", "One-point Gauss for Q1: the kernel of I has dimension 2n - 1 and contains the checkerboard",
            "gauss", "3.35")  # fmt: skip
 def one_point(comm: MPI.Comm) -> Found:
-    """The kernel of I(q, .) on n x n squares, and what is left of alpha_h beside it."""
+    """The kernel of I(q, .) on n x n squares, and alpha_h on its complement."""
     found = GAUSS.values(comm, Stability.kernel)
     rows = [
         constant("Example 3", f"dimension of the kernel, {n} x {n} squares", "may be > 0", 2 * n - 1, dim, "holds")
@@ -176,5 +176,5 @@ def one_point(comm: MPI.Comm) -> Found:
     left = [value for _, value in found]
     rows.append(check("(3.18), Ex. 3", "alpha_h, 4 x 4 squares", "need not be > 0", 0.0, found[0][0] > 0, "holds"))
     rows.append(rate("(3.18), Ex. 3", "smallest singular value that is not 0", 3.0, 3.0, GAUSS.h, left))
-    return Found(rows, [Panel("one-point Gauss, beside its kernel", "h", "smallest singular value > 0",
+    return Found(rows, [Panel("one-point Gauss, without its kernel", "h", "smallest singular value > 0",
                               [Curve(GAUSS.words, GAUSS.h, left, 3.0)])])  # fmt: skip

@@ -23,7 +23,7 @@ _MODULES: tuple[str, ...] = (  # in the order of the paper
 
 @dataclass(frozen=True)
 class Finding:
-    """One row: a claim beside what is observed.
+    """One row: a claim and what is observed.
 
     Attributes:
         statement: Where the paper says it: "Thm 3.3, (5.5)".
@@ -55,7 +55,7 @@ class Curve:
         label: Its name.
         x: Abscissae.
         y: Ordinates.
-        slope: Order to draw beside its last point, None for none.
+        slope: Order to draw at its last point, None for none.
         line: Whether the points are joined.
     """
 
@@ -147,7 +147,7 @@ def find(number: str) -> Statement:
 
 
 def rate(where: str, quantity: str, claimed: float, expected: float, x: Sequence[float], y: Sequence[float]) -> Finding:
-    """A claimed order beside the observed one, the slope of log y over log x by least squares.
+    """A claimed and an observed order, the slope of log y over log x by least squares.
 
     Args:
         where: Where the paper says it.
@@ -167,7 +167,7 @@ def rate(where: str, quantity: str, claimed: float, expected: float, x: Sequence
 
 
 def constant(where: str, quantity: str, claimed: str, expected: float, observed: float, good: str = "holds") -> Finding:
-    """A constant beside the measured one; `good` is the verdict where they agree."""
+    """A claimed and a measured constant; `good` is the verdict where they agree."""
     agree = math.isclose(observed, expected, rel_tol=CLOSE, abs_tol=1e-12)
     return Finding(where, quantity, claimed, expected, observed, good if agree else "FAILS")
 

@@ -34,7 +34,7 @@ def totals(comm: MPI.Comm) -> Found:
 
 
 def _parts(one: MeshSequence, comm: MPI.Comm) -> list[Finding]:
-    """The penalty's part beside that of the mesh."""
+    """The penalty's part of the error compared with the mesh's."""
     whole, part = errors(one, [VI, "h^(4/3)"], comm), gap(one, ["h^2"], comm)
     share = part.e["h^2"][0] / whole[VI, "h1"][0]
     more = whole["h^(4/3)", "h1"][0] / whole[VI, "h1"][0]

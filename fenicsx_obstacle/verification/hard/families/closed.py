@@ -157,7 +157,7 @@ class ClosedForm(Family):
 
     @abstractmethod
     def data(self) -> dict[str, Any]:
-        """What a scene has beside mesh and boundary values."""
+        """What a scene has in addition to mesh and boundary values."""
 
     def tension(self) -> Piecewise:
         """As numbers or expressions."""
