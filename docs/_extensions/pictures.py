@@ -23,7 +23,7 @@ def draw(folder: Path) -> None:
         _run("-m", "fenicsx_obstacle", "theory", "digits", "--output", str(here), "--quiet")
         (folder / "digits.png").write_bytes((here / "digits.png").read_bytes())
         _run(
-            "benchmarks/ladder.py", "demos/ball.toml", "--cells", "8..128", "--eps", "h^2,1e-12", "--beside",
+            "benchmarks/ladder.py", "demos/ball.toml", "--cells", "8..128", "--eps", "h^2,1e-12", "--amg",
             "--times", "1", "--json", str(here / "ladder.jsonl"),
         )  # fmt: skip
         ladder = str(here / "ladder.jsonl")
