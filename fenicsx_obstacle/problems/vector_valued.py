@@ -65,8 +65,9 @@ class ContactTable:
             about: Point, shape (gdim,); by default the origin.
         """
         arms = self.points if about is None else self.points - np.asarray(about, dtype=float)
-        found = np.cross(arms, self.forces).sum(axis=0)
-        return found if found.ndim else float(found)
+        if arms.shape[1] == 3:
+            return np.cross(arms, self.forces).sum(axis=0)
+        return float(np.sum(arms[:, 0] * self.forces[:, 1] - arms[:, 1] * self.forces[:, 0]))
 
     def radius_of_gyration(self, about: Any = None) -> float:
         """The root of sum |p_i| D_i |x_i - c|^2 / sum |p_i| D_i, a length; not-a-number without contact.
