@@ -157,7 +157,7 @@ class Effect:
         False  # its force at a node depends on u at this node only, and does not decrease with u
     )
     no_bound: ClassVar[str] = ""  # why there is no bound of the error in energy with it
-    # powers of the units of length, height and force in the unit of its value; None: its scene has no other units
+    # exponents of length, u and tension in the unit of its value; None: its scene has no other units
     dimension: ClassVar[tuple[int, int, int] | None] = None
     keeps_slopes: ClassVar[bool] = False  # it is the same in other units only where slopes are
     rounds_slopes: ClassVar[bool] = False  # in units with other slopes its powers of them are rounded anew

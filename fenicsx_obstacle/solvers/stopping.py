@@ -25,8 +25,8 @@ from fenicsx_obstacle.solvers.monotone_sets import Shrinking
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
-ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces beyond which the reference of w is updated
-FAR = 1e-3  # from balance, while contact changes: round-off cannot be what is left
+ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`discrete.problem`)
+FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
 NEGLIGIBLE_FORCE = 1e-30
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
@@ -67,18 +67,18 @@ class Stopping:
     Attributes:
         problem: What is solved.
         exact_bounds: Whether contact is held by bounds (SNES VI) instead of the penalty.
-        unchanged: Stop only where the active set is the one before, as (3.4)* does.
+        unchanged: Stop only if the active set has not changed, as (3.4)* does.
         watch_cycles: Give up where an active set comes back.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces.
         patience: Steps after which to give up.
-        touching: How near to a bound a node touches it (bounds only).
+        touching: Gap up to which a node touches a bound (SNES VI only).
         shrinking: Checks that active sets shrink, where they must.
         monitor: Called after each step.
         roundoff_limited: Balance was only reached up to the round-off of w.
         exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
-        before: Which obstacle held each owned node at the last state, -1 lower, 1 upper, 0 none; before the first one
-            what an earlier attempt has found, if there was one.
+        before: Which obstacle held each owned node at the last state, -1 lower, 1 upper, 0 none; before the first
+            state that of an earlier attempt, or None.
         history: One `Step` per evaluation.
     """
 
@@ -129,13 +129,13 @@ class Stopping:
         # balance in this scale holds only with the correct active set; nodes that still change then
         # carry no force (contact without pressure)
         left = ROUNDOFF_MARGIN * self.round_off()
-        nothing_acts = problem.affine and forces <= left  # a diverging film is steep, and its forces are bounded
+        nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
         balanced = unbalanced <= max(self.tolerance * forces, floor)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
-            # where round-off limits w the reference is updated first; a load below it seems balanced at once
+            # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
             self.roundoff_limited |= far and left > ROUNDOFF_LIMITED * forces
             if (
                 self.tolerance >= LIMIT
@@ -190,7 +190,8 @@ class Stopping:
     def round_off(self) -> float:
         """The round-off of exact balance (collective): machine epsilon times |A| |w|, row by row.
 
-        Rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part, and rounds half away.
+        Rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part, and unit
+        round-off is half of epsilon.
         """
         stiffness = self._stiffness()
         w = self.problem.w.x.array[: len(stiffness)]
@@ -198,9 +199,9 @@ class Stopping:
 
     @cached_property
     def _nothing(self) -> float:
-        """Nothing against the stiffness over the nearest gap: a force, where all data are zero (collective).
+        """A force that is negligible against stiffness times nearest gap, for data that are all zero (collective).
 
-        A gap below the last digit of its obstacle is none: it touches, and what is left of it is round-off.
+        A gap below the last digit of its obstacle is round-off and counts as contact.
         """
         comm = self.problem.level.comm
         gaps = []
