@@ -289,30 +289,31 @@ def test_order_in_eps():
 
 
 def test_linear_steps_depend_on_neither_eps_nor_h():
-    """Rigid body motions without normal components at closed nodes: conjugate gradients with GAMG take as many steps
-    for eps = 1e-2 as for 1e-12, and hardly more on a mesh of four times as many cells; a tilted body too."""
+    """Rigid body motions without normal components at closed nodes, and algebraic coarse levels: conjugate gradients
+    with GAMG take as many steps for eps = 1e-2 as for 1e-12, and no more on a mesh of four times as many cells; a
+    tilted body too."""
     counts = []
-    for cells in (24, 48):
+    for cells in (32, 64):
         for eps in (1e-2, 1e-12):
             solution = Box(cells, angle=0.5).problem().solve(eps=eps)
-            counts.append(solution.record["krylov_iterations"] / solution.iterations)
+            counts.append(solution.record["krylov_iterations"])
     assert max(counts) < 1.5 * min(counts), counts
 
 
 def test_work():
-    """All linear steps of a solve together are at most 4 times those of one without contact, from a cold start, and
-    Newton steps grow by at most one where h is halved; values where u is given are exact."""
+    """All linear steps of a solve on the finest mesh are at most twice those of one without contact, from u = 0, and
+    there are at most 4 Newton steps, whatever h; values where u is given are exact."""
     steps = []
     for cells in (32, 64):
         body = Box(cells)
         linear = body.problem(upper=body.gap + 1).solve().record["krylov_iterations"]
         body.u.x.array[:] = 0.0
         solution = body.problem().solve()
-        assert solution.record["krylov_iterations"] <= 4 * linear
+        assert solution.record["krylov_iterations"] <= 2 * linear
         steps.append(solution.iterations)
         dofs, given = body.bcs[0].dof_indices()[0], body.bcs[0].g.x.array
         assert np.array_equal(solution.u.x.array[dofs], given[dofs])
-    assert steps[1] <= steps[0] + 1
+    assert max(steps) <= 4, steps
 
 
 class Box(Body):

@@ -200,6 +200,12 @@ class Problem:
         self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
         self._measure_gaps()
 
+    def set_unknown(self, values: np.ndarray) -> None:
+        """Set u from owned values in the components of w, and the reference as `set_reference` does (collective)."""
+        self.w.x.array[: self.level.owned] = values
+        self.w.x.scatter_forward()
+        Problem.set_reference(self, self.w.x.array.copy())
+
     def update_reference(self, *, roundoff_limited: bool = False) -> bool:
         """Set the reference r to the obstacle that each node touches; returns whether any node has changed.
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -55,7 +57,7 @@ def motions_of(problem: VectorProblem) -> np.ndarray:
     )
 
 
-def near_null_space(problem: VectorProblem, motions: np.ndarray, free: np.ndarray) -> PETSc.NullSpace | None:
+def near_null_space(problem: RigidMotions, free: np.ndarray) -> PETSc.NullSpace | None:
     """The motions with zeros at dofs that are held, orthonormal (collective).
 
     Zeros at the normal components of closed nodes keep coarse corrections from moving them, so that counts of linear
@@ -63,10 +65,9 @@ def near_null_space(problem: VectorProblem, motions: np.ndarray, free: np.ndarra
 
     Args:
         problem: Whose matrix it is for.
-        motions: Of `motions_of`.
         free: Whether an owned dof is not held.
     """
-    comm, struck = problem.level.comm, motions * free
+    comm, struck = problem.level.comm, problem.motions * free
     values, vectors = np.linalg.eigh(comm.allreduce(struck @ struck.T))
     kept = values > INDEPENDENT * max(values[-1], 1e-300)
     basis = (vectors[:, kept] / np.sqrt(values[kept])).T @ struck
@@ -81,6 +82,40 @@ def near_null_space(problem: VectorProblem, motions: np.ndarray, free: np.ndarra
     for vector in found:
         vector.destroy()
     return space
+
+
+class RigidMotions(Problem):
+    """A problem whose matrix has rigid body motions as near-null space of algebraic multigrid."""
+
+    preconditioner: Mapping[str, str] = {
+        "pc_type": "gamg",
+        "mg_levels_pc_type": "jacobi",
+        "mg_coarse_ksp_type": "preonly",
+        # PETSc's default for the coarsest level keeps the size of the first active set
+        "mg_coarse_pc_type": "lu",
+        "mg_coarse_pc_factor_mat_solver_type": "mumps",
+    }
+
+    @property
+    def motions(self) -> np.ndarray:
+        """Rigid body motions at owned dofs, in the components of w, shape (motions, dofs) (first use is collective)."""
+        raise NotImplementedError
+
+    def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
+        super().jacobian(x, penalised=penalised)
+        self._set_near_null_space(self.nodal.penalty_diagonal() if penalised else np.zeros(self.level.owned))
+        return self.A
+
+    def hold(self, penalty_diagonal: np.ndarray) -> None:
+        super().hold(penalty_diagonal)
+        self._set_near_null_space(penalty_diagonal)
+
+    def _set_near_null_space(self, penalty_diagonal: np.ndarray) -> None:
+        """Give A the motions that its penalty diagonal leaves free (collective)."""
+        space = near_null_space(self, (penalty_diagonal == 0) & ~self.fixed)
+        if space is not None:
+            self.A.setNearNullSpace(space)
+            space.destroy()
 
 
 def check_held(problem: VectorProblem) -> bool:

@@ -11,7 +11,6 @@ bounds of the variational inequality are simple, and w counts from the obstacle 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -20,8 +19,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.assembly import Nodal
 from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
-from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.rigid import check_held, motions_of, near_null_space
+from fenicsx_obstacle.discrete.rigid import RigidMotions, check_held, motions_of
 from fenicsx_obstacle.parallel import total
 
 
@@ -93,25 +91,13 @@ class NonlinearVectorForms(VectorForms):
         self._minus_load.set(0.0)
 
 
-class VectorProblem(Problem):
-    """A vector-valued problem on one mesh; u and obstacles of its methods are Cartesian, w, r and gaps are not.
-
-    Attributes:
-        motions: Rigid body motions at owned dofs, in the components of w.
-    """
+class VectorProblem(RigidMotions):
+    """A vector-valued problem on one mesh; u and obstacles of its methods are Cartesian, w, r and gaps are not."""
 
     data: VectorData
     level: VectorLevel
     forms: VectorForms
     eps_share = 1e-3  # D_i/A_ii is about .7 h/E* for degree 1 and .3 h/E* for degree 2
-    preconditioner: Mapping[str, str] = {
-        "pc_type": "gamg",
-        "mg_levels_pc_type": "jacobi",
-        "mg_coarse_ksp_type": "preonly",
-        # PETSc's default for the coarsest level keeps the size of the first active set
-        "mg_coarse_pc_type": "lu",
-        "mg_coarse_pc_factor_mat_solver_type": "mumps",
-    }
 
     def _make_forms(self) -> VectorForms:
         return (VectorForms if self.affine else NonlinearVectorForms)(self.model.effects, self.data)
@@ -122,7 +108,6 @@ class VectorProblem(Problem):
 
     @cached_property
     def motions(self) -> np.ndarray:
-        """Rigid body motions at owned dofs, shape (motions, dofs) (first use is collective)."""
         return motions_of(self)
 
     def bounded_sides(self) -> list[tuple[np.ndarray, float]]:
@@ -185,19 +170,3 @@ class VectorProblem(Problem):
         found = fem.Function(self.level.Q)
         found.x.array[:] = values[self.level.node_of]
         return found
-
-    def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
-        super().jacobian(x, penalised=penalised)
-        self._set_near_null_space(self.forms.penalty_diagonal() if penalised else np.zeros(self.level.owned))
-        return self.A
-
-    def hold(self, penalty_diagonal: np.ndarray) -> None:
-        self.forms.add_penalty_diagonal(self.A, penalty_diagonal)
-        self._set_near_null_space(penalty_diagonal)
-
-    def _set_near_null_space(self, penalty_diagonal: np.ndarray) -> None:
-        """Give A the rigid body motions that its penalty diagonal leaves free (collective)."""
-        space = near_null_space(self, self.motions, (penalty_diagonal == 0) & ~self.fixed)
-        if space is not None:
-            self.A.setNearNullSpace(space)
-            space.destroy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,7 +33,7 @@ from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
 from fenicsx_obstacle.solvers.linear import overriding, unread
 from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.nested import solve_nested
+from fenicsx_obstacle.solvers.nested import as_multigrid, problem_of, solve_nested
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
@@ -254,7 +254,7 @@ class ObstacleProblem:
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = [] if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
-        self._grids: list[Multigrid] | None = None
+        self._grids: Sequence[Multigrid | Problem] | None = None
         self._solved_before = False
 
     def _discrete(self, data: Data, prefix: str) -> Problem:
@@ -369,7 +369,7 @@ class ObstacleProblem:
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
         problem = self._problem
-        serves = not self._vector_valued and nested(problem.model.effects, problem.level.pair, options)
+        serves = self._vector_valued or nested(problem.model.effects, problem.level.pair, options)
         grids = self._levels() if serves else []
         spent = 0
         if len(grids) < 2 or self._has_start():
@@ -378,22 +378,29 @@ class ObstacleProblem:
             if len(grids) < 2:
                 return solve(problem)
             try:
-                return solve(problem, multigrid=grids[-1], patience=PATIENCE)
+                return solve(problem, multigrid=as_multigrid(grids[-1]), patience=PATIENCE)
             except NotConverged as error:
                 spent = error.iterations
         outcome = solve_nested(grids, solve, np.inf if way.eps is None else 1.0 / way.eps)[-1]
         return replace(outcome, iterations=spent + outcome.iterations)
 
-    def _levels(self) -> list[Multigrid]:
-        """Multigrid of all levels, with the data of now (collective)."""
+    def _levels(self) -> Sequence[Multigrid | Problem]:
+        """Multigrid of all levels, or their problems where u is vector-valued, with the data of now (collective)."""
         if self._grids is None:
-            own = self._form is not None  # on the caller's mesh and in the caller's space alone
-            problems = [*coarse_problems(self._problem), self._problem] if own else hierarchy(self._problem)
-            self._grids = multigrid.chain(problems)
+            self._grids = self._made_levels()
         elif self._form is not None:
             for grid in reversed(self._grids[:-1]):
-                grid.problem.renew(stiffness=False)  # which algebraic levels notice themselves
+                problem_of(grid).renew(stiffness=False)  # which algebraic levels notice themselves
         return self._grids
+
+    def _made_levels(self) -> Sequence[Multigrid | Problem]:
+        problem = self._problem
+        if self._vector_valued:
+            from fenicsx_obstacle.discrete.vector_levels import coarse_vector_problems
+
+            return [*coarse_vector_problems(problem), problem]
+        own = self._form is not None  # on the caller's mesh and in the caller's space alone
+        return multigrid.chain([*coarse_problems(problem), problem] if own else hierarchy(problem))
 
     def _has_start(self) -> bool:
         """Whether u is more than one number, or contact alone holds it (collective)."""

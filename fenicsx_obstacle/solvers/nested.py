@@ -55,8 +55,7 @@ def solve_nested(
         return [found]
     outcomes: list[Outcome] = []
     for grid in grids:
-        multigrid = grid if isinstance(grid, Multigrid) else None
-        problem = grid.problem if isinstance(grid, Multigrid) else grid
+        multigrid, problem = as_multigrid(grid), problem_of(grid)
         if before is None:
             problem.set_reference(problem.cold_start())
         else:
@@ -91,8 +90,7 @@ def solve_from(grid: Multigrid | Problem, start: np.ndarray, solve: Callable[...
         start: Values of u, ghosts included.
         solve: As for `solve_nested`.
     """
-    multigrid = grid if isinstance(grid, Multigrid) else None
-    problem = grid.problem if isinstance(grid, Multigrid) else grid
+    multigrid, problem = as_multigrid(grid), problem_of(grid)
     problem.set_reference(start)
     try:
         return solve(problem, multigrid=multigrid, patience=FEW)
@@ -102,8 +100,17 @@ def solve_from(grid: Multigrid | Problem, start: np.ndarray, solve: Callable[...
 
 
 def _algebraic(grids: Sequence[Multigrid | Problem]) -> bool:
-    first = grids[0]
-    return isinstance(first.problem if isinstance(first, Multigrid) else first, GalerkinProblem)
+    return isinstance(problem_of(grids[0]), GalerkinProblem)
+
+
+def problem_of(grid: Multigrid | Problem) -> Problem:
+    """The problem of a level."""
+    return grid.problem if isinstance(grid, Multigrid) else grid
+
+
+def as_multigrid(grid: Multigrid | Problem) -> Multigrid | None:
+    """The multigrid of a level, where it serves."""
+    return grid if isinstance(grid, Multigrid) else None
 
 
 def begin_from(problem: Problem, coarse: Problem) -> None:
@@ -113,9 +120,7 @@ def begin_from(problem: Problem, coarse: Problem) -> None:
     the middle of a curved obstacle's edge would start far off.
     """
     transfer, own, theirs_own = problem.transfer, problem.level.owned, coarse.level.owned
-    problem.w.x.array[:own] = transfer.interpolate((coarse.w.x.array + coarse.reference.x.array)[:theirs_own])
-    problem.w.x.scatter_forward()
-    problem.set_reference(problem.w.x.array.copy())
+    problem.set_unknown(transfer.interpolate((coarse.w.x.array + coarse.reference.x.array)[:theirs_own]))
     w = problem.w.x.array
     for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
         if ours is None or theirs is None:

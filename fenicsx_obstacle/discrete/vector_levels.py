@@ -1,0 +1,156 @@
+"""Algebraic coarse levels of vector-valued problems: those of the nodes, for each Cartesian component.
+
+Interpolation is exact for linear functions, and so for rigid body motions. As on the finest level the unknowns are
+normal and tangential components at contact nodes: with H the reflections of the fine and H_c those of the coarse
+nodes, which are some of the fine ones, the interpolation is H (P x I) H_c. The levels give nested iteration its
+starts; linear systems keep algebraic multigrid with rigid body motions.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse
+from dolfinx import fem
+from petsc4py import PETSc
+
+from fenicsx_obstacle.discrete.coarsening import BOUNDARY, FIXED, FREE, Nodes, coarsen, first_keys
+from fenicsx_obstacle.discrete.galerkin import COARSEST, SLOWEST, SMALLEST, GalerkinProblem
+from fenicsx_obstacle.discrete.kernels import kernels
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.rigid import RigidMotions
+from fenicsx_obstacle.discrete.transfer import Transfer
+from fenicsx_obstacle.discrete.vector_problem import VectorProblem
+from fenicsx_obstacle.parallel import total
+
+
+class VectorTransfer(Transfer):
+    """Interpolation of the unknowns of a vector-valued problem, one row for each owned dof.
+
+    Attributes:
+        nodal: Interpolation between the nodes.
+    """
+
+    def __init__(self, nodal: Transfer, normal: np.ndarray, components: int, reflections: tuple[PETSc.Mat, ...]):
+        """Multiply matrices (collective).
+
+        Args:
+            nodal: Interpolation between the nodes.
+            normal: Whether an owned fine dof is a normal component at a contact node.
+            components: Of u at a node.
+            reflections: H and H_c; none if all normals are along coordinate axes.
+        """
+        self.nodal, self._normal, self._components = nodal, normal, components
+        P = _for_each_component(nodal.P, components)
+        super().__init__(P if not reflections else reflections[0].matMatMult(P, reflections[1]), self._of_nodes)
+
+    def _of_nodes(self, fine: np.ndarray) -> np.ndarray:
+        return self.nodal.inject(fine.reshape(-1, self._components)).ravel()
+
+    def all_of(self, coarse: np.ndarray) -> np.ndarray:
+        """For normal components: whether a condition holds at the normal components of all coarse nodes that a fine
+        node is interpolated from (collective)."""
+        somewhere = coarse.reshape(-1, self._components).any(axis=1)
+        return np.repeat(self.nodal.all_of(somewhere), self._components) & self._normal
+
+
+def _for_each_component(P: PETSc.Mat, components: int) -> PETSc.Mat:
+    """P x I (collective)."""
+    starts, columns, values = P.getValuesCSR()
+    (own, rows), (own_columns, all_columns) = P.getSizes()
+    local = scipy.sparse.csr_matrix((values, columns, starts), shape=(own, all_columns))
+    blocks = scipy.sparse.kron(local, scipy.sparse.eye(components), format="csr")
+    csr = blocks.indptr.astype(PETSc.IntType), blocks.indices.astype(PETSc.IntType), blocks.data
+    size = tuple((components * a, components * b) for a, b in ((own, rows), (own_columns, all_columns)))
+    return PETSc.Mat().createAIJ(size, bsize=components, csr=csr, comm=P.comm)
+
+
+class GalerkinVectorProblem(RigidMotions, GalerkinProblem):
+    """A vector-valued problem on coarse nodes of a finer one."""
+
+    def __init__(self, finer: VectorProblem | GalerkinVectorProblem, transfer: VectorTransfer):
+        """Multiply matrices, and inject the data of the finer problem (collective)."""
+        super().__init__(finer, transfer, transfer.inject(finer.fixed), finer.level.pair)
+        self._fine_motions = finer.motions
+
+    @cached_property
+    def motions(self) -> np.ndarray:
+        return np.array([self._up.inject(motion) for motion in self._fine_motions])
+
+    def cold_start(self) -> np.ndarray:
+        dofs, given = self.data.fixed
+        u_values = np.zeros(self.level.owned)
+        u_values[dofs] = given.x.array[dofs]
+        return self.between(u_values)
+
+    def _at_all_dofs(self, owned: np.ndarray) -> np.ndarray:
+        return owned
+
+
+def coarse_vector_problems(problem: Problem) -> list[Problem]:
+    """Algebraic levels below a vector-valued problem with affine effects, the coarsest first (collective).
+
+    There are none for few unknowns, or where contact alone holds the body.
+    """
+    assert isinstance(problem, VectorProblem)
+    level, found = problem.level, list[Problem]()
+    bs, comm = level.components, level.comm
+    if not problem.affine or problem.floating or level.dofs < SMALLEST or (loops := kernels(comm)) is None:
+        return []
+    finer: VectorProblem | GalerkinVectorProblem = problem
+    nodes = _nodes(problem)
+    contact, own = problem.data.contact, level.owned
+    normal = np.zeros(own, dtype=bool)
+    normal[contact.dofs[contact.dofs < own]] = True
+    turned = total(comm, len(contact.turned)) > 0
+    reflection = contact.rotation(problem.nodal.stiffness) if turned else None
+    while len(nodes.key) and finer.level.dofs > bs * COARSEST[nodes.dim]:
+        graph = _graph(finer.nodal.stiffness, bs)
+        nodal, nodes = coarsen(graph, nodes, loops, comm)
+        graph.destroy()
+        if bs * total(comm, len(nodes.key)) > SLOWEST * finer.level.dofs:
+            break
+        reflections: tuple[PETSc.Mat, ...] = ()
+        if reflection is not None:
+            first, last = reflection.getOwnershipRange()
+            kept = nodal.inject(np.arange(first, last).reshape(-1, bs)).ravel().astype(PETSc.IntType)
+            rows = PETSc.IS().createGeneral(kept, comm=comm)
+            reflections = reflection, reflection.createSubMatrix(rows, rows)
+            reflection = reflections[1]
+        transfer = VectorTransfer(nodal, normal, bs, reflections)
+        normal = transfer.inject(normal)
+        finer.transfer = transfer
+        finer = GalerkinVectorProblem(finer, transfer)
+        found.insert(0, finer)
+    return found
+
+
+def _nodes(problem: VectorProblem) -> Nodes:
+    """The nodes of a problem (collective)."""
+    level = problem.level
+    bs, dim = level.components, level.mesh.topology.dim
+    own = level.owned // bs
+    x = np.ascontiguousarray(level.nodes.T[:own])
+    kind = np.full(own, FREE, dtype=np.int8)
+    boundary = fem.locate_dofs_topological(level.V, dim - 1, level.boundary_facets)
+    kind[boundary[boundary < own]] = BOUNDARY
+    kind[problem.fixed.reshape(own, bs).all(axis=1)] = FIXED
+    graph = _graph(problem.nodal.stiffness, bs)
+    keys = first_keys(graph, x)
+    graph.destroy()
+    return Nodes(x, kind, keys, None, dim)
+
+
+def _graph(A: PETSc.Mat, components: int) -> PETSc.Mat:
+    """Which nodes the first components of a matrix couple, as a matrix of ones (collective)."""
+    starts, columns, _ = A.getValuesCSR()
+    (own, rows), _ = A.getSizes()
+    of_first = scipy.sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(own, rows))[::components]
+    graph = scipy.sparse.csr_matrix(
+        (of_first.data, of_first.indices // components, of_first.indptr), shape=(own // components, rows // components)
+    )
+    graph.sum_duplicates()
+    csr = graph.indptr.astype(PETSc.IntType), graph.indices.astype(PETSc.IntType), graph.data
+    size = own // components, rows // components
+    return PETSc.Mat().createAIJ((size, size), csr=csr, comm=A.comm)
