@@ -136,6 +136,7 @@ def _catch_signals() -> None:
         return
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # writing to a closed pipe is an error, which `console` keeps
     signal.signal(signal.SIGALRM, _interrupt)
+    sys.unraisablehook = _unless_interrupted
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup and shells in the background leave them
             signal.signal(number, _interrupt)
@@ -148,6 +149,12 @@ def _interrupt(number: int, _frame: Any) -> None:
     if (processes := sys.modules.get("fenicsx_obstacle.verification.processes")) is not None:
         processes.end_all()
     raise KeyboardInterrupt
+
+
+def _unless_interrupted(unraisable: sys.UnraisableHookArgs) -> None:
+    """Say nothing of an interrupt that Python drops because it came in a `__del__`: the timer repeats it."""
+    if unraisable.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(unraisable)
 
 
 if __name__ == "__main__":
