@@ -184,6 +184,15 @@ def test_highest_facet_counts(tmp_path):
     assert field.over(np.zeros((1, 3, 2)), {}, np.zeros(1, int)) is None
 
 
+@pytest.mark.serial
+def test_walls_alone_are_no_heights(tmp_path):
+    wall = _vertices(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1.0]]))
+    text = f"solid wall\nfacet normal 0 0 0\nouter loop\n{wall}endloop\nendfacet\nendsolid wall\n"
+    (tmp_path / "wall.stl").write_text(text)
+    with pytest.raises(InputError, match=r"wall.stl: 1 facet, all of them vertical"):
+        Table(tmp_path / "wall.stl").on("wall").at(np.zeros((3, 1)), {})
+
+
 def _vertices(corners):
     return "".join("vertex " + " ".join(f"{x:g}" for x in one) + "\n" for one in corners)
 
