@@ -10,7 +10,7 @@ from conftest import COMM, membrane
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show.profiles import draw_rows
+from fenicsx_obstacle.show.profiles import _drawn, draw_rows
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.studies.rows import as_csv
@@ -70,6 +70,16 @@ def test_rows_of_a_study(folder):
     lines = (folder / "profile-line.csv").read_text().splitlines()
     assert lines[0].startswith("define.depth,x,y,s,u,p,gap") and len(lines) == 1 + 2 * 9
     assert (folder / "profile-line.png").exists() and "profiles." not in as_csv(rows).splitlines()[0]
+
+
+def test_round_off_is_not_magnified():
+    """Along a side where u is 0, round-off of u, of its obstacle and of the pressure is drawn as 0."""
+    noise = 1e-18 * np.random.default_rng(0).random(9)
+    columns = {"s": np.linspace(0, 1, 9), "u": noise, "gap": noise[::-1], "p": 10 * noise}
+    page = _drawn({"": columns}, "u", "side", (1.0, 1.0))
+    above, below = page.axes
+    assert all(not line.get_ydata().any() for axes in page.axes for line in axes.lines)
+    assert not above.patches and not below.patches  # nothing is shaded as contact
 
 
 @pytest.mark.serial

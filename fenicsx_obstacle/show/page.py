@@ -58,8 +58,8 @@ figure img, figure svg { display: block; max-width: 100%; height: auto; }
 .words td:first-child { font-weight: 600; }
 .lead p { max-width: 46rem; }
 .note { font-size: .85rem; color: #444; margin: .5rem 0; }
-.plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); gap: 1rem; }
-.plots figure:only-child { max-width: 46rem; }
+.plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(30rem, 100%), 1fr)); gap: 1rem; }
+.plots figure { max-width: 46rem; }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; }
                h2 { break-after: avoid; } table { font-size: 7pt; } th, td { padding: .1rem .25rem; } }
 """
