@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import COMM, slow_except
+from conftest import COMM, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.answers.budget import Budget
@@ -131,11 +131,16 @@ def test_the_same_on_all_ranks():
 
 @pytest.mark.serial
 @pytest.mark.slow
-def test_picture_of_the_bound(tmp_path):
-    """solve --tol --plot draws where the bound comes from, and says how many cells carry half of it."""
+@pytest.mark.parametrize("dim", (1, 2, 3))
+def test_picture_of_the_bound(tmp_path, dim):
+    """It shows where the bound comes from, and says how many cells carry half of it, in one to three dimensions."""
     from fenicsx_obstacle.show.report import report_answer
 
-    answer = solve(L_SHAPE, tol=0.1)
+    answer = {
+        1: lambda: solve(Scene(mesh={"shape": "interval"}, tension=1, load=1, boundary=[{"value": 0}]), bound=True),
+        2: lambda: solve(L_SHAPE, tol=0.1),
+        3: lambda: solve(membrane(mesh={"shape": "box", "cells": 4}, load=1), bound=True),
+    }[dim]()
     answer.save(tmp_path)
     said = report_answer(answer, tmp_path, picture=True)
     assert (tmp_path / "bound.png").stat().st_size > 10_000

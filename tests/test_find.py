@@ -81,6 +81,16 @@ def test_mistakes(vary, target, message):
         find(string(), vary, target)
 
 
+def test_jumps():
+    """A count of nodes changes by two nodes at once, 2.5 % of its range, and reaches nothing between; the area does."""
+    scene = string(report={"counted": "integral(contact)"})
+    pattern = r"counted jumps over 1.25 at define.q = 1\.[0-9]*: it is 1.21875 at 1\.[0-9]* and 1.28125 at .* this mesh"
+    with pytest.raises(InputError, match=pattern):
+        find(scene, {"define.q": (0.7, 3)}, "counted = 1.25", cells=128)
+    rows = find(scene, {"define.q": (0.7, 3)}, "area = 1.22", cells=128)
+    assert abs(rows[-1]["contact.area"] - 1.22) < 1e-3 and len(rows) <= 10
+
+
 @pytest.mark.serial
 def test_command(tmp_path):
     """A line of JSON for each solve, the found one last; nothing is computed twice; a wrong interval leaves nothing."""

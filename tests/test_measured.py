@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import COMM, membrane
+from mpi4py import MPI
 
 from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Table, releases, solve
 from fenicsx_obstacle.parallel import on_root
@@ -22,11 +23,22 @@ def surface(x, y):
     return 0.06 * np.sin(9 * x + 2 * y) * np.cos(7 * y - x) + 0.02 * np.sin(20 * x * y)
 
 
-def write(folder):
+def rough(size=65, hurst=0.8):
+    """A self-affine surface, bilinear between size x size points: a function of x and y."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    k = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
+    k[0, 0] = np.inf
+    z = np.fft.ifft2(np.fft.fft2(np.random.default_rng(1).standard_normal((size, size))) * k ** (-1 - hurst)).real
+    axis = np.linspace(0, 1, size)
+    return RegularGridInterpolator((axis, axis), 0.01 * z / z.std())
+
+
+def write(folder, surface=surface, size=SIZE):
     """The same surface in files of all kinds (one rank)."""
     from PIL import Image
 
-    axis = np.linspace(0, 1, SIZE)
+    axis = np.linspace(0, 1, size)
     x, y = np.meshgrid(axis, axis)
     z = surface(x, y)
     columns = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
@@ -35,13 +47,13 @@ def write(folder):
     np.savez(folder / "rough.npz", x=axis, y=axis, z=z)
     shades = np.round((z[::-1] + 0.1) / 0.2 * 65535).astype(np.uint16)
     Image.fromarray(shades).save(folder / "rough.png")
-    at = np.arange(SIZE * SIZE).reshape(SIZE, SIZE)
+    at = np.arange(size * size).reshape(size, size)
     a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
     corners = columns[np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])])]
     facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     facets["corners"] = corners
     (folder / "rough.stl").write_bytes(bytes(80) + len(facets).to_bytes(4, "little") + facets.tobytes())
-    inner = np.random.default_rng(0).random((3 * SIZE * SIZE, 2))
+    inner = np.random.default_rng(0).random((3 * size * size, 2))
     rim = np.concatenate([np.column_stack([axis, 0 * axis]), np.column_stack([axis, 0 * axis + 1])])
     points = np.unique(np.concatenate([inner, rim, rim[:, ::-1]]), axis=0)
     heights = surface(*points.T)
@@ -98,6 +110,25 @@ def test_one_surface_from_every_kind_of_file(files):
         assert answer.force.lower == pytest.approx(found["npz"].force.lower, rel=2e-2), kind
     for kind in ("csv", "npy"):
         assert found[kind].force.lower == pytest.approx(found["npz"].force.lower, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_a_rough_surface_from_every_kind_of_file(folder):
+    """Forces and bounds of a self-affine surface agree to the rounding of 16-bit shades and 32-bit coordinates, on
+    one rank and on all; force balances load to 1e-10; each bound is certified."""
+    surface = rough()
+    on_root(COMM, write, folder, lambda x, y: surface((y, x)), 65)
+    found = {}
+    for kind in ("csv", "npy", "png", "stl"):
+        text = scene_text(FILES[kind]).replace("cells = 24", "cells = 32").replace("depth = 0.15", "depth = 0.1")
+        scene = Scene.read(in_file(folder, text, f"{kind}.toml"))
+        found[kind] = answer = solve(scene, bound=True)
+        assert abs(sum(answer.report.values()) - 4) < 1e-10 and answer.bound.words == "certified", kind
+        assert answer.force.lower == pytest.approx(found["csv"].force.lower, rel=1e-4) and answer.force.lower > 0.5
+        assert answer.bound.total == pytest.approx(found["csv"].bound.total, rel=1e-2)
+    alone = solve(scene, comm=MPI.COMM_SELF, bound=True)
+    assert answer.force.lower == pytest.approx(alone.force.lower, rel=1e-9)
+    assert answer.bound.total == pytest.approx(alone.bound.total, rel=1e-6)
 
 
 def test_bound_is_above_the_error(files):
@@ -182,6 +213,15 @@ def test_highest_facet_counts(tmp_path):
     field = Table(tmp_path / "box.stl").on("box")
     assert np.allclose(field.at(np.random.default_rng(0).random((3, 20)), {}), 0.5)
     assert field.over(np.zeros((1, 3, 2)), {}, np.zeros(1, int)) is None
+
+
+@pytest.mark.serial
+def test_walls_alone_are_no_heights(tmp_path):
+    wall = _vertices(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1.0]]))
+    text = f"solid wall\nfacet normal 0 0 0\nouter loop\n{wall}endloop\nendfacet\nendsolid wall\n"
+    (tmp_path / "wall.stl").write_text(text)
+    with pytest.raises(InputError, match=r"wall.stl: 1 facet, all of them vertical"):
+        Table(tmp_path / "wall.stl").on("wall").at(np.zeros((3, 1)), {})
 
 
 def _vertices(corners):

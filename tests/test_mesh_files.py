@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from conftest import COMM, slow_except
 from dolfinx import fem
+from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.discrete import meshing
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
 
@@ -258,6 +260,73 @@ def test_a_cylinder_stays_one(folder):
                   report={"size": "integral(1)"})  # fmt: skip
     errors = [np.pi - solve(scene, refine=n).report["size"] for n in (0, 1)]
     assert errors[1] > 0 and np.log2(errors[0] / errors[1]) > 1.8
+
+
+def cap(model):
+    """The part of the unit sphere below z = sin(0.3), without its lid."""
+    occ = model.occ
+    ball = occ.addSphere(0, 0, 0, 1, -1, -np.pi / 2, 0.3)
+    occ.synchronize()
+    sphere = next(tag for _, tag in model.getEntities(2) if model.getType(2, tag) == "Sphere")
+    occ.remove([(3, ball)])
+    occ.remove([(2, tag) for _, tag in model.getEntities(2) if tag != sphere], recursive=True)
+    occ.synchronize()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["step", "geo"])
+def test_a_surface_in_space_stays_one(folder, suffix):
+    """On surfaces in space new vertices lie on them, and at the rim on its circle: the area has order 2."""
+    path = file_of(folder, cap, "cap.step")
+    if suffix == "geo":
+        on_root(COMM, lambda: (folder / "cap.geo").write_text('SetFactory("OpenCASCADE"); Merge "cap.step";') and None)
+    exact = 2 * np.pi * (1 + np.sin(0.3))
+    levels = [level_of(path.with_suffix(f".{suffix}"), refine=n) for n in (0, 1, 2)]
+    errors = [exact - total(COMM, volumes(corners(level.mesh)[: own_cells(level.mesh)])) for level in levels]
+    assert np.log2(errors[1] / errors[2]) > 1.9
+    x = levels[2].mesh.geometry.x
+    assert np.allclose(np.linalg.norm(x, axis=1), 1, atol=1e-9)
+    rim = fem.locate_dofs_topological(levels[2].V, 1, levels[2].boundary_facets)
+    assert np.allclose(levels[2].points[2, rim], np.sin(0.3), atol=1e-9)
+
+
+def plate(model):
+    """A square with a round hole."""
+    occ = model.occ
+    square, hole = occ.addRectangle(0, 0, 0, 2, 2), occ.addDisk(1, 1, 0, 0.5, 0.5)
+    occ.cut([(2, square)], [(2, hole)])
+    occ.synchronize()
+
+
+def test_step(folder):
+    """A STEP file is meshed by Gmsh; its curves have their numbers as names, and keep their shape when refined."""
+    file_of(folder, plate, "plate.step")
+    level = level_of(folder / "plate.step", refine=2)
+    assert set(level.facets) == {"1", "2", "3", "4", "5"}
+    (hole,) = [name for name in level.facets if facets(level, name) % 48 == 0]
+    nodes = fem.locate_dofs_topological(level.V, 1, level.facets[hole])
+    assert np.allclose(np.hypot(*(level.points[:2, nodes] - 1)), 0.5, atol=1e-9)
+    size = total(COMM, volumes(corners(level.mesh)[: own_cells(level.mesh)]))
+    assert np.isclose(size, 4 - 6 * np.sin(2 * np.pi / 48), rtol=1e-9)  # around a polygon with 48 equal sides
+    with pytest.raises(InputError, match=r"no part named 'rim' .known: 1, 2, 3, 4, 5."):
+        solve(Scene(mesh={"file": str(folder / "plate.step")}, tension=1, boundary=[{"on": "rim", "value": 0}]))
+
+
+@pytest.mark.serial
+def test_names_of_bodies(tmp_path):
+    """Bodies and sides have the names of the CAD file; bodies of one name are one material."""
+    from fenicsx_obstacle.discrete.gmsh_model import name_bodies
+
+    def bodies(model):
+        for k, name in enumerate(("Shapes/steel", "Shapes/Open CASCADE STEP translator 7.6 1", "Shapes/steel")):
+            model.setEntityName(2, model.occ.addRectangle(2 * k, 0, 0, 1, 1), name)
+        model.occ.synchronize()
+        name_bodies(model)
+
+    saved(tmp_path / "bodies.msh", bodies)
+    level = build(Scene(mesh={"file": str(tmp_path / "bodies.msh")}, tension=1), MPI.COMM_SELF)
+    areas = {name: volumes(corners(level.mesh)[cells]).sum() for name, cells in level.groups.items()}
+    assert areas == pytest.approx({"steel": 2, "2": 1}) and len(level.facets) == 12
 
 
 def test_cut_files(folder):

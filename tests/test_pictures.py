@@ -53,6 +53,22 @@ def test_cuts_of_a_linear_function_are_exact():
         assert np.isclose(measure(zero(cube, plane)), expected)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("upper", "named"), [(0.002, True), (0.2, False)])
+def test_legend_names_what_is_drawn(upper, named):
+    """An obstacle far above u is outside of the picture, and not in its legend."""
+    picture = solve(membrane(load=-8, lower=-0.1, upper=upper)).plot()
+    if COMM.rank == 0:
+        labels = [text.get_text() for legend in picture.page.legends for text in legend.get_texts()]
+        assert "lower obstacle" in labels and ("upper obstacle" in labels) == named
+
+
+def test_no_pressure_without_an_obstacle():
+    """A string that touches nothing is drawn alone, with no axes for a contact pressure."""
+    picture = solve(Scene(mesh={"shape": "interval", "cells": 8}, tension=1, load=1, boundary=[{"value": 0}])).plot()
+    assert COMM.rank > 0 or len(picture.page.axes) == 1
+
+
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize(("name", "radius"), [("ball", 0.697965148223374), ("disk", 0.5777150035509266)])
 def test_free_boundary_is_a_smooth_closed_line(name, radius, element, request):

@@ -68,6 +68,15 @@ def test_no_line_goes_to_and_fro(name, disk, folder):
 
 
 @pytest.mark.slow
+def test_a_balance_is_drawn_as_zero():
+    """A sum that is round-off beside its terms is drawn as 0: axes would magnify it."""
+    rows = [{"vary": {"c": c}, "report": {"a": 1 + c, "b": 1 + c, "left": 1e-15 * c}, "title": "", "scene": "s"}
+            for c in (1.0, 2.0)]  # fmt: skip
+    ((_, page),) = drawings(rows, {"c": [1.0, 2.0]}, {"a": "f(x)", "b": "g(x)", "left": "a - b"})
+    *_, left = curves(page)
+    assert left[1].tolist() == [0, 0]
+
+
 def test_a_sweep_plots_the_figures_of_the_report(folder):
     """Each figure of [report] against the key in the scene's words; without a report contact area, force, energy."""
     report = {"deepest": "inf(u)", "force": "integral(p)"}

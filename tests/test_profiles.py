@@ -10,7 +10,7 @@ from conftest import COMM, membrane
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show.profiles import draw_rows
+from fenicsx_obstacle.show.profiles import _drawn, draw_rows
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.studies.rows import as_csv
@@ -72,6 +72,16 @@ def test_rows_of_a_study(folder):
     assert (folder / "profile-line.png").exists() and "profiles." not in as_csv(rows).splitlines()[0]
 
 
+def test_round_off_is_not_magnified():
+    """Along a side where u is 0, round-off of u, of its obstacle and of the pressure is drawn as 0."""
+    noise = 1e-18 * np.random.default_rng(0).random(9)
+    columns = {"s": np.linspace(0, 1, 9), "u": noise, "gap": noise[::-1], "p": 10 * noise}
+    page = _drawn({"": columns}, "u", "side", (1.0, 1.0))
+    above, below = page.axes
+    assert all(not line.get_ydata().any() for axes in page.axes for line in axes.lines)
+    assert not above.patches and not below.patches  # nothing is shaded as contact
+
+
 @pytest.mark.serial
 def test_plot_along(folder):
     """`plot RESULT --along` writes a picture and the table; a line that leaves the mesh is a mistake."""
@@ -93,6 +103,7 @@ def test_plot_along(folder):
         ({"from": [0, 0, 0], "to": [1, 1, 0]}, "from: needs 2 coordinates, not 3"),
         ({"from": [0, 0]}, "needs the keys 'from' and 'to', or 'on'"),
         ({"from": [0, 0], "to": [0, 0]}, "from and to are the same point"),
+        ({"from": [0, 0], "to": [1, 0], "n": 1}, r"\[profile\] line.n = 1: expected a whole number >= 2"),
         ({"on": "tob"}, "no curve named 'tob'; did you mean 'top'"),
         ({"from": [0, 0], "to": [1, 1], "m": 3}, "unknown key 'm'"),
     ],

@@ -109,11 +109,35 @@ def test_quadrilaterals_and_rows():
     assert all(row["uncertainty.contact.upper.force.values"][-1] == row["contact.upper.force"] for row in rows)
 
 
+@pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
+def test_in_time(scheme, order):
+    """With [time] the steps are scaled as h: a decay exp(-pi^2 t) sin(pi x) has the order of its scheme at the end."""
+    scene = Scene(mesh={"shape": "interval", "cells": 32}, tension=1, rate=1, boundary=[{"value": 0}],
+                  time={"end": 0.1, "steps": 32, "start": "sin(pi*x)", "scheme": scheme},
+                  report={"size": "integral(u)"})  # fmt: skip
+    found = solve(scene, uncertainty=True).record["uncertainty"]["report"]["size"]
+    true = abs(found["values"][-1] - 2 / math.pi * math.exp(-(math.pi**2) / 10))
+    assert true < found["error"] < 3 * true and abs(found["order"] - order) < 0.2
+
+
+def test_equilibria_in_time():
+    """A sequence of equilibria has no error in time: at its end it has the uncertainty of the scene at rest."""
+    scene, moving = (membrane(load=load, lower=-0.1, mesh={"shape": "rectangle", "cells": 16}, **time)
+                     for load, time in ((-8, {}), ("-8*t", {"time": {"end": 1, "steps": 1}})))  # fmt: skip
+    found = [solve(one, uncertainty=True).record["uncertainty"]["contact"]["lower"]["force"] for one in (scene, moving)]
+    assert found[0]["values"] == pytest.approx(found[1]["values"], rel=1e-6)
+    assert found[0]["error"] == pytest.approx(found[1]["error"], rel=1e-3)
+
+
 def test_no_uncertainty():
-    """Two meshes are too few; scenes in time have none; with a tolerance there is the bound."""
+    """Two meshes are too few, and steps must be scaled, too; with a tolerance there is the bound."""
     answer = solve(membrane(load=-1, lower=-0.01), cells=6, uncertainty=True)
     assert "two coarser meshes" in answer.record["uncertainty"]["reason"] and "no uncertainty" in answer.summary()
-    moving = membrane(load="-t", lower=-0.1, time={"end": 1, "steps": 1})
-    assert "[time]" in solve(moving, uncertainty=True).record["uncertainty"]["reason"]
-    with pytest.raises(InputError, match="with a tolerance there is the bound"):
+    moving = Scene(
+        mesh={"shape": "interval", "cells": 16}, tension=1, rate=1, time={"end": 1, "steps": 2, "start": "x"}
+    )
+    assert "that 4 divides" in solve(moving, uncertainty=True).record["uncertainty"]["reason"]
+    chosen = moving.change({"time.tolerance": 0.1})
+    assert "[time] tolerance" in solve(chosen, uncertainty=True).record["uncertainty"]["reason"]
+    with pytest.raises(InputError, match="with a tolerance there is the error bound"):
         solve(membrane(load=-1, lower=-0.1), tol=0.5, uncertainty=True)

@@ -93,7 +93,10 @@ def solve(
         raise InputError(f"{scene.source}: has no [time], so there is no state to continue from")
     if tol is not None or tol_absolute is not None:
         if uncertainty:
-            raise InputError("an uncertainty takes three meshes with halved cells: with a tolerance there is the bound")
+            raise InputError(
+                "--uncertainty takes three meshes whose cells halve, which adaptive meshes do not: with a tolerance "
+                "there is the error bound; for an uncertainty of each value give --cells or --refine instead of --tol"
+            )
         return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
     if budget is not None:
         raise InputError("a budget needs a tolerance: add --tol")

@@ -240,8 +240,8 @@ class SolverContext:
         from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
 
         start, scene, comm = time.perf_counter(), self.scene, self.problem.level.comm
-        if scene.time is not None:
-            return {"reason": "scenes with [time] have none"}
+        if (why := uncertainty.reason(scene)) is not None:
+            return {"reason": why}
 
         def report(problem: Problem, state: State) -> dict[str, float | None]:
             if not scene.report:
@@ -253,7 +253,9 @@ class SolverContext:
             )
 
         try:
-            found = uncertainty.on_coarser_meshes(grids, options, answer.eps, report, solved=solved)
+            found = []
+            if scene.time is None:  # the coarser levels of a time stepper have no history
+                found = uncertainty.on_coarser_meshes(grids, options, answer.eps, report, solved=solved)
             for coarser, its_options in [] if found else uncertainty.coarser_scenes(scene, options, answer.eps):
                 with closing(SolverContext(coarser, comm, options=its_options)) as context:
                     found.append(uncertainty.quantities(context.answer(errors=False).record))

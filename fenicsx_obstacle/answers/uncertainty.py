@@ -1,8 +1,9 @@
 """An uncertainty for each output quantity, from its values on the last three meshes of nested iteration.
 
 Nested iteration has a problem on each coarser mesh already, with a state near its solution. Two of them are solved to
-the end, with eps scaled as h^2. Where the changes from mesh to mesh have a consistent ratio, Richardson extrapolation
-says how far the last value is from the limit for h and eps to 0.
+the end, with eps scaled as h^2. With [time] the scene is solved on two coarser meshes, with steps scaled as h. Where
+the changes from mesh to mesh have a consistent ratio, Richardson extrapolation says how far the last value is from the
+limit for h and eps to 0.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.galerkin import GalerkinProblem
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import method_of
@@ -29,11 +31,14 @@ FEWEST = 4  # cells along x on the coarsest of them
 ROUND_OFF = 1e-9  # relative change that is the solver's tolerance
 ORDERS = (0.4, 4.0)  # observed orders that count as consistent; above, and between meshes, contact sets have jumped
 HIGHEST = 2.0  # order that is believed at most
+HIGHEST_OF_AREA = 1.5  # of the contact area, whose changes are erratic: it depends on where the set ends within a cell
 SAFETY = 1.5  # times what extrapolation says
 WITHOUT_ORDER = 1.0  # times the larger change, where the changes become smaller without a consistent ratio
 SHRINKS = 0.85  # last change over the one before, from which on it does not become smaller
 GROWS = 0.03  # last change over the value, from which on a value that grows is called unbounded
-REASON = "it takes two coarser meshes: a number of cells that 4 divides, or --refine 2 for a file"
+REASON = "it takes two coarser meshes: a number of cells that 4 divides, 16 or more, or --refine 2 for a file"
+REASON_STEPS = "it takes two solves with fewer steps: a number of steps under [time] that 4 divides"
+REASON_TOLERANCE = "it takes steps that are scaled as h, and [time] tolerance chooses them; give their number instead"
 Values = dict[str, float | None]
 
 
@@ -57,8 +62,8 @@ class Uncertainty:
     verdict: str
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Uncertainty:
-        """What three values on meshes whose h halves say of the last."""
+    def of(cls, values: Sequence[float], highest: float = HIGHEST) -> Uncertainty:
+        """What three values on meshes whose h halves say of the last; no order above `highest` is believed."""
         coarse, middle, fine = values
         before, last = middle - coarse, fine - middle
         size, a, b = max(map(abs, values)), abs(before), abs(last)
@@ -69,10 +74,10 @@ class Uncertainty:
         if b >= SHRINKS * a:
             grows = same and abs(fine) > abs(middle) > abs(coarse) and b >= GROWS * size
             return cls(*found, None, None, "unbounded" if grows else "not settled")
-        order, next_one = (math.log2(a / b) if same and b > 0 else None), max(b, a / 2**HIGHEST)
+        order, next_one = (math.log2(a / b) if same and b > 0 else None), max(b, a / 2**highest)
         if order is None or not ORDERS[0] <= order <= ORDERS[1]:
             return cls(*found, WITHOUT_ORDER * next_one, None, "settled")
-        return cls(*found, SAFETY * next_one / (2 ** min(order, HIGHEST) - 1), order, "settled")
+        return cls(*found, SAFETY * next_one / (2 ** min(order, highest) - 1), order, "settled")
 
 
 def quantities(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,19 +86,23 @@ def quantities(record: Mapping[str, Any]) -> dict[str, Any]:
     return {"energy": record["energy"], **contact, "report": dict(record.get("report") or {})}
 
 
-def compared(found: Sequence[Any], *, bounded: bool = False) -> Any:
+def compared(found: Sequence[Any], *, bounded: bool = False, highest: float = HIGHEST) -> Any:
     """The uncertainty of values on three meshes, by the same fields; values that are not finite on some mesh have none.
 
     Args:
         found: On each mesh.
         bounded: Whether they are known to be.
+        highest: Order that is believed at most.
     """
     if isinstance(found[0], Mapping):
-        parts = {key: compared([one[key] for one in found], bounded=bounded or key == "contact") for key in found[0]}
+        parts = {}
+        for key in found[0]:
+            top = HIGHEST_OF_AREA if bounded and key == "area" else HIGHEST
+            parts[key] = compared([one[key] for one in found], bounded=bounded or key == "contact", highest=top)
         return {key: part for key, part in parts.items() if part}
     if any(value is None for value in found):
         return None
-    said = Uncertainty.of(found)
+    said = Uncertainty.of(found, highest)
     return asdict(replace(said, verdict="not settled") if bounded and said.error is None else said)
 
 
@@ -148,13 +157,35 @@ def on_coarser_meshes(
 
 
 def coarser_scenes(scene: Scene, options: SolverOptions, eps: float | None) -> list[tuple[Scene, SolverOptions]]:
-    """The scene on two coarser meshes of its shape, the coarser first; none where the mesh is no such shape."""
-    mesh = scene.tables.mesh
-    if mesh.shape is None or scene.mesh is not None or mesh.refine or mesh.cells % 4 or mesh.cells < 4 * FEWEST:
-        return []
-    cells = [mesh.cells // 4, mesh.cells // 2]
-    return [(scene.change({"mesh.cells": n}), _scaled(options, eps, times))
-            for n, times in zip(cells, EPS_TIMES, strict=True)]  # fmt: skip
+    """The scene on two coarser meshes, the coarser first, with steps scaled as h; none where it has none.
+
+    Args:
+        scene: The scene.
+        options: Of its solve.
+        eps: On its mesh, or None.
+    """
+    mesh, moments, found = scene.tables.mesh, scene.time, []
+    for times, halvings in zip(EPS_TIMES, (2, 1), strict=True):
+        less, rest = min(halvings, mesh.refine), halvings - min(halvings, mesh.refine)
+        changes: dict[str, Any] = {"mesh.refine": mesh.refine - less} if less else {}
+        if rest:
+            if mesh.shape is None or scene.mesh is not None or mesh.cells % 2**rest or mesh.cells < FEWEST * 2**rest:
+                return []
+            changes["mesh.cells"] = mesh.cells // 2**rest
+        if moments is not None and moments.order > EQUILIBRIA:
+            changes["time.steps"] = moments.steps // 2**halvings
+        found.append((scene.change(changes), _scaled(options, eps, times)))
+    return found
+
+
+def reason(scene: Scene) -> str | None:
+    """Why a scene with [time] has no uncertainty, whatever its mesh; None if it may have one."""
+    moments = scene.time
+    if moments is None or moments.order == EQUILIBRIA:
+        return None
+    if moments.tolerance is not None:
+        return REASON_TOLERANCE
+    return REASON_STEPS if moments.steps % 4 else None
 
 
 def _scaled(options: SolverOptions, eps: float | None, times: float) -> SolverOptions:

@@ -23,6 +23,8 @@ from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 
+GMSH = (".msh", *meshing.GEOMETRY)
+
 
 @dataclass(frozen=True)
 class MeshFile:
@@ -32,7 +34,7 @@ class MeshFile:
         mesh: The mesh.
         facets: Local facets of each named curve (in solids, surface).
         groups: Owned cells of each named material.
-        bent: Local facets on each CAD curve (in solids, surface) that is not straight, by Gmsh's number.
+        bent: As `Level.bent`.
         straight: As `Level.straight`.
         remarks: What the user should know of the file.
     """
@@ -40,7 +42,7 @@ class MeshFile:
     mesh: dmesh.Mesh
     facets: Groups
     groups: Groups
-    bent: dict[int, np.ndarray] = field(default_factory=dict)
+    bent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
     straight: bool | None = None
     remarks: tuple[str, ...] = ()
 
@@ -52,7 +54,7 @@ def read(path: Path, comm: MPI.Comm) -> MeshFile:
         InputError: If the file is missing, broken, or has cells that DOLFINx does not take.
     """
     on_root(comm, _check, path)
-    return _gmsh(path, comm) if path.suffix in (".msh", ".geo") else _xdmf(path, comm)
+    return _gmsh(path, comm) if path.suffix.lower() in GMSH else _xdmf(path, comm)
 
 
 def _check(path: Path) -> None:
@@ -60,8 +62,8 @@ def _check(path: Path) -> None:
         raise InputError(f"{path}: no such mesh file ([mesh] file, relative to the scene)")
     if not path.is_file():  # a pipe might wait for ever
         raise InputError(f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a mesh file")
-    if path.suffix not in (".msh", ".geo", ".xdmf"):
-        raise InputError(f"{path}: a mesh file ends in .msh, .geo (Gmsh) or .xdmf")
+    if path.suffix.lower() not in (*GMSH, ".xdmf"):
+        raise InputError(f"{path}: a mesh file ends in .msh, .geo, .step (Gmsh) or .xdmf")
 
 
 def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
@@ -73,11 +75,11 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
         found = meshing.load(path)
         kept.append(found)
         return (*found.points.shape[1:], *found.cells.shape[1:], found.cell, found.materials, found.parts,
-                found.facets, found.facet_part, found.cell_material, found.bent, found.bent_entity, found.straight,
-                found.remarks)  # fmt: skip
+                found.facets, found.facet_part, found.cell_material, found.bent, found.bent_entity,
+                found.cell_entity, found.straight, found.remarks)  # fmt: skip
 
-    (gdim, vertices, cell, materials, parts, facets, facet_part, cell_material, bent, entity, straight,
-     remarks) = on_root(comm, load)  # fmt: skip
+    (gdim, vertices, cell, materials, parts, facets, facet_part, cell_material, bent, entity, surface,
+     straight, remarks) = on_root(comm, load)  # fmt: skip
     points, cells = np.empty((0, gdim)), np.empty((0, vertices), np.int64)
     if comm.rank == 0:
         points, cells = kept[0].points, kept[0].cells
@@ -85,11 +87,14 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
     numbers = local_facets(mesh, facets)
     named = {name: np.unique(numbers[(facet_part == k) & (numbers >= 0)]) for k, name in enumerate(parts)}
     groups = Groups()
+    own = np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]
     if materials:
-        of_own = cell_material[np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]]
-        groups = {name: np.flatnonzero(of_own == k).astype(np.int32) for k, name in enumerate(materials)}
-    numbers = local_facets(mesh, bent)
-    curved = {int(k): np.unique(numbers[(entity == k) & (numbers >= 0)]) for k in np.unique(entity)}
+        groups = {name: np.flatnonzero(cell_material[own] == k).astype(np.int32) for k, name in enumerate(materials)}
+    numbers, dim = local_facets(mesh, bent), mesh.topology.dim
+    curved = {(dim - 1, int(k)): np.unique(numbers[(entity == k) & (numbers >= 0)]) for k in np.unique(entity)}
+    if len(surface):
+        found = np.unique(surface[surface > 0])
+        curved |= {(dim, int(k)): np.flatnonzero(surface[own] == k).astype(np.int32) for k in found}
     return MeshFile(mesh, named, groups, curved, straight, remarks)
 
 

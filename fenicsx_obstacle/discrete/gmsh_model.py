@@ -23,6 +23,7 @@ _SIDES: dict[str, list[tuple[int, ...]]] = {"interval": [(0,), (1,)], "quadrilat
           "hexahedron": [(0, 1, 2, 3), (0, 1, 4, 5), (0, 2, 4, 6), (1, 3, 5, 7), (2, 3, 6, 7),
                          (4, 5, 6, 7)]}  # fmt: skip
 _KINDS = ("point", "curve", "surface", "volume")
+_NO_NAME = "Open CASCADE"  # with which names begin that a CAD file has for bodies without one
 _LISTED = 5  # entities in a message
 ROUNDS = 5  # in which a point comes to lie on two surfaces
 
@@ -42,6 +43,7 @@ class Arrays:
         facet_part: Row of `parts` of each of these facets.
         bent: Rows of `points` of each facet on a CAD curve that is no line, in solids on a surface that is no plane.
         bent_entity: Gmsh's number of that curve or surface, for each of them.
+        cell_entity: On surfaces in space Gmsh's number of the surface of each cell, 0 of a plane; otherwise empty.
         straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
         remarks: What the user should know of the file.
     """
@@ -56,6 +58,7 @@ class Arrays:
     facet_part: np.ndarray
     bent: np.ndarray
     bent_entity: np.ndarray
+    cell_entity: np.ndarray
     straight: bool | None
     remarks: tuple[str, ...]
 
@@ -106,6 +109,7 @@ def arrays_of(model: Any) -> Arrays:
     else:
         materials, pieces = (), [(0, tag) for tag in filled]
     cells, material = _joined(pieces, rows, dim)
+    _, surface = _joined([(tag, tag) for _, tag in pieces], rows, dim)
     if cell in _TENSOR:
         cells = cells[:, _TENSOR[cell]]
     validate_mesh(coordinates, cells, cell)
@@ -122,13 +126,15 @@ def arrays_of(model: Any) -> Arrays:
     points = coordinates[used]
     extended = np.abs(points).max(axis=0) > 1e-12 * np.abs(points).max()
     gdim = max(dim, int(np.flatnonzero(extended).max(initial=0)) + 1)
-    sides = [tag for d, tag in rows if d == dim - 1 and gdim == dim > 1]
+    sides = [tag for d, tag in rows if d == dim - 1 > 0]
     curved = [(tag, tag) for tag in sides if not _is_flat(model.getType(dim - 1, tag))]
     bent, entity = _joined(curved, rows, dim - 1)
     on = _on_mesh(cell, cells, bent)
+    plane = [tag for d, tag in rows if d == dim and _is_flat(model.getType(d, tag))]
+    surface = np.where(np.isin(surface, plane), 0, surface) if dim == 2 < gdim else surface[:0]
     return Arrays(
         points[:, :gdim], cell, np.searchsorted(used, cells), materials, material if materials else material[:0],
-        parts, np.searchsorted(used, facets), facet_part, np.searchsorted(used, bent[on]), entity[on], None,
+        parts, np.searchsorted(used, facets), facet_part, np.searchsorted(used, bent[on]), entity[on], surface, None,
         tuple(remarks),
     )  # fmt: skip
 
@@ -138,20 +144,36 @@ def _is_flat(kind: str) -> bool:
     return kind in ("", "Line", "Plane", "Unknown") or kind.startswith("Discrete")
 
 
-def on_cad(model: Any, dim: int, points: np.ndarray, rows: np.ndarray, entities: np.ndarray) -> np.ndarray:
-    """Points moved to the nearest ones of CAD curves or surfaces; of several in turn, until they are on all.
+def name_bodies(model: Any) -> None:
+    """Put each body of the highest dimension, and each of its sides, into a physical group with the name that the CAD
+    file has for it, or else its number."""
+    dim = model.getDimension()
+    bodies = model.getEntities(dim)
+    sides = model.getBoundary(bodies, False, False) if dim > 1 else []
+    for d, tags in ((dim, {tag for _, tag in bodies}), (dim - 1, {tag for _, tag in sides})):
+        groups: dict[str, list[int]] = {}
+        for tag in sorted(tags):
+            label = model.getEntityName(d, tag).rpartition("/")[2].strip()
+            groups.setdefault(str(tag) if label.startswith(_NO_NAME) or not label else label, []).append(tag)
+        for name, members in groups.items():
+            model.setPhysicalName(d, model.addPhysicalGroup(d, members), name)
+
+
+def on_cad(model: Any, points: np.ndarray, rows: np.ndarray, entities: np.ndarray) -> np.ndarray:
+    """Points moved to the nearest ones of CAD curves; those on none to surfaces, to several in turn, until on all.
 
     Args:
         model: Gmsh's.
-        dim: 1 for curves, 2 for surfaces.
         points: Shape (points, 3).
         rows: A row of `points` for each pair of a point and an entity.
-        entities: Gmsh's number of the entity of each pair.
+        entities: Dimension and Gmsh's number of the entity of each pair, shape (pairs, 2).
     """
-    points = points.copy()
-    for _ in range(1 if dim == 1 else ROUNDS):
-        for entity in np.unique(entities):
-            own = np.unique(rows[entities == entity])
+    points, on_curve = points.copy(), entities[:, 0] == 1
+    # what is nearest on a surface may be on its other side where a point lies beyond its rim, which is a curve
+    on_surface = ~on_curve & ~np.isin(rows, rows[on_curve])
+    for dim, of_dim in ((1, on_curve), *[(2, on_surface)] * ROUNDS):
+        for entity in np.unique(entities[of_dim, 1]):
+            own = np.unique(rows[of_dim & (entities[:, 1] == entity)])
             found, _ = model.getClosestPoint(dim, int(entity), points[own].ravel().tolist())
             points[own] = np.array(found).reshape(-1, 3)
     return points

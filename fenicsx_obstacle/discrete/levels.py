@@ -45,8 +45,8 @@ class Level:
         straight: Of a mesh from a file, whether its CAD curves are straight and, in solids, its surfaces flat; None
             where the file does not say, and for the caller's own mesh.
         remarks: What the user should know of the mesh, in words.
-        bent: Local facets on each curve (in solids, surface) of a .geo that is not straight, by Gmsh's number; None
-            where they are those of `coarse`.
+        bent: Local facets on each curve (in solids, surface) of a .geo or .step that is not straight, and on surfaces
+            in space owned cells, by dimension and number in Gmsh; None where they are those of `coarse`.
         to_cad: Moves points to these, on one rank; None without them.
     """
 
@@ -61,7 +61,7 @@ class Level:
     places: np.ndarray | None = None
     straight: bool | None = None
     remarks: tuple[str, ...] = ()
-    bent: dict[int, np.ndarray] | None = None
+    bent: dict[tuple[int, int], np.ndarray] | None = None
     to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
 
     @cached_property
@@ -119,11 +119,14 @@ class Level:
         return parents.inherited(self.coarse.facets, self.coarse.mesh, self.mesh, self.parents)
 
     @cached_property
-    def bent_facets(self) -> dict[int, np.ndarray]:
-        """Local facets on curves or surfaces of a .geo that are not straight, by Gmsh's number."""
+    def bent_parts(self) -> dict[tuple[int, int], np.ndarray]:
+        """Facets and cells on CAD geometry that is not straight, as `bent`."""
         if self.coarse is None or self.parents is None:
             return self.bent or {}
-        return parents.inherited(self.coarse.bent_facets, self.coarse.mesh, self.mesh, self.parents)
+        above, dim = self.coarse.bent_parts, self.mesh.topology.dim
+        facets = {key: some for key, some in above.items() if key[0] < dim}
+        cells = {key: np.flatnonzero(np.isin(self.parents, some)) for key, some in above.items() if key[0] == dim}
+        return parents.inherited(facets, self.coarse.mesh, self.mesh, self.parents) | cells
 
     @cached_property
     def groups(self) -> dict[str, np.ndarray]:
@@ -217,7 +220,7 @@ def of_pair(level: Level, pair: Pair) -> Level:
     if not pair.nested_hierarchy:
         below = level if pair.has_p1_coarse_space else None
         return replace(level, pair=pair, coarse=below, parents=None, places=None, named=level.facets,
-                       materials=level.groups, bent=level.bent_facets)  # fmt: skip
+                       materials=level.groups, bent=level.bent_parts)  # fmt: skip
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
 
@@ -282,7 +285,7 @@ def _above(level: Level, new: dmesh.Mesh, h: float, cells: np.ndarray, places: n
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
     if level.to_cad is not None:
-        parents.snap_to_cad(fine.V, fine.bent_facets, level.to_cad)
+        parents.snap_to_cad(fine.V, fine.bent_parts, level.to_cad)
     return fine
 
 

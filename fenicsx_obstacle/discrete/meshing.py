@@ -1,8 +1,8 @@
 """Gmsh in a separate process, since a file that it cannot read may end the process.
 
-`python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo or .msh file as NumPy arrays, or, if
-there are arrays already, moves the points in them to the CAD geometry of the .geo; if that fails it prints the reason
-and leaves with status 1 (Gmsh's reason) or 2 (ours).
+`python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo, .step or .msh file as NumPy arrays,
+or, if there are arrays already, moves the points in them to the CAD geometry of the .geo or .step; if that fails it
+prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours).
 """
 
 from __future__ import annotations
@@ -23,12 +23,14 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, on_cad, straight
+from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, name_bodies, on_cad, straight
 from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
 DIMENSIONS = {"interval": 1, "triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
-FORMAT = b"2"  # of what is kept
+GEOMETRY = (".geo", ".step", ".stp")  # files that have a geometry, from which Gmsh makes the mesh
+PER_TURN = 12  # cells around a circle of a STEP file, which says nothing of sizes
+FORMAT = b"3"  # of what is kept
 # commands of a .geo by which its mesh may depend on more than its text
 _ELSEWHERE = re.compile(rb"\b(Merge|Include|ShapeFromFile|System\w*|GetEnv|Onelab\w*|Exists|FileExists)\b")
 
@@ -36,7 +38,7 @@ _ELSEWHERE = re.compile(rb"\b(Merge|Include|ShapeFromFile|System\w*|GetEnv|Onela
 def load(path: Path) -> Arrays:
     """The mesh of a Gmsh file (one rank).
 
-    That of a .geo is kept beside it, as long as its text and the Gmsh that is installed stay the same.
+    That of a .geo or .step is kept beside it, as long as its text and the Gmsh that is installed stay the same.
 
     Raises:
         InputError: With what Gmsh says, or what is wrong with the mesh.
@@ -53,22 +55,21 @@ def load(path: Path) -> Arrays:
         return _arrays(arrays)
 
 
-def moved(path: Path, dim: int, points: np.ndarray, rows: np.ndarray, entities: np.ndarray) -> np.ndarray:
-    """Points moved to the nearest ones of curves or surfaces of a .geo (one rank).
+def moved(path: Path, points: np.ndarray, rows: np.ndarray, entities: np.ndarray) -> np.ndarray:
+    """Points moved to the nearest ones of curves or surfaces of a .geo or .step (one rank).
 
     Args:
-        path: The .geo.
-        dim: Arguments as those of `on_cad`.
-        points: Shape (points, 3).
-        rows: Pairs of points and entities.
-        entities: Numbers of Gmsh.
+        path: The file.
+        points: Arguments as those of `on_cad`.
+        rows: Rows of `points`.
+        entities: Their entities.
 
     Raises:
         InputError: With what Gmsh says.
     """
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "points.npz"
-        np.savez(arrays, dim=dim, points=points, rows=rows, entities=entities)
+        np.savez(arrays, points=points, rows=rows, entities=entities)
         _start(path, arrays)
         with np.load(arrays) as stored:
             return stored["points"]
@@ -86,7 +87,7 @@ def _start(path: Path, arrays: Path) -> None:
     done = subprocess.run(command, env=env, capture_output=True, text=True, errors="replace", check=False)
     said = done.stdout.strip()
     if done.returncode < 0:
-        other = ", or mesh it to a .msh there" if path.suffix == ".geo" else ""
+        other = ", or mesh it to a .msh there" if path.suffix.lower() in GEOMETRY else ""
         raise InputError(f"{path}: Gmsh crashed while reading it; open it in Gmsh{other}")
     if done.returncode == _REJECTED:
         raise InputError(f"{path}: {said}")
@@ -101,18 +102,20 @@ def _arrays(file: Path) -> Arrays:
         return Arrays(
             stored["points"], words["cell"], stored["cells"], tuple(words["materials"]), stored["cell_material"],
             tuple(words["parts"]), stored["facets"], stored["facet_part"], stored["bent"], stored["bent_entity"],
-            words["straight"], tuple(words["remarks"]),
+            stored["cell_entity"], words["straight"], tuple(words["remarks"]),
         )  # fmt: skip
 
 
 def _kept(path: Path) -> Path | None:
-    """The file in which the mesh of a .geo is stored; None for other files, and for those that include further
-    files."""
-    if path.suffix != ".geo":
+    """The file in which the mesh of a .geo or .step is stored; None for other files, and for a .geo that includes
+    further files."""
+    if path.suffix.lower() not in GEOMETRY:
         return None
     try:
         text, program = path.read_bytes(), find_spec("gmsh")
-        if program is None or program.origin is None or _ELSEWHERE.search(text):
+        if program is None or program.origin is None:
+            return None
+        if path.suffix == ".geo" and _ELSEWHERE.search(text):
             return None
         parts = (text, str(Path(program.origin).stat().st_mtime_ns).encode(), FORMAT)
     except OSError:
@@ -141,14 +144,20 @@ def _run(source: str, target: str) -> int:
 
     gmsh.initialize([], False)
     gmsh.option.setNumber("General.Terminal", 0)
+    suffix = Path(source).suffix.lower()
+    if cad := suffix in GEOMETRY[1:]:
+        gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
+        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", PER_TURN)
     try:
         gmsh.open(source)
         if Path(target).exists():
             with np.load(target) as given:
-                dim, points = int(given["dim"]), given["points"]
-                np.savez(target, points=on_cad(gmsh.model, dim, points, given["rows"], given["entities"]))
+                points = on_cad(gmsh.model, given["points"], given["rows"], given["entities"])
+                np.savez(target, points=points)
             return 0
-        if source.endswith(".geo"):
+        if cad:
+            name_bodies(gmsh.model)
+        if suffix in GEOMETRY:
             gmsh.model.mesh.generate(gmsh.model.getDimension())
         found = arrays_of(gmsh.model)
         words = {
@@ -158,7 +167,7 @@ def _run(source: str, target: str) -> int:
         np.savez(
             target, words=json.dumps(words), points=found.points, cells=found.cells, facets=found.facets,
             cell_material=found.cell_material, facet_part=found.facet_part, bent=found.bent,
-            bent_entity=found.bent_entity,
+            bent_entity=found.bent_entity, cell_entity=found.cell_entity,
         )  # fmt: skip
     except InputError as error:
         sys.stdout.write(f"{error}\n")

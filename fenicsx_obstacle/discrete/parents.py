@@ -15,7 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices
 from fenicsx_obstacle.parallel import before, on_root
 
-Name = TypeVar("Name", str, int)
+Name = TypeVar("Name", str, tuple[int, int])
 STAYS = 1e-12  # of its distance from 0: such a move is round-off
 
 
@@ -178,26 +178,31 @@ def snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarray
 
 def snap_to_cad(
     V: fem.FunctionSpace,
-    facets: dict[int, np.ndarray],
+    parts: dict[tuple[int, int], np.ndarray],
     to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
 ) -> None:
-    """Move vertices onto the curves or surfaces that their facets come from (collective).
+    """Move vertices onto the curves or surfaces that their facets or cells come from (collective).
+
+    A vertex that would be moved by more than the size of its cells stays: the point is on the other side of a body.
 
     Args:
         V: P1 on a new mesh.
-        facets: Local facets on each curve or surface, with the same names on every rank.
+        parts: Local facets or owned cells on each curve or surface, by its dimension and number, for every rank.
         to_cad: As `Level.to_cad`.
     """
     mesh, comm = V.mesh, V.mesh.comm
-    nodes = {k: releases.dof_nodes(V)[fem.locate_dofs_topological(V, mesh.topology.dim - 1, some)]
-             for k, some in facets.items()}  # fmt: skip
+    nodes = {key: releases.dof_nodes(V)[fem.locate_dofs_topological(V, key[0], some.astype(np.int32))]
+             for key, some in parts.items()}  # fmt: skip
     mine = np.unique(np.concatenate([np.empty(0, np.int64), *nodes.values()])).astype(np.int64)
     rows = np.concatenate([np.empty(0, np.int64), *(np.searchsorted(mine, some) for some in nodes.values())])
-    entities = np.repeat(list(nodes), [len(some) for some in nodes.values()]).astype(np.int64)
+    entities = np.repeat(np.array(list(nodes)).reshape(-1, 2), [len(some) for some in nodes.values()], axis=0)
     first = before(comm, len(mine))
-    parts = comm.gather((mesh.geometry.x[mine], rows + first, entities))
-    found = on_root(comm, lambda: to_cad(*(np.concatenate(part) for part in zip(*parts, strict=True))))
+    pairs = comm.gather((mesh.geometry.x[mine], rows + first, entities))
+    found = on_root(comm, lambda: to_cad(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
     old, new = mesh.geometry.x[mine], found[first : first + len(mine)]
-    far = np.linalg.norm(new - old, axis=1) > STAYS * np.linalg.norm(old, axis=1)
+    distance, size, corner = np.linalg.norm(new - old, axis=1), np.full(len(mesh.geometry.x), np.inf), corners(mesh)
+    longest = np.linalg.norm(corner[:, :, None] - corner[:, None], axis=3).max(axis=(1, 2))
+    np.minimum.at(size, releases.geometry_dofs(mesh), longest[:, None])
+    far = (distance > STAYS * np.linalg.norm(old, axis=1)) & (distance < size[mine])
     gdim = mesh.geometry.dim
     mesh.geometry.x[mine[far], :gdim] = new[far, :gdim]

@@ -9,7 +9,7 @@ need not be cells of any mesh.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import factorial
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,7 @@ BETTER = 0.9  # of half the distance of the bounds: the rest of a linear functio
 NEGLIGIBLE = 1e-9  # unless it is below this, of the largest value there
 DEEPEST = 8  # how often a part is divided on which no finite bounds are found
 MAX_PARTS = 200_000  # in a block of cells, or twice as many as it has cells
+FEW = 2000  # simplices that share such a limit, so that the parts of one do not depend on all others of the rank
 SHARP = 0.1  # of the largest value: what varies so much between samples may jump
 
 
@@ -206,6 +207,8 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
                 wanted.append((some, near, divided))
                 count += parts.times * np.count_nonzero(divided)
         if count > max(MAX_PARTS, 2 * found.count):
+            if len(corners) > FEW:
+                return _in_blocks(data, datum, corners, cells, division)
             for some, near, divided in wanted:
                 found.take(some, near, divided)
             break
@@ -213,6 +216,18 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
             break
         parts = reduce(Parts.with_, (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted))
     return found.pieces()
+
+
+def _in_blocks(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:
+    """The same, block by block of `FEW` simplices."""
+    slices = list(blocks(len(corners), FEW))
+    found = [pieces_of(data, datum, corners[block], cells[block], division) for block in slices]
+    return Pieces(
+        [replace(group, rows=group.rows + block.start) for block, one in zip(slices, found, strict=True)
+         for group in one.groups],
+        np.concatenate([one.lower for one in found]), np.concatenate([one.upper for one in found]),
+        any(one.sampled for one in found), np.concatenate([one.rough for one in found]),
+    )  # fmt: skip
 
 
 def _looks(

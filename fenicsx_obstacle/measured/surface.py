@@ -130,7 +130,9 @@ class OnSurface:
         values = self.surface.at(corners.reshape(-1, 2)).reshape(corners.shape[:2])
         low, high, steep = self.surface.beside(corners, values)
         size = np.maximum(polynomials.row_size(values), np.maximum(np.abs(low), np.abs(high)))
-        return values + ((low + high) / 2)[:, None], (high - low) / 2 + _ROUND_OFF * size, steep * MARGIN
+        middle = np.zeros(len(cells))  # nothing is known over simplices without a size
+        np.add(low / 2, high / 2, out=middle, where=np.isfinite(low))
+        return values + middle[:, None], (high - low) / 2 + _ROUND_OFF * size, steep * MARGIN
 
     def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values = self.surface.cuts(self.corners[cells])

@@ -247,7 +247,11 @@ class MeasuredField(Field):
     def _triangulated(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray) -> Surface:
         if self.table.smooth:
             raise InputError(f"{self._name}: smooth is for heights on a grid")
-        return Triangulated(points, z + self._shift[2], triangles)
+        try:
+            return Triangulated(points, z + self._shift[2], triangles)
+        except ValueError:
+            count = counted(len(triangles), "facet")
+            raise InputError(f"{self._name}: {count}, all of them vertical: they are no heights over x and y") from None
 
     # numbers
 

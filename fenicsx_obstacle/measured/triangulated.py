@@ -25,12 +25,17 @@ class Triangulated(Surface):
             points: Shape (n, 2).
             z: Heights there.
             triangles: Numbers of their points, shape (m, 3); those without an area are not included.
+
+        Raises:
+            ValueError: If none has one.
         """
         x = points[triangles]
         a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
         cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
         longest = np.maximum(np.sum(a**2, axis=1), np.sum(b**2, axis=1))
         wide = np.abs(cross) > 1e-12 * longest
+        if not wide.any():
+            raise ValueError("no triangle has an area")
         self._members = np.where(cross[:, None] > 0, triangles, triangles[:, ::-1])[wide]
         self._x, self._z = points[self._members], z[self._members]
         self._slope = gradients(self._x, self._z)

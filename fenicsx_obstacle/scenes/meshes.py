@@ -72,8 +72,7 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
         level = of_mesh(found.mesh, str(path), found.facets, found.groups)
         level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
         if found.bent:
-            to_cad = partial(moved, path, level.mesh.topology.dim - 1)
-            level = replace(level, bent=found.bent, to_cad=to_cad)
+            level = replace(level, bent=found.bent, to_cad=partial(moved, path))
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)

@@ -291,7 +291,7 @@ def _no_idle_key(mesh: MeshTable, given: dict[str, Any], source: str) -> None:
 def _in_words(message: str, raw: dict[str, Any]) -> str:
     """msgspec's message with TOML's names for the place, the value found, and the nearest key."""
     problem, _, path = message.partition(" - at `$")
-    path = path.rstrip("`").lstrip(".")
+    path = path.rstrip("`").lstrip(".").replace("profile[...]", f"profile.{_wrong_profile(raw)}")
     place = _place(path)
     if match := re.match(r"Object contains unknown field `(.*)`", problem):
         known, kind = _keys_at(path), "key" if path else "table or key"
@@ -313,6 +313,16 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
     for word, plain in words.items():
         problem = problem.replace(word, plain)
     return f"{place}= {_short(found)}: {problem[0].lower()}{problem[1:]}"
+
+
+def _wrong_profile(raw: dict[str, Any]) -> str:
+    """The name of the first profile that is none; msgspec does not say."""
+    for name, table in raw.get("profile", {}).items() if isinstance(raw.get("profile"), dict) else ():
+        try:
+            msgspec.convert(table, ProfileTable)
+        except msgspec.ValidationError:
+            return str(name)
+    return ""
 
 
 def _short(found: Any) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from textwrap import fill
 
 from fenicsx_obstacle.discrete.galerkin import SMALLEST
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
+from fenicsx_obstacle.discrete.meshing import GEOMETRY
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.boundary_table import part_place
@@ -182,7 +184,9 @@ def _mesh(scene: Scene) -> str:
         return "given as a DOLFINx mesh; its geometry is the polygon of its cells"
     refined = f", refined {'once' if table.refine == 1 else f'{table.refine} times'}" if table.refine else ""
     if table.file is not None:
-        return f"{table.file}{refined}; the geometry is the file's polygon"
+        cad = Path(table.file).suffix.lower() in GEOMETRY
+        how = "meshed by Gmsh; when refined, new vertices lie on its curves and surfaces" if cad else "its polygon"
+        return f"{table.file}{refined}; the geometry is {'that of the file, ' if cad else ''}{how}"
     axes = {"interval": "x", "rectangle": "xy", "box": "xyz", "l-shape": "xy"}.get(table.shape or "", "")
     corners = ", ".join(f"{axis} = [{', '.join(map(plain, getattr(table, axis)))}]" for axis in axes)
     where = corners or f"radius {plain(table.radius)}, boundary vertices stay on the circle when refined"

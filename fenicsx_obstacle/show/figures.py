@@ -24,7 +24,8 @@ MARKERS = ("o", "s", "^", "D")
 KINDS = (".png", ".pdf", ".svg")
 ROUND_OFF = 1e-11  # relative
 BESIDE: Mapping[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}  # a legend that covers no data
-ABOVE: Mapping[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncol": 4, "frameon": False}
+# a legend above the axes, on the right: on the left is the power of ten of the upright one
+ABOVE: Mapping[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncol": 4, "frameon": False}
 LABEL, LINE = 60, 64  # characters of a label, and of each line of a title
 DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))  # dots are for what is expected
 
@@ -77,12 +78,27 @@ def style(number: int, dashed: int = 1) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def steady(values: np.ndarray) -> np.ndarray:
-    """The values, or their mean where they differ by round-off only: axes would magnify it."""
+def steady(values: np.ndarray, size: float = 0.0) -> np.ndarray:
+    """The values, or their mean where they differ by round-off only: axes would magnify it.
+
+    Args:
+        values: What is drawn.
+        size: Of the same quantity elsewhere, beside which it may be round-off.
+    """
     known = values[np.isfinite(values)]
-    if not known.size or np.ptp(known) > ROUND_OFF * np.abs(known).max():
+    if not known.size or np.ptp(known) > ROUND_OFF * max(np.abs(known).max(), size):
         return values
-    return np.where(np.isfinite(values), known.mean(), values)
+    mean = known.mean()
+    return np.where(np.isfinite(values), 0.0 if abs(mean) <= ROUND_OFF * size else mean, values)
+
+
+def terms_of(formula: Any, known: Mapping[str, Any]) -> list[str]:
+    """The names of known quantities whose sum or difference a formula is; none of another formula.
+
+    Such a sum may be round-off beside its terms.
+    """
+    names = re.split(r"\s*[+-]\s*", str(formula).strip().lstrip("+-"))
+    return names if len(names) > 1 and all(name in known for name in names) else []
 
 
 def digits(value: float, size: float, form: str = "g") -> str:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.parallel import gathered, on_root
-from fenicsx_obstacle.show.figures import figure, save
+from fenicsx_obstacle.show.figures import BLUE, figure, save
 
 NAME = "bound.png"
 DECADES = 4  # of shares that are told apart
@@ -51,16 +51,32 @@ def _shares(indicator: np.ndarray) -> np.ndarray:
 
 
 def _cells(page: Any, axes: Any, indicator: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+    """The share of each cell: over an interval as steps, in the plane in colours, of solids summed along y."""
+    shares, cells, (x, y, z) = _shares(indicator), arrays["cells"], arrays["points"].T
+    low = shares.max() / 10**DECADES
+    if cells.shape[1] == 2:
+        order = np.argsort(x[cells].min(axis=1))
+        edges = np.append(x[cells[order]].min(axis=1), x.max())
+        axes.stairs(np.maximum(shares[order], low), edges, baseline=low, color=BLUE, fill=True)
+        axes.set(yscale="log", xlabel="x", ylabel="share of the cell in the bound", xlim=(edges[0], edges[-1]))
+        return
+    colours: dict[str, Any] = {"cmap": "viridis"}
+    if cells.shape[1] == 3:
+        norm, label, up = _norm(shares, low), "share of the cell in the bound", "y"
+        drawn = axes.tripcolor(x, y, cells, facecolors=np.maximum(shares, low), norm=norm, **colours)
+    else:
+        across, height = (values[cells].mean(axis=1) for values in (x, z))
+        count = max(round((len(cells) / 6) ** (1 / 3)), 1)
+        ends = [(values.min(), values.max()) for values in (x, z)]
+        summed, left, below = np.histogram2d(across, height, bins=count, range=ends, weights=shares)
+        label, up = "share in the bound, summed along y", "z"
+        drawn = axes.pcolormesh(left, below, summed.T, norm=_norm(summed, summed.max() / 10**DECADES), **colours)
+    axes.set(aspect="equal", xlabel="x", ylabel=up)
+    axes.margins(0)
+    page.colorbar(drawn, ax=axes, label=label)
+
+
+def _norm(values: np.ndarray, low: float) -> Any:
     from matplotlib.colors import LogNorm
 
-    shares = _shares(indicator)
-    top = shares.max()
-    low = top / 10**DECADES
-    x, y, _ = arrays["points"].T
-    norm = LogNorm(low, top)
-    drawn = axes.tripcolor(x, y, arrays["cells"], facecolors=np.maximum(shares, low), norm=norm, cmap="viridis")
-    axes.set_aspect("equal")
-    axes.margins(0)
-    axes.set_xlabel("x")
-    axes.set_ylabel("y")
-    page.colorbar(drawn, ax=axes, label="share of the cell in the bound")
+    return LogNorm(low, values.max(), clip=True)

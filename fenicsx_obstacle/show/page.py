@@ -25,6 +25,13 @@ _PARTS = {  # of the bound: what makes each smaller
     "algebraic": "further iterations make it smaller",
     "data": "load, obstacle and boundary values between the nodes",
 }
+_FORMULA = [  # docs/bound.md has the theorem
+    "S/2 + (S²/4 + η)^½ + ‖v - u‖, with S = ‖μ^½ ∇v - μ^-½ \u03c3‖ + R",
+    "\u03c3: flux in balance with load and contact pressure λ; v: u moved off the obstacles; η = ∫ λ (v - obstacle)",
+    "R: bound of what is not in balance",
+    "discretisation is ‖μ^½ ∇u - μ^-½ \u03c3‖; penalty is in v - u and η, algebraic in R, data in all of them",
+    "the parts do not add up to the bound",
+]
 _STYLE = """
 body { color: #111; background: #fff; font: 16px/1.5 system-ui, sans-serif; max-width: 74rem; margin: 0 auto;
        padding: 1rem; }
@@ -45,12 +52,14 @@ tbody tr + tr td { border-top: 1px solid #e4e4e0; }
 .facts td div { padding-left: 1.2em; text-indent: -1.2em; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figure img, figure svg { display: block; max-width: 100%; height: auto; }
+.near img { max-width: min(40rem, 100%); }
+@media screen and (max-width: 40rem) { .far { overflow-x: auto; } .far img { max-width: none; width: 40rem; } }
 .words td:first-child, .words th:first-child { text-align: left; }
 .words td:first-child { font-weight: 600; }
 .lead p { max-width: 46rem; }
 .note { font-size: .85rem; color: #444; margin: .5rem 0; }
-.plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); gap: 1rem; }
-.plots figure:only-child { max-width: 46rem; }
+.plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(30rem, 100%), 1fr)); gap: 1rem; }
+.plots figure { max-width: 46rem; }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; }
                h2 { break-after: avoid; } table { font-size: 7pt; } th, td { padding: .1rem .25rem; } }
 """
@@ -72,14 +81,16 @@ def write_answer_page(
         others: Further pictures, PNG or GIF, by what they show, if they could be drawn.
     """
     size = f"{counted(record['cells_total'], 'cell')}, {counted(record['dofs'], 'unknown')}"
-    parts = [] if picture is None else [section("The solution", _picture(picture, _title(scene)))]
-    parts += (
-        [] if time_history is None else [section("All moments", _picture(time_history, f"{_title(scene)}, over time"))]
-    )
+    parts = [] if picture is None else [section("The solution", _picture(picture, _title(scene), wide=True))]
+    if time_history is not None:
+        parts.append(section("All moments", _picture(time_history, f"{_title(scene)}, over time", wide=True)))
     parts += [section("Profiles", plots(profiles))] if profiles else []
     drawn = {name: file for name, file in (others or {}).items() if file.exists()}  # not of every mesh
     parts += [section("Error bound", facts(_bound(record["bound"])))] if "bound" in record else []
-    parts += [section(name, _picture(file, f"{_title(scene)}: {name}")) for name, file in drawn.items()]
+    parts += [
+        section(name, _picture(file, f"{_title(scene)}: {name}", wide=file.suffix == ".gif"))
+        for name, file in drawn.items()
+    ]
     _write(path, scene, f"{_how(record)}; {size}.", [*parts, *_facts_of(scene, record)], record, record["command"])
 
 
@@ -108,7 +119,7 @@ def write_study_page(
     if drawn:
         parts.append(section(" and ".join(drawn).capitalize(), plots(drawn)))
     if picture is not None:
-        parts.append(section("The last row's solution", _picture(picture, _title(scene))))
+        parts.append(section("The last row's solution", _picture(picture, _title(scene), wide=True)))
     _write(path, scene, headline, [*parts, *_facts_of(scene, rows[-1], " of the last row")], rows[-1], command)
 
 
@@ -201,9 +212,11 @@ def _table(table: StudyTable) -> str:
     return f'<div class="wide"><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table></div>{text}'
 
 
-def _picture(path: Path, title: str) -> str:
+def _picture(path: Path, title: str, *, wide: bool = False) -> str:
+    """A picture; a wide one keeps a readable size on a narrow screen, where it can be moved sideways."""
     data, kind = b64encode(path.read_bytes()).decode(), path.suffix.removeprefix(".")
-    return f'<figure><img alt="{escape(title)}" src="data:image/{kind};base64,{data}"></figure>'
+    size = "far" if wide else "near"
+    return f'<figure class="{size}"><img alt="{escape(title)}" src="data:image/{kind};base64,{data}"></figure>'
 
 
 def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[str]:
@@ -219,12 +232,13 @@ def _facts_of(scene: Scene, record: Mapping[str, Any], which: str = "") -> list[
 
 def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     contact, seconds = record["contact"], record["seconds"]
-    newton, krylov = counted(record["newton_iterations"], "Newton step"), record["krylov_iterations"]
+    newton, krylov = (counted(record[f"{name}_iterations"], f"{words} step")
+                      for name, words in (("newton", "Newton"), ("krylov", "linear")))  # fmt: skip
     facts = [
         ("cells, unknowns", f"{record['cells_total']}, {record['dofs']}"),
         ("h, longest edge", f"{record['h']:.4g}, {record['h_max']:.4g}"),
         ("eps", "none" if record["eps"] is None else f"{record['eps']:.4g}"),
-        ("iterations", f"{newton}, {krylov} of conjugate gradients (CG), on the finest mesh"),
+        ("iterations", f"{newton}, {krylov}, on the finest mesh"),
         ("energy", "none" if record["energy"] is None else f"{record['energy']:.10g}{uncertain(record, 'energy')}"),
         ("contact area", f"{contact['area']:.6g}{uncertain(record, 'contact', 'area')}"),
     ]
@@ -240,12 +254,14 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     return facts
 
 
-def _bound(bound: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The bound of the energy error, how far it is guaranteed, and its parts."""
+def _bound(bound: Mapping[str, Any]) -> list[tuple[str, str | list[str]]]:
+    """The bound of the energy error, how far it is guaranteed, its parts, and how they make it."""
     most = "at most" if bound["words"].startswith("certified") else "about"
     relative = "" if bound["relative"] is None else f", {bound['relative']:.3g} of the energy norm of u"
-    known = [("energy error", f"{most} {bound['total']:.4g}{relative}"), ("it is", bound["words"])]
+    known: list[tuple[str, str | list[str]]] = [("energy error", f"{most} {bound['total']:.4g}{relative}")]
+    known.append(("it is", bound["words"]))
     known += [(f"part: {part}", f"{bound[part]:.4g}: {words}") for part, words in _PARTS.items()]
+    known.append(("formula", _FORMULA))
     if bound["effectivity"] is not None:
         known.append(("bound over true error", f"{bound['effectivity']:.3g}"))
     return known

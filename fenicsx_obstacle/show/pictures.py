@@ -14,7 +14,7 @@ import numpy as np
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of
+from fenicsx_obstacle.show.boundary import LEVELS, SIDES, Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
     ABOVE,
     BLUE,
@@ -119,6 +119,11 @@ def _line(patch: Patch, u: str, p: str) -> tuple[Any, str]:
     """u over an interval, and the pressure below."""
     order = np.argsort(patch.points[:, 0])
     x, fields = patch.points[order, 0], {name: values[order] for name, values in patch.fields.items()}
+    if not any(side in fields for side in SIDES) and not fields["pressure"].any():
+        page, axis = figure(6.4, 3.6)
+        axis.plot(x, fields["u"], color=BLUE, linewidth=2)
+        axis.set(xlabel="x", ylabel=u, xlim=(x[0], x[-1]))
+        return page, "matplotlib, as intervals need no third dimension"
     page, (top, bottom) = figure(6.4, 5.2, rows=2, sharex=True)
     hatch_obstacles(top, x, fields, (fields["u"].min(), fields["u"].max()))
     top.plot(x, fields["u"], color=BLUE, linewidth=2, label=u)
@@ -147,8 +152,16 @@ def _flat(patch: Patch, u: str, p: str) -> tuple[Any, str]:
     axis = page.add_subplot(right)
     draw_map(axis, patch, scale, u)
     page.colorbar(scale, ax=axis, shrink=0.85).set_label(fill(_cut(p, patch), 42), fontsize=8.5)
-    _legend(page, patch, [side for side in SIDES if side in patch.fields])
+    _legend(page, patch, [side for side in SIDES if _seen(patch, side, page.axes[0].get_zlim())])
     return page, who
+
+
+def _seen(patch: Patch, side: str, limits: tuple[float, float]) -> bool:
+    """Whether a part of an obstacle is drawn: within the limits of the third axis, and not covered by u."""
+    if side not in patch.fields:
+        return False
+    values, apart = patch.fields[side][patch.cells], np.any(patch.fields[LEVELS[side]][patch.cells] > 0, axis=1)
+    return bool(np.any(apart & (values.max(axis=1) >= limits[0]) & (values.min(axis=1) <= limits[1])))
 
 
 def _in_space(patch: Patch, u: str, p: str, kind: str) -> tuple[Any, str]:

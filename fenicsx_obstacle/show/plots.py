@@ -19,15 +19,21 @@ from fenicsx_obstacle.text import counted
 Rows = Sequence[Mapping[str, Any]]
 
 
-def drawings(rows: Rows, vary: Vary) -> Iterator[tuple[str, Any]]:
-    """The plots of a study by name: orders and cost where errors are measured, otherwise figures against a key."""
+def drawings(rows: Rows, vary: Vary, report: Mapping[str, Any] | None = None) -> Iterator[tuple[str, Any]]:
+    """The plots of a study by name: orders and cost where errors are measured, otherwise figures against a key.
+
+    Args:
+        rows: Of the study.
+        vary: Its keys and their values.
+        report: The formulas of [report].
+    """
     if len(rows) < 2:
         return
     if parameter(list(vary)) and quantities(list(vary), rows[-1]):
         yield "convergence", convergence(rows, vary)
         yield "cost", cost(rows, vary)
     else:
-        yield "sweep", sweep(rows, vary)
+        yield "sweep", sweep(rows, vary, report)
 
 
 def convergence(rows: Rows, vary: Vary) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import as_columns, as_csv, moments_of, profiles_of
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
 from fenicsx_obstacle.show.figures import (
     ABOVE,
@@ -41,12 +42,12 @@ def draw_profiles(answer: Answer, folder: Path) -> dict[str, str]:
     """
     drawn: dict[str, str] = {}
     for name, profile in (profiles_of(answer) if answer.scene.tables.profile else {}).items():
-        moments = moments_of(answer, profile)
+        moments, sizes = moments_of(answer, profile), _sizes(answer)
 
-        def write(name: str = name, profile: Profile = profile, moments: Any = moments) -> None:
+        def write(name: str = name, profile: Profile = profile, moments: Any = moments, sizes: Any = sizes) -> None:
             parts = dict(moments) if moments else {None: profile}
             write_text(folder / f"profile-{name}.csv", as_csv(parts))
-            page = _drawn(_labelled(answer, profile, moments), answer.symbol, name)
+            page = _drawn(_labelled(answer, profile, moments), answer.symbol, name, sizes)
             save(page, folder / f"profile-{name}.png")
             drawn[name] = svg(page, f"profile-{name}")
 
@@ -69,12 +70,12 @@ def draw_line(answer: Answer, start: Sequence[float], end: Sequence[float], path
     if outside.any():
         place = ", ".join(f"{x:.6g}" for x in profile.points[np.argmax(outside)])
         raise InputError(f"--along: the point ({place}) is outside the mesh")
-    moments = moments_of(answer, profile)
+    moments, sizes = moments_of(answer, profile), _sizes(answer)
     table = path.with_suffix(".csv")
 
     def write() -> None:
         write_text(table, as_csv(dict(moments) if moments else {None: profile}))
-        save(_drawn(_labelled(answer, profile, moments), answer.symbol, answer.title), path)
+        save(_drawn(_labelled(answer, profile, moments), answer.symbol, answer.title, sizes), path)
 
     on_root(answer.level.comm, write)
     return f"{path} and {table}: {counted(len(profile.s), 'point')}"
@@ -115,25 +116,35 @@ def _labelled(
     return {f"{time.name} = {t:.4g}": as_columns(one) for t, one in moments}
 
 
-def _drawn(curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str) -> Any:
-    """u above and the pressure below, over the distance along the line."""
+def _sizes(answer: Answer) -> tuple[float, float]:
+    """The largest abs(u) and abs(p) anywhere: along a line they may be round-off (collective)."""
+    comm, fields = answer.level.comm, (answer.u, answer.pressure)
+    u, p = (largest(comm, np.abs(field.x.array)) for field in fields)
+    return u, p
+
+
+def _drawn(
+    curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str, sizes: tuple[float, float] = (0.0, 0.0)
+) -> Any:
+    """u above and the pressure below, over the distance along the line; `sizes` are those of u and p anywhere."""
     page, (above, below) = figure(6.4, 4.8, rows=2, sharex=True)
     several = len(curves) > 1
     for number, (label, columns) in enumerate(curves.items()):
         s, p, gap = (np.array(columns[key], dtype=float) for key in ("s", "p", "gap"))
-        height = steady(np.array(columns["u"], dtype=float))
+        height, p = steady(np.array(columns["u"], dtype=float), sizes[0]), steady(p, sizes[1])
         look = _look(number, len(curves), label)
         above.plot(s, height, **look)
         below.plot(s, p, **({**look, "color": VERMILION} if not several else look))
         if not several:
             if np.isfinite(gap).all():
                 side = -1.0 if p.max(initial=0.0) >= -p.min(initial=0.0) else 1.0
-                above.plot(s, height + side * gap, color="0.45", linewidth=1.0, linestyle=(0, (4, 2)), label="obstacle")
+                edge = steady(height + side * gap, sizes[0])
+                above.plot(s, edge, color="0.45", linewidth=1.0, linestyle=(0, (4, 2)), label="obstacle")
                 above.legend(fontsize=8, **ABOVE)
-            for start, end in _runs(np.abs(p) > TOUCHING * np.abs(p).max(initial=0.0)):
+            for start, end in _runs(np.abs(p) > TOUCHING * np.abs(p).max(initial=sizes[1])):
                 for axes in (above, below):
                     axes.axvspan(s[start], s[end], color=BLUE, alpha=0.12, linewidth=0)
-    above.set_ylabel(plain(u))
+    above.set_ylabel(fill(plain(u), 24))
     below.set(xlabel="distance along the line" if several else "distance along the line; contact is shaded",
               ylabel="contact pressure")  # fmt: skip
     for axes in (above, below):

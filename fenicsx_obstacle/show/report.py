@@ -238,7 +238,7 @@ def _draw_study(folder: Path, study: Study | Find, rows: list[Row], table: Study
     from fenicsx_obstacle.show.plots import drawings
 
     elements, picture = dict[str, str](), folder / "last" / PICTURE
-    for name, figure in drawings(rows, study.vary):
+    for name, figure in drawings(rows, study.vary, study.last.tables.report):
         save(figure, folder / f"{name}.png")
         elements[name] = svg(figure, name)
     elements |= draw_rows(rows, study.vary, study.last.tables.u, folder)

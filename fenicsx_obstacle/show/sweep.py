@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import BESIDE, COLOURS, figure, heading, plain, steady, style
+from fenicsx_obstacle.show.figures import BESIDE, COLOURS, figure, heading, plain, steady, style, terms_of
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, lines_of
 from fenicsx_obstacle.studies.orders import lookup
 from fenicsx_obstacle.text import short
@@ -15,8 +15,14 @@ from fenicsx_obstacle.text import short
 DECADES = 1.5  # values of a key that spread farther stand on a logarithmic axis
 
 
-def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary) -> Any:
-    """One small plot for each output quantity, with a line for each combination of the values of the other keys."""
+def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary, report: Mapping[str, Any] | None = None) -> Any:
+    """One small plot for each output quantity, with a line for each combination of the values of the other keys.
+
+    Args:
+        rows: Of a study.
+        vary: Its keys and their values.
+        report: The formulas of [report].
+    """
     names = figures_of(rows[-1])
     columns = min(len(names), 2 if len(names) < 5 else 3)
     count = -(-len(names) // columns)
@@ -25,11 +31,13 @@ def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary) -> Any:
     key = along(vary)
     lines = lines_of(rows, key)
     for axes, (name, label) in zip(panels, names.items(), strict=False):
+        terms = terms_of((report or {}).get(name.removeprefix("report.")), report or {})
+        size = max((abs(lookup(row, f"report.{term}") or 0.0) for row in rows for term in terms), default=0.0)
         for number, (line, part) in enumerate(lines.items()):
             x = np.array([_place(vary[key], row["vary"][key]) for row in part])
             y = np.array([lookup(row, name) for row in part], dtype=float)  # not a number where it is None
             order = np.argsort(x)
-            axes.plot(x[order], steady(y)[order], label=plain(line), **style(number, len(COLOURS)))
+            axes.plot(x[order], steady(y, size)[order], label=plain(line), **style(number, len(COLOURS)))
         axes.set(xlabel=plain(last_part(key)), ylabel=plain(label))
         axes.grid(True, color="0.9")
         _scale(axes, vary[key])

@@ -21,6 +21,7 @@ from fenicsx_obstacle.show.figures import (
     plain,
     save,
     steady,
+    terms_of,
     write_gif,
 )
 from fenicsx_obstacle.show.maps import hatch_obstacles, triangles
@@ -49,6 +50,7 @@ def draw_course(answer: Answer, arrays: Arrays, path: Path) -> str:
     """
     time_history, name = _course(answer), plain(_moments(answer).name)
     columns = [column for column in _columns(time_history) if np.isfinite(time_history.column(column)).any()]
+    report = answer.scene.tables.report
     fields = bool(time_history.frames) and _drawable(arrays)
     heights = [3.4] * fields + [2.1] * -(-len(columns) // 3)  # fields in one row, then three figures in each
     page = blank(10.0, sum(heights) + 0.5)
@@ -59,7 +61,9 @@ def draw_course(answer: Answer, arrays: Arrays, path: Path) -> str:
     for number, column in enumerate(columns):
         row, place = divmod(number, 3)
         axis = page.add_subplot(grid[fields + row, 2 * place : 2 * place + 2])
-        values = steady(time_history.column(column))
+        terms = terms_of(report.get(column), report)
+        size = max((float(np.nanmax(np.abs(time_history.column(one)), initial=0.0)) for one in terms), default=0.0)
+        values = steady(time_history.column(column), size)
         axis.plot(time_history.column("t"), values, color=COLOURS[number % len(COLOURS)], linewidth=1.6)
         axis.set_xlabel(name)
         axis.set_title(plain(column.replace("_", " ")), fontsize=9)

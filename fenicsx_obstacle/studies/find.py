@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,8 @@ from fenicsx_obstacle.text import nearest
 _log = logging.getLogger(__name__)
 WITHIN = 1e-4  # of the interval: accuracy of the value that is found
 SMALLEST = 1e-12  # of the interval: what can be asked for
-JUMP = 0.05  # of the range of the quantity: a distance from the target that a continuous quantity does not keep
+STEEP = 10.0  # times `within`: relative change over the last interval below which a quantity is continuous
+HALVINGS = 10  # of the last interval, where the change is larger
 QUANTITIES = {"energy": "energy", "area": "contact.area", "penetration": "penetration",
               "force.lower": "contact.lower.force", "force.upper": "contact.upper.force"}  # fmt: skip
 
@@ -146,10 +147,10 @@ class Find:
 
         width = self.ends[1] - self.ends[0]
         found = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
-        self._found = self.comm.bcast(float(found))
+        steep = STEEP * self.within * (max(values) - min(values))
+        self._found = self._continuous(self.comm.bcast(float(found)), difference, steep)
         self.last = self._scene(self._found)
         row = self.rows.pop(self._found)
-        self._check_continuous(self._value(self._found, row), values)
         rows = [*self.rows.values(), row]
         self.study.write_table(rows)
         return rows
@@ -205,12 +206,36 @@ class Find:
             f"{beyond} the target; choose another interval"
         )
 
-    def _check_continuous(self, value: float, ends: Sequence[float]) -> None:
-        if abs(value - self.target) > JUMP * abs(ends[1] - ends[0]):
-            raise InputError(
-                f"{self.last.source}: {self.quantity} jumps over {self.target:g} at {self.key} = {self._found:.6g}, "
-                f"where it is {value:.6g}: no value of {last_part(self.key)} reaches the target"
-            )
+    def _continuous(self, found: float, difference: Callable[[float], float], steep: float) -> float:
+        """The value found, or one beside it that is closer to the target (collective).
+
+        Args:
+            found: By the root finder, which leaves a value on the other side of the target at a distance of `within`.
+            difference: From the target.
+            steep: Change of the quantity between both from which on the interval is halved.
+
+        Raises:
+            InputError: If the change remains where the interval becomes small: the quantity jumps.
+        """
+        if difference(found) == 0:
+            return found
+        beyond = [x for x in self.rows if difference(x) * difference(found) < 0]
+        pair = [found, min(beyond, key=lambda x: abs(x - found))]
+        change = first = abs(difference(pair[0]) - difference(pair[1]))
+        for _ in range(HALVINGS):
+            if change <= steep:
+                break
+            middle = (pair[0] + pair[1]) / 2
+            pair[0 if difference(middle) * difference(pair[0]) > 0 else 1] = middle
+            change = abs(difference(pair[0]) - difference(pair[1]))
+        else:
+            if change > first / 2:
+                at = " and ".join(f"{difference(x) + self.target:.6g} at {x:.9g}" for x in sorted(pair))
+                raise InputError(
+                    f"{self.last.source}: {self.quantity} jumps over {self.target:g} at {self.key} = {pair[0]:.6g}: it "
+                    f"is {at}; no value of {last_part(self.key)} reaches the target on this mesh"
+                )
+        return min(pair, key=lambda x: abs(difference(x)))
 
 
 def _target(text: str, scene: Scene) -> tuple[str, str, float]:
