@@ -87,14 +87,14 @@ def in_cells(simplices: Simplices, value: Field, division: Division, cells: np.n
         division: When cells are divided.
         cells: Which; rows of the pieces are places in this array.
     """
+    data, x = simplices.data, simplices.x if cells is None else simplices.x[cells]
     cells = np.arange(len(simplices.area)) if cells is None else cells
-    data = simplices.data
     if value.parts is None:
-        return pieces_of(data, value, simplices.x[cells], cells, division)
+        return pieces_of(data, value, x, cells, division)
     found = []
     for name, field in value.parts.items():
         rows = np.flatnonzero(np.isin(cells, data.level.groups[name]))
-        found.append((rows, pieces_of(data, field, simplices.x[cells[rows]], cells[rows], division)))
+        found.append((rows, pieces_of(data, field, x[rows], cells[rows], division)))
     return joined(found, len(cells))
 
 
@@ -160,7 +160,7 @@ class Load:
             mean[cells] = simplices.values(value, points, cells).mean(axis=1)
             self.pieces = replace(self.pieces, groups=[_near_seen(one, mean, limit) for one in self.pieces.groups])
         self._integrate(self.pieces)
-        self.missing = self.moments - solver
+        self.missing = np.subtract(self.moments, solver, out=solver)
 
     def forget_polynomials(self) -> None:
         """Keep no more than bounds of the load; its polynomials take much memory."""
@@ -175,7 +175,7 @@ class Load:
             points, weights = rule(self._dim, part.degree + 2)
             tests = _rows(_at(self._tests, part.points(points)), 2)
             found = polynomials.combined(tests.transpose(0, 2, 1), part.values(points) * weights)
-            _add(flat, part.rows, (part.share * self._area[part.rows])[:, None] * found)
+            part.add_to(flat, (part.share * self._area[part.rows])[:, None] * found)
         points, weights = rule(self._dim, 2)
         basis = self._basis(points)
         of_basis = _rows(self.moments.sum(axis=-1))
@@ -184,10 +184,10 @@ class Load:
         for part in parts:
             points, weights = rule(self._dim, 2 * max(part.degree, 1))
             there = polynomials.combined(_at(self._basis, part.points(points)), nearest[part.rows])
-            _add(squares, part.rows, part.share * ((part.values(points) - there) ** 2 @ weights))
+            part.add_to(squares, part.share * ((part.values(points) - there) ** 2 @ weights))
             rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
-            _add(rests, part.rows, part.share * rest**2)
-            _add(self.rest, part.rows, part.share * rest)
+            part.add_to(rests, part.share * rest**2)
+            part.add_to(self.rest, part.share * rest)
         self.oscillation = np.sqrt(self._area) * (np.sqrt(squares) + np.sqrt(rests))
 
 
@@ -263,8 +263,8 @@ class Tension:
             rest = np.where(useless, 0.0, group.rest)
             group.lower_to(self.least, lower)
             group.raise_to(self.most, upper)
-            _add(mean, group.rows, group.share * group.coefficients.mean(axis=1))
-            _add(spread, group.rows, group.share * rest)
+            group.add_to(mean, group.share * group.coefficients.mean(axis=1))
+            group.add_to(spread, group.share * rest)
             varies = (group.degree > 0) | (rest > 0) | (group.corners is not None)
             self.varies[group.rows[varies]] = True
             self._parts += [
@@ -302,7 +302,7 @@ class Tension:
             else:
                 a, b = (mu * gg - 2 * gs + ss / mu for mu in (least, most))
                 found = ((a + b) @ weights + np.sqrt((a - b) ** 2 @ weights)) / 2
-            _add(squares, part.rows, measure * found)
+            part.add_to(squares, measure * found)
 
     def least_energy(self, squares: np.ndarray, fields: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
         """Set squares to a lower bound of ||mu^(1/2) g||_T^2 in the cells where the tension mu varies (local).
@@ -318,7 +318,7 @@ class Tension:
             gg = np.einsum("cpx,cpx->cp", g, g)
             found = np.maximum((part.values(points) * gg) @ weights - part.rest * (gg @ weights),
                                part.lower * (gg @ weights))  # fmt: skip
-            _add(squares, part.rows, part.share * self._area[part.rows] * found)
+            part.add_to(squares, part.share * self._area[part.rows] * found)
 
 
 def _blocks(group: Group, count: int | None = None) -> Iterator[slice]:
@@ -330,15 +330,6 @@ def _at(functions: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np
     """Functions of barycentric points at points of shape (parts or 1, points, d + 1)."""
     found = functions(points.reshape(-1, points.shape[2]))
     return found.reshape(*points.shape[:2], *found.shape[1:])
-
-
-def _add(sums: np.ndarray, rows: np.ndarray, values: np.ndarray) -> None:
-    """Add values to the rows of an array, to one as often as it is named."""
-    if values.ndim == 1:
-        sums += np.bincount(rows, values, len(sums))
-        return
-    for k in range(values.shape[1]):
-        sums[:, k] += np.bincount(rows, values[:, k], len(sums))
 
 
 def _rows(values: np.ndarray, kept: int = 1) -> np.ndarray:

@@ -71,7 +71,7 @@ class DirichletData(BoundaryValues):
         """
         self.simplices, data, self._middles = simplices, simplices.data, middles
         cells, values = len(simplices.area), data.fixed[1].x.array
-        part = np.full(max(simplices.facets.max(initial=-1) + 1, 1), -1)
+        part = np.full(max(simplices.facets.max(initial=-1) + 1, 1), -1, dtype=np.int32)
         for number, facets in enumerate(data.held):
             part[facets[facets < len(part)]] = number  # of two parts the later one counts
         self._given = [(number, one.value) for number, one in enumerate(data.model.boundary) if one.value is not None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import reduce
+from functools import cached_property, reduce
 from math import sqrt
 
 import numpy as np
@@ -14,6 +14,7 @@ from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
 from fenicsx_obstacle.estimation.flux_triangles import TriangleEquilibration
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
+from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest, smallest
 
@@ -30,12 +31,19 @@ class ElementP1(Element):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
         super().__init__(TriangleEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
-        patches, dim = self.equilibration.patches, simplices.dim
+        patches, dim, cells = self.equilibration.patches, simplices.dim, len(simplices.area)
         self.obstacles = [
             ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
         ]
-        self._from_middle = np.stack([simplices.x[..., k] - simplices.middle[:, k : k + 1] for k in range(dim)])
-        self._spread = sum(sums(part**2) for part in self._from_middle) / ((dim + 1) * (dim + 2))
+        self._spread = np.empty(cells)  # the mean of |x - middle|^2
+        for block in blocks(cells):
+            squares = sum(sums(part**2) for part in self._from_middle(block))
+            self._spread[block] = squares / ((dim + 1) * (dim + 2))
+
+    def _from_middle(self, cells: slice) -> list[np.ndarray]:
+        """Coordinates of the corners less those of the middle: they are cheaper to compute than to keep."""
+        x, middle = self.simplices.x[cells], self.simplices.middle[cells]
+        return [x[..., k] - middle[:, k : k + 1] for k in range(self.simplices.dim)]
 
     def _friedrichs(self) -> tuple[float, bool]:
         """That of the tension, or that of foundations, which needs no boundary (collective)."""
@@ -105,12 +113,17 @@ class ElementP1(Element):
         k = reaction.least
         by_reaction = np.divide(1, np.sqrt(k), out=np.full(len(k), np.inf), where=k > 0)
         weight, local = np.minimum(load.poincare / np.sqrt(least), by_reaction), by_reaction <= friedrichs
-        alone, rest = reaction.beyond(u, np.zeros(load.linear.shape))
-        together = reaction.beyond(u, load.linear)[0] + load.beyond
+        alone, rest = reaction.beyond(u, np.zeros(self.simplices.dofs.shape))
+        together = reaction.beyond(u, self._linear_load)[0] + load.beyond
         rest += np.sqrt(self.simplices.area) * np.abs(flux.averaged)
         inside[local] += by_reaction[local] * rest[local]
         outside += np.where(local, 0.0, rest)
         return inside + weight * alone, outside, inside + weight * together
+
+    @cached_property
+    def _linear_load(self) -> np.ndarray:
+        """Of the linear part of the load less its mean in each cell the values at the vertices."""
+        return self.oscillation.linear(slice(None))
 
     def _reaction_energy(self, e: np.ndarray) -> np.ndarray:
         """A bound of the energy of foundations and springs, twice, in each cell, of a P1 function."""
@@ -160,11 +173,15 @@ class ElementP1(Element):
         """
         simplices, mu, dim = self.simplices, self.equilibration.mu, self.simplices.dim
         gradient = simplices.gradient(v)
-        outward = flux.normal + simplices.along_normals(gradient * mu)
-        across = np.einsum("ci,xci->xc", outward, self._from_middle)
-        gathered = sums(outward)
-        squares = gathered**2 * self._spread + np.einsum("xc,xc->c", across, across)
-        squares /= dim**2 * simplices.area * mu
+        across, gathered, squares = np.empty(gradient.shape), np.empty(len(mu)), np.empty(len(mu))
+        for block in blocks(len(mu)):
+            outward = flux.normal[block] + simplices.along_normals(gradient[:, block] * mu[block], block)
+            gathered[block] = sums(outward)
+            found = gathered[block] ** 2 * self._spread[block]
+            for along, part in zip(across, self._from_middle(block), strict=True):
+                np.einsum("ci,ci->c", outward, part, out=along[block])
+                found += along[block] ** 2
+            np.divide(found, dim**2 * simplices.area[block] * mu[block], out=squares[block])
 
         def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             x, normal = simplices.x[cells], flux.normal[cells]

@@ -105,7 +105,9 @@ class EquilibrationP1(ABC):
             around = patches.gather(np.repeat(stiff[:, None].astype(float), corners, axis=1))[0]
             self._stiff = patches.along(patches.smallest(around)[patches.vertex] > 0)
         self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
-        self.missing = self.patches.at_vertices(self.patches.gather(self.load.missing)[0])
+        self.missing = np.zeros(patches.owned)
+        if self.load.pieces is not None:
+            self.missing = patches.at_vertices(patches.gather(self.load.missing)[0])
 
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
@@ -120,7 +122,7 @@ class EquilibrationP1(ABC):
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
         """Moments of the load less those of other effects at u (collective)."""
         if self._terms is None:
-            return self.load.moments - self.reaction.forces(u)
+            return self.load.moments - self.reaction.forces(u) if self.reaction.given else self.load.moments
         self._u.x.array[:] = u
         vector = releases.vec(self._moments_of_others)
         with vector.localForm() as local:
@@ -143,9 +145,9 @@ class EquilibrationP1(ABC):
         """
         simplices, patches, V = self.simplices, self.patches, self.level.V
         beta = simplices.along_normals(simplices.gradient(u) * (-self.mu / simplices.dim))
-        force, along_parts = self.parts.forces(u, patches), np.zeros(beta.shape)
-        np.add.at(along_parts, self.parts.cells, force)
-        drops, averaged = self._drops(beta + along_parts, self._all_moments(u))
+        force, outside = self.parts.forces(u, patches), beta.copy()
+        np.add.at(outside, self.parts.cells, force)
+        drops, averaged = self._drops(outside, self._all_moments(u))
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
@@ -172,12 +174,13 @@ class EquilibrationP1(ABC):
         around such vertices forces are spread evenly, so that the sum remains.
 
         Args:
-            outside: Flux of the state out of the corners, and forces on facets, shape (cells, d + 1).
+            outside: Flux of the state out of the corners, and forces on facets, shape (cells, d + 1); overwritten.
             inside: Forces in the corners.
         """
         patches = self.patches
         if self._stiff is None:
-            return patches.gather(outside + inside)[0], np.zeros(len(self.mu))
+            outside += inside
+            return patches.gather(outside)[0], np.zeros(len(self.mu))
         around, forces = patches.gather(outside, inside)
         sums = np.where(patches.free, patches.at_vertices(forces), -patches.at_vertices(around))
         even = patches.along((sums / patches.mass)[patches.vertex]) * patches.area
@@ -232,7 +235,7 @@ class EquilibrationP1(ABC):
         """
         patches, own = self.patches, values[: self.level.owned]
         if total(self.level.comm, np.count_nonzero(own)) == 0:
-            return np.zeros(self.simplices.dofs.shape), np.zeros(len(patches.area))
+            return np.broadcast_to(0.0, self.simplices.dofs.shape), np.broadcast_to(0.0, len(patches.area))
         along, dofs = patches.along(own[patches.vertex]), self.simplices.dofs
         if gap is None:
             return values[dofs], along

@@ -28,34 +28,41 @@ class TriangleEquilibration(EquilibrationP1):
             self._A[block] = edge_x * next_(to_x) + edge_y * next_(to_y)
             self._B[block] = edge_x * previous(to_x) + edge_y * previous(to_y)
             G[block] = scale * (normal[0] ** 2 + normal[1] ** 2)
-        self._patch_A, self._patch_B, patch_G = self.patches.gather(self._A, self._B, G)
-        self._patch_G = self.patches.sums(patch_G)
+        self._patch_A, self._patch_B = self.patches.gather(self._A, self._B)
+        self._patch_G = self.patches.sums(self.patches.gather(G)[0])
 
     def _on_patches(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
         """See `EquilibrationP1._on_patches` (collective)."""
         patches, parts = self.patches, self.parts
-        targets = next_(beta)
-        targets *= self._A
-        targets += previous(beta) * self._B
-        rows = np.arange(len(parts.cells))
-        for step, weight in ((2, self._A), (1, self._B)):  # a side is opposite to the vertex after, or before
-            corner = (parts.sides + step) % 3
-            np.subtract.at(targets, (parts.cells, corner), force[rows, corner] * weight[parts.cells, corner])
-        (rest,) = patches.gather(targets)
+        (rest,) = patches.gather(self._targets(beta, force))
         before, after = patches.walk(drops)
         left_over = patches.left_over(after)
-        rest += before * self._patch_B
-        rest -= after * self._patch_A
+        for block in blocks(len(rest)):
+            rest[block] += before[block] * self._patch_B[block]
+            rest[block] -= after[block] * self._patch_A[block]
         shift = patches.sums(rest) / self._patch_G
         # nothing leaves through the free boundary
         open_ = ~patches.closed
         shift[open_ & ~patches.exit_held] = -after[patches.last[open_ & ~patches.exit_held]]
         shift[open_ & ~patches.entry_held] = 0.0
-        shift = patches.along(shift)
-        after += shift
-        before += shift
+        for step in patches.steps:
+            after[step] += shift[: step.stop - step.start]
+            before[step] += shift[: step.stop - step.start]
+        del rest
         to_b, to_c = patches.scatter(after, before)
-        found = previous(to_b)
-        found -= next_(to_c)
-        np.add.at(found, (parts.cells, parts.sides), force.sum(axis=1))
-        return found, left_over
+        for block in blocks(len(to_b)):
+            to_b[block] = previous(to_b[block]) - next_(to_c[block])
+        np.add.at(to_b, (parts.cells, parts.sides), force.sum(axis=1))
+        return to_b, left_over
+
+    def _targets(self, beta: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Products of the targets with the fluxes around a vertex, at the corners of cells (local)."""
+        parts, targets = self.parts, np.empty(beta.shape)
+        for block in blocks(len(beta)):
+            targets[block] = next_(beta[block]) * self._A[block]
+            targets[block] += previous(beta[block]) * self._B[block]
+        rows = np.arange(len(parts.cells))
+        for step, weight in ((2, self._A), (1, self._B)):  # a side is opposite to the vertex after, or before
+            corner = (parts.sides + step) % 3
+            np.subtract.at(targets, (parts.cells, corner), force[rows, corner] * weight[parts.cells, corner])
+        return targets

@@ -77,8 +77,7 @@ class ObstacleExcess:
         comm, cells = data.level.comm, len(simplices.area)
         self._heights = largest(comm, np.abs(self.nodal))
         self._flat = self._field.uniform
-        nodal_there = self.nodal[simplices.dofs]
-        low, high = polynomials.row_min(nodal_there), polynomials.row_max(nodal_there)
+        low, high = _least(self.nodal, simplices.dofs), -_least(-self.nodal, simplices.dofs)
         bottom, top = (known.lower, known.upper.copy()) if sign > 0 else (-known.upper, -known.lower)
         self._top = top
         self.unbounded = ~np.isfinite(self._top)

@@ -67,8 +67,7 @@ class Oscillation:
         first: int g (x - middle) with q in place of f, shape (d, cells).
         second: int g |x - middle|^2 with q in place of f, shape (cells,).
         poincare: C.
-        linear: Of the linear part of g the values at the vertices, shape (cells, d + 1).
-        beyond: Bound of ||g - linear||_T.
+        beyond: Bound of ||g - linear||_T, `linear` being the linear part of g.
     """
 
     def __init__(self, simplices: Simplices, load: Load, value: Field | None, degree: int):
@@ -81,26 +80,27 @@ class Oscillation:
             degree: Of Pi f, 0 or 1.
         """
         self._simplices, area = simplices, simplices.area
-        self.poincare = poincare(simplices.x, area)
-        count = len(area)
-        self.norm, self.rest, self.second = (np.zeros(count) for _ in range(3))
-        dim = simplices.dim
-        self.first, self.linear, self.beyond = np.zeros((dim, count)), np.zeros((count, dim + 1)), np.zeros(count)
+        count, dim = len(area), simplices.dim
+        self.poincare = np.empty(count)
+        for block in blocks(count):
+            self.poincare[block] = poincare(simplices.x[block], area[block])
+        self.norm, self.rest, self.second, self.beyond = (np.zeros(count) for _ in range(4))
+        self.first = np.zeros((dim, count))
+        self._moments = self._mean = None
         if load.pieces is None or value is None:
             return
         squares = np.zeros(count)
         for group in load.pieces.groups:
             rest = np.where(np.isfinite(group.rest), group.rest, 0.0)  # `Hypotheses` has a word about these
-            squares += np.bincount(group.rows, group.share * rest**2, count)
+            group.add_to(squares, group.share * rest**2)
         self.rest = self.poincare * np.sqrt(area * squares)
         self.norm = self.poincare * load.oscillation
         moments = load.moments if degree == 0 else load.moments.sum(axis=2)  # int f psi_l
-        mean, of_linear, linear = sums(moments) / area, np.empty(count), np.empty((count, dim + 1))
+        mean, of_linear = sums(moments) / area, np.empty(count)
+        self._moments, self._mean = moments, mean
         for block in blocks(count):
-            # the nodal values of Pi_1 f, by the inverse of the mass matrix
-            factor, own = (dim + 1) * (dim + 2) / area[block], linear[block]
-            np.subtract(moments[block] * factor[:, None], ((dim + 2) * mean[block])[:, None], out=own)
-            of_linear[block] = (sums(own**2) + sums(own) ** 2) / factor
+            own = self.linear(block)
+            of_linear[block] = area[block] * (sums(own**2) + sums(own) ** 2) / ((dim + 1) * (dim + 2))
             if degree == 0:
                 for k in range(dim):
                     away = simplices.x[block, :, k] - simplices.middle[block, k : k + 1]
@@ -108,7 +108,7 @@ class Oscillation:
         if degree == 0:
             self._add_second(load.pieces.groups, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
-        self.linear, self.beyond = linear, np.sqrt(np.maximum(beyond, 0.0))
+        self.beyond = np.sqrt(np.maximum(beyond, 0.0))
         rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
         comm = simplices.data.level.comm
         parts = total(comm, len(rough))
@@ -118,8 +118,19 @@ class Oscillation:
                 return
         depth = next((d for d in range(DEEPEST, 0, -1) if parts * 4**d <= PARTS), 0)
         if dim == 2 and depth > 0 and len(rough) > 0 and value.parts is None:
-            values = mean[:, None] + (linear if degree > 0 else 0.0 * linear)
-            self.norm[rough] = np.minimum(self.norm[rough], self._divided(rough, value, values[rough], depth))
+            values = np.repeat(mean[rough, None], dim + 1, axis=1)
+            if degree > 0:
+                values += self.linear(rough)
+            self.norm[rough] = np.minimum(self.norm[rough], self._divided(rough, value, values, depth))
+
+    def linear(self, cells: np.ndarray | slice) -> np.ndarray:
+        """Of the linear part of g in some cells the values at the vertices, shape (cells, d + 1)."""
+        dim, area = self._simplices.dim, self._simplices.area[cells]
+        if self._moments is None or self._mean is None:
+            return np.zeros((len(area), dim + 1))
+        # the nodal values of Pi_1 f, by the inverse of the mass matrix
+        factor = (dim + 1) * (dim + 2) / area
+        return self._moments[cells] * factor[:, None] - ((dim + 2) * self._mean[cells])[:, None]
 
     def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""
@@ -133,7 +144,7 @@ class Oscillation:
                                            for k in range(simplices.dim)))  # fmt: skip
                 integrals = ((part.values(points) - mean[part.rows, None]) * distance) @ weights
                 size = part.share * simplices.area[part.rows]
-                self.second += np.bincount(part.rows, size * integrals, len(self.second))
+                part.add_to(self.second, size * integrals)
 
     def _divided(self, cells: np.ndarray, value: Field, linear: np.ndarray, depth: int) -> np.ndarray:
         """Bound of ||tau|| in some cells by division.
@@ -156,7 +167,7 @@ class Oscillation:
             g = group.values(points) - there
             rest = np.where(np.isfinite(group.rest), group.rest, np.inf)
             for integral, found in ((means, g @ weights), (squares, g**2 @ weights), (rests, rest**2)):
-                integral += np.bincount(group.rows, group.share * found, len(integral))
+                group.add_to(integral, group.share * found)
         poincare_there = self.poincare[cells] / 2**depth
         variance = np.maximum(squares - means**2, 0.0) * size
         within = poincare_there * np.sqrt(variance.reshape(-1, count).sum(axis=1))

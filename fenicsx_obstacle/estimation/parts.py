@@ -36,8 +36,8 @@ class Parts:
     @classmethod
     def whole(cls, x: np.ndarray, cells: np.ndarray) -> Parts:
         """Simplices as they are, with nothing known of the datum."""
-        unknown = np.full(len(cells), np.inf)
-        return cls(np.arange(len(cells)), cells, x, None, np.ones(len(cells)), -unknown, unknown)
+        share, least, most = (np.broadcast_to(number, len(cells)) for number in (1.0, -np.inf, np.inf))
+        return cls(np.arange(len(cells)), cells, x, None, share, least, most)
 
     @property
     def size(self) -> int:

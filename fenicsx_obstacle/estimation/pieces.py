@@ -143,6 +143,16 @@ class Group:
         else:
             np.maximum.at(most, self.rows, values)
 
+    def add_to(self, sums: np.ndarray, values: np.ndarray) -> None:
+        """Add the values on its parts to each simplex, shape (simplices, ...)."""
+        if self.corners is None:
+            sums[self.rows] += values
+        elif values.ndim == 1:
+            sums += np.bincount(self.rows, values, len(sums))
+        else:
+            for k in range(values.shape[1]):
+                sums[:, k] += np.bincount(self.rows, values[:, k], len(sums))
+
     def __getitem__(self, chosen: np.ndarray | slice) -> Group:
         """Some of the parts."""
         return Group(
@@ -336,16 +346,27 @@ class _Collected:
         """All of it."""
         lower, upper, groups = np.full(self.count, np.inf), np.full(self.count, -np.inf), []
         for (degree, smooth, whole), parts in self._found.items():
-            rows, corners, share, coefficients, rest, low, high, steep = zip(*parts, strict=True)
-            group = Group(
-                np.concatenate(rows), None if whole else np.concatenate(corners), np.concatenate(share), degree,
-                np.concatenate(coefficients), np.concatenate(rest), np.concatenate(low), np.concatenate(high),
-                np.concatenate(steep), smooth,
-            )  # fmt: skip
-            group.lower_to(lower, group.lower)
-            group.raise_to(upper, group.upper)
-            groups.append(group)
+            for some in _together(parts):
+                rows, corners, share, coefficients, rest, low, high, steep = some
+                group = Group(
+                    rows, None if whole else corners, share, degree, coefficients, rest, low, high, steep, smooth
+                )
+                group.lower_to(lower, group.lower)
+                group.raise_to(upper, group.upper)
+                groups.append(group)
         return Pieces(groups, lower, upper, self.sampled, self.rough)
+
+
+def _together(found: list[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
+    """Arrays of parts joined to arrays of `AT_ONCE` parts at most; larger ones stay as they are, without a copy."""
+    while found:
+        sizes_ = np.cumsum([len(parts[0]) for parts in found])
+        count = max(int(np.searchsorted(sizes_, AT_ONCE, "right")), 1)
+        some, found = found[:count], found[count:]
+        if count == 1:
+            yield some[0]
+        else:
+            yield tuple(None if arrays[0] is None else np.concatenate(arrays) for arrays in zip(*some, strict=True))
 
 
 class _Near:

@@ -10,7 +10,7 @@ import numpy as np
 from fenicsx_obstacle.discrete.lagrange import CELLS
 
 DEGREE = 6  # exact solutions have kinks in their second derivatives
-AT_ONCE = 50_000  # cells in memory
+AT_ONCE = 25_000  # cells: a few numbers for each fit into the cache of a core
 
 
 def rule(dim: int, degree: int = DEGREE) -> tuple[np.ndarray, np.ndarray]:

@@ -69,13 +69,19 @@ class Simplices:
 
     def gradient(self, values: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Gradients of a P1 function from its values at local dofs, shape (d, cells)."""
-        corner = values[self.dofs[cells]]
-        return np.einsum("ci,xci->xc", corner, self.normal[:, cells]) / (self.dim * self.area[cells])
+        dofs, normal, area = self.dofs[cells], self.normal[:, cells], self.area[cells]
+        found = np.empty((self.dim, len(area)))
+        for block in blocks(len(area)):
+            corner = values[dofs[block]]
+            np.einsum("ci,xci->xc", corner, normal[:, block], out=found[:, block])
+            found[:, block] /= self.dim * area[block]
+        return found
 
-    def along_normals(self, vectors: np.ndarray) -> np.ndarray:
+    def along_normals(self, vectors: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
         """Inner products of one vector per cell, shape (d, cells), with `normal`: minus the flux out of each facet."""
-        found = vectors[0][:, None] * self.normal[0]
-        for along, normal in zip(vectors[1:], self.normal[1:], strict=True):
+        normals = self.normal[:, cells]
+        found = vectors[0][:, None] * normals[0]
+        for along, normal in zip(vectors[1:], normals[1:], strict=True):
             found += along[:, None] * normal
         return found
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous
 from fenicsx_obstacle.parallel import largest
 
@@ -35,12 +36,13 @@ class VertexPatches(Patches):
         """Sort the corners (collective)."""
         super().__init__(simplices)
         number = self._number
-        ends = previous(self.held) + 2 * next_(self.held)
+        ends = previous(self.held) + np.int8(2) * next_(self.held)
         after = self._at_owners(_corners_after(simplices.facets, number))
         a, b, c, ends = self._to_owners(number, next_(number), previous(number), ends)
         entry_held, exit_held = ends % 2 > 0, ends > 1
         after = self._links(a, b, c, after, entry_held, exit_held)
         self._sort(a - self._first, after, entry_held, exit_held)
+        del self._number  # not needed again
         self._weigh(simplices)
 
     def _links(
@@ -93,7 +95,9 @@ class VertexPatches(Patches):
             if not len(left):
                 break
             # what goes round begins anywhere, one patch of each vertex at a time
-            starts = left[np.unique(a[left], return_index=True)[1]]
+            place = np.full(self.owned, -1)
+            place[a[left[::-1]]] = left[::-1]  # the first one of each vertex is written last
+            starts = place[place >= 0]
         length = np.zeros(patches, dtype=np.int64)
         for patch, _, _ in steps:
             length[patch] += 1
@@ -172,13 +176,16 @@ def _corners_after(facets: np.ndarray, number: np.ndarray) -> np.ndarray:
         facets: Local facet opposite to each vertex.
         number: Of the vertices.
     """
-    sides, count = facets.ravel(), facets.size
+    sides, every = facets.ravel(), np.arange(facets.size).reshape(facets.shape)
     last, first = (np.empty(facets.max(initial=-1) + 1, dtype=np.int64) for _ in range(2))
-    every = np.arange(count)
-    last[sides], first[sides[::-1]] = every, every[::-1]
-    across = last[sides]
-    across = np.where(across == every, first[sides], across)  # the same side where there is no other cell
-    # of a corner (a, b, c) it is across the side opposite to b; there a comes after the vertex opposite to the side
-    across = next_(across.reshape(facets.shape)).ravel()
-    after = across + np.where(across % 3 == 2, -2, 1)
-    return np.where(number.ravel()[after] == number.ravel(), after, -1)
+    last[sides], first[sides[::-1]] = every.ravel(), every.ravel()[::-1]
+    found = np.empty(facets.shape, dtype=np.int64)
+    for block in blocks(len(facets)):
+        across = last[facets[block]]
+        # the same side where there is no other cell
+        across = np.where(across == every[block], first[facets[block]], across)
+        # of a corner (a, b, c) it is across the side opposite to b; there a comes after the vertex opposite to the side
+        across = next_(across)
+        after = across + np.where(across % 3 == 2, -2, 1)
+        found[block] = np.where(number.ravel()[after] == number[block], after, -1)
+    return found.ravel()

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.vocabulary import Vocabulary
 
 FEW = 2000  # cells, for which walking through a formula costs more than arithmetic
+POINTS = 30_000  # in which a formula is evaluated together: what is made of them fits into the cache of a core
 KEPT = 30_000  # cells: all that is found on so many of them is kept
 Distance = Callable[[np.ndarray], np.ndarray]
 
@@ -76,11 +77,15 @@ class Cells:
     def values(self, formula: Formula, degree: int, cells: np.ndarray) -> np.ndarray:
         """Values at the inner points for a degree, shape (cells, points)."""
         points = polynomials.inner_points(self.corners.shape[1], degree)
-        x = np.zeros((3, len(cells) * len(points)))
-        for axis in range(self.corners.shape[2]):
-            np.matmul(self.corners[cells, :, axis], points.T, out=x[axis].reshape(len(cells), len(points)))
-        known = {} if self.distance is None else {"distance": self.distance(x.T)}
-        return self.vocabulary.at_points(formula, x, known).reshape(len(cells), len(points))
+        found, at_once = np.empty((len(cells), len(points))), max(POINTS // len(points), 1)
+        for start in range(0, len(cells), at_once):
+            corners, own = self.corners[cells[start : start + at_once]], found[start : start + at_once]
+            x = np.zeros((3, own.size))
+            for axis in range(corners.shape[2]):
+                np.matmul(corners[..., axis], points.T, out=x[axis].reshape(own.shape))
+            known = {} if self.distance is None else {"distance": self.distance(x.T)}
+            own[:] = self.vocabulary.at_points(formula, x, known).reshape(own.shape)
+        return found
 
 
 class OnCells:

@@ -74,8 +74,9 @@ class Formula:
         Raises:
             InputError: Pointing at the column, with the nearest known name.
         """
-        for node in ast.walk(self.tree):
-            if isinstance(node, ast.Name) and node.id in self.names and node.id not in known:
+        unknown = {name for name in self.names if name not in known}
+        for node in ast.walk(self.tree) if unknown else ():
+            if isinstance(node, ast.Name) and node.id in unknown:
                 hint = "; t is for values in scenes with a table [time]" if node.id == "t" else nearest(node.id, known)
                 raise InputError(self.pointing(node, f"unknown name '{node.id}'{hint}"))
 

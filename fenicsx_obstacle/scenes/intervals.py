@@ -92,12 +92,20 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
     """Rounded outward; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
-    below, above = lower - (_ROUND_OFF * np.abs(lower) + _TINY), upper + (_ROUND_OFF * np.abs(upper) + _TINY)
+    below, above = np.subtract(lower, _room(lower)), np.add(upper, _room(upper))
     if point.any() or lower.shape != upper.shape:
         below, above = np.where(point, lower, below), np.where(point, upper, above)
     below, above = _known(below, -np.inf), _known(above, np.inf)
     whole, known = _all([p.whole for p in parents]), _all([*(p.defined for p in parents), np.asarray(defined)])
     return Enclosure(below, above, np.asarray(degree), whole, known, slopes)
+
+
+def _room(values: np.ndarray) -> np.ndarray:
+    """For the round-off of one operation."""
+    room = np.asarray(np.abs(values))
+    room *= _ROUND_OFF
+    room += _TINY
+    return room
 
 
 def _known(values: np.ndarray, otherwise: float) -> np.ndarray:
@@ -275,11 +283,13 @@ def cos(a: Enclosure) -> Enclosure:
 
 
 def sin(a: Enclosure) -> Enclosure:
-    point = a.lower == a.upper
     found = cos(of_bounds(a.lower - pi / 2, a.upper - pi / 2, a.degree, a.slopes).inheriting(a))
     pad = 4e-16 * (np.abs(a.lower) + np.abs(a.upper) + 2)  # of the shift
-    lower = np.where(point, np.sin(a.lower), np.maximum(found.lower - pad, -1.0))
-    upper = np.where(point, lower, np.minimum(found.upper + pad, 1.0))
+    lower, upper = np.maximum(found.lower - pad, -1.0), np.minimum(found.upper + pad, 1.0)
+    point = a.lower == a.upper
+    if point.any():
+        lower = np.where(point, np.sin(a.lower), lower)
+        upper = np.where(point, lower, upper)
     return replace(found, lower=lower, upper=upper)
 
 
