@@ -20,7 +20,7 @@ INSET = 0.1  # of the way from the points of the lattice to the middle
 # |f - I f| <= REMAINDER h^n max|D^n f|/n!, n = degree + 1, for the interpolant at `inner_points`, h the longest edge,
 # since f - I f = -sum_i L_i(x) D^n f(..)(a_i - x)^n/n! (Ciarlet and Raviart 1972); by corners of the simplex and degree
 REMAINDER = {2: {1: 0.203, 2: 0.0825, 4: 0.179}, 3: {1: 0.361, 2: 0.149, 4: 0.298}, 4: {1: 0.456, 2: 0.291, 4: 0.374}}
-# likewise |grad(f - I f)| <= STEEPNESS h^n max|D^n f|/n!/H, H the least height
+# and |grad(f - I f)| <= STEEPNESS h^n max|D^n f|/n!/H, H the least height
 STEEPNESS = {2: {2: 1.79, 4: 4.77}, 3: {2: 3.82, 4: 10.9}, 4: {2: 6.27, 4: 21.0}}
 _EPSILON = float(np.finfo(float).eps)
 

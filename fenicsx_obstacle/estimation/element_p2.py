@@ -1,9 +1,9 @@
 """The error bound for P2 with contact at midpoints of edges.
 
-The multiplier, linear in each cell, may be negative near the free boundary: lambda_+ is what of it is left when its
-slope is reduced there, and the difference, of mean zero, counts like the oscillation of the load. And v is u_h with,
-where the obstacle is higher, the difference added, on a lattice of each cell: at vertices nothing holds u_h, so that it
-is below the obstacle however small eps is.
+The multiplier lambda, linear in each cell, may be negative near the free boundary. lambda_+ >= 0 has the same cell
+means and smaller slopes; the difference is bounded like the oscillation of the load. The admissible v is u_h raised to
+the obstacle on a lattice in each cell: vertices are no contact nodes, so that u_h may be below the obstacle there for
+every eps.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ from fenicsx_obstacle.polynomials import (
 
 DENSE = 8  # parts of an edge, a power of 2
 AS_THEY_ARE = Division(0)
-SMALL_ONES = Division(4, 1e-4, 1e-4)  # of the lattice: what counts is the distance of an obstacle to linear functions
-BESIDE = 2  # how often small triangles are divided where the obstacle may be above u, which is given at a corner
-FEW = 128  # cells at once: what is made of them fits into the cache of a core
-FINE = 0.05  # of the distance to the chord: a smaller remainder on a small triangle does not matter
-CLOSE = 4  # coefficients of this degree bound quadratic functions well: those of degree 2 are up to twice as high
+SMALL_ONES = Division(4, 1e-4, 1e-4)  # for small triangles: the distance of an obstacle to linear functions matters
+BESIDE = 2  # subdivisions of small triangles with a Dirichlet corner and the obstacle possibly above u
+FEW = 128  # cells per block: its arrays fit into the cache of a core
+FINE = 0.05  # relative to the distance from the chord: smaller remainders are accepted
+CLOSE = 4  # degree of Bernstein bounds of quadratic functions; with degree 2 they are up to twice as large
 POINTS = lattice(DENSE)
 
 
 def _halved(times: int) -> np.ndarray:
-    """Barycentric corners of the parts of a triangle with edges halved so many times, those of one part following each
-    other, shape (parts, 3, 3)."""
+    """Barycentric corners of the parts of a triangle after so many halvings of its edges, parts of one parent
+    consecutive, shape (parts, 3, 3)."""
     corners = np.eye(3)[None]
     for _ in range(times):
         corners = halved(corners)
     return corners
 
 
-TIMES = DENSE.bit_length() - 1  # that edges are halved to give small triangles
-# these by their corners in the lattice
+TIMES = DENSE.bit_length() - 1  # halvings of the edges that give the small triangles
+# corners of the small triangles, as indices in the lattice
 SMALL = np.abs(_halved(TIMES)[:, :, None] - POINTS).sum(axis=3).argmin(axis=2)
 
 
@@ -102,7 +102,7 @@ def _products() -> np.ndarray:
 
 
 def _nodes_of(corners: np.ndarray) -> np.ndarray:
-    """Vertices, then middles opposite to them."""
+    """Vertices, then the midpoints of the opposite edges."""
     return np.vstack([corners, (corners[[1, 2, 0]] + corners[[2, 0, 1]]) / 2])
 
 
@@ -142,20 +142,20 @@ class Halves:
 
 @cache
 def _to_chords(times: int, degree: int) -> np.ndarray:
-    """Bernstein coefficients of what polynomials on a part are above their chords on its small triangles.
+    """Bernstein coefficients of polynomials on a part minus their chords (linear interpolants) on its small triangles.
 
     Args:
         times: How often the edges were halved for the part.
         degree: Of the polynomials.
 
     Returns:
-        Shape (n, small, n): those of a small triangle, and the polynomials' own.
+        Shape (n, small, n): coefficient on the small triangle, small triangle, coefficient of the polynomial.
     """
     return np.ascontiguousarray(from_chords(HALVES[times].small, degree).transpose(1, 0, 2))
 
 
 def _above_chords(times: int, degree: int, polynomials: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The largest and the least coefficients of what polynomials are above their chords, and the means.
+    """The largest and the least coefficients of polynomials minus their chords, and the means of these differences.
 
     Args:
         times: As for `_to_chords`.
@@ -193,10 +193,10 @@ class Between:
     """u minus obstacle between the points of the lattice.
 
     Attributes:
-        needed: What M and N must be at least in each cell, shape (2, cells).
+        needed: Lower bounds of M and N (`LatticeObstacle`) in each cell, shape (2, cells).
         touches: Whether the obstacle may be above u, shape (cells, small triangles).
-        mean: An upper bound of the mean of u minus obstacle, less what is linear in a small triangle.
-        size: Of its absolute value.
+        mean: Upper bound of the mean of u - obstacle minus its chord, in each small triangle.
+        size: Upper bound of the absolute value of that difference.
     """
 
     needed: np.ndarray
@@ -205,7 +205,7 @@ class Between:
     size: np.ndarray
 
     def with_nothing(self, count: int) -> Between:
-        """In these cells and so many others, which neither touch nor have a multiplier."""
+        """The same with `count` more cells, which neither touch nor have a multiplier."""
         touches, mean, size = (np.pad(of, ((0, count), (0, 0))) for of in (self.touches, self.mean, self.size))
         return Between(np.pad(self.needed, ((0, 0), (0, count))), touches, mean, size)
 
@@ -213,23 +213,23 @@ class Between:
 class LatticeObstacle:
     """One obstacle on a lattice of the cells in which u may touch it; values are times -1 for an upper obstacle.
 
-    On the lattice u is raised by max(obstacle + M - u, N, 0), M and N in P1. In each cell M is at the vertices at least
-    what obstacle - u may be above its chords on the small triangles where it may be positive, or N what it may be there
-    itself: the less of the two. What is added is continuous, and u with it nowhere below the obstacle, unless that may
-    be above u on a small triangle at points where u is given: nothing is added there.
+    On the lattice u is raised by max(obstacle + M - u, N, 0), M and N in P1. Let d = obstacle - u. On the small
+    triangles of a cell where d may be positive, M at its vertices is at least d minus its chord, or N at least d,
+    whichever adds less. What is added is continuous, and the raised u is nowhere below the obstacle, except on small
+    triangles with points where u is given: nothing is added there.
 
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
         sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or u may touch it and
             it may have two values at a point; or it is above the state beside the boundary and may jump.
-        cover_energy: ||grad||^2 in each cell of what is added to the state beside nodes where u is given, which cannot
-            be raised: the positive part of obstacle - state, 0 on the boundary.
-        cover_volume: Its integral.
-        unbounded: Whether it may be infinite in each cell, on the side of the state.
+        cover_energy: ||grad w||^2 in each cell for w = (obstacle - state)^+, 0 on the boundary, which is added to the
+            state beside nodes where u is given and cannot be raised.
+        cover_volume: Integral of w in each cell.
+        unbounded: Whether the obstacle times sign may be +infinity in each cell.
     """
 
     def __init__(self, simplices: Simplices, patches: VertexPatches, sign: float, field: Field, known: Range):
-        """Keep what is known of it (collective).
+        """Store the obstacle and its bounds (collective).
 
         Args:
             simplices: The cells.
@@ -240,7 +240,7 @@ class LatticeObstacle:
         """
         self.simplices, self._patches, self.sign, self._field = simplices, patches, sign, field
         self._top = known.upper if sign > 0 else -known.lower
-        self._pieces: list[tuple[np.ndarray, Pieces]] = []  # in the cells where u came near
+        self._pieces: list[tuple[np.ndarray, Pieces]] = []  # of the cells enclosed so far
         self._enclosed = np.zeros(len(self._top), dtype=bool)
         self.cover_energy, self.cover_volume = np.zeros(len(self._top)), np.zeros(len(self._top))
         self.unbounded = ~np.isfinite(self._top)
@@ -264,8 +264,8 @@ class LatticeObstacle:
             dirichlet: What boundary values add to u.
 
         Returns:
-            Cells; there u minus obstacle on the lattice; by what it is raised; and u minus obstacle between the points
-            of the lattice.
+            Cells; u - obstacle on their lattices; the amount by which u is raised there; and u - obstacle between the
+            points of the lattice.
         """
         simplices, level = self.simplices, self.simplices.data.level
         touches = self._may_touch(u, dirichlet)
@@ -276,7 +276,7 @@ class LatticeObstacle:
         given = with_ghosts(level.V, 1.0 - self._patches.free) > 0
         beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
         M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
-        # where the obstacle jumps on an edge one of its cells may not touch: what is added is the same in both
+        # where the obstacle jumps across an edge only one cell may touch; both need the same values on the edge
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
         others = np.flatnonzero((M + N + around)[simplices.dofs].any(axis=1) & ~(touches | pressing))
         between = between.with_nothing(len(others))
@@ -293,13 +293,13 @@ class LatticeObstacle:
     def _cover(
         self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, raised: np.ndarray, dirichlet: DirichletData
     ) -> bool:
-        """Bound what is still above the state on small triangles where u is given at a corner (collective where the
+        """Bound (obstacle - state)^+ on small triangles with a Dirichlet corner (collective where the
         obstacle needs the distance).
 
         Args:
             u: Values of P2 at the nodes of all cells.
             cells: The cell that each small triangle lies in.
-            small: Which it is there.
+            small: Its index in that cell.
             raised: By what u is raised on the lattice of that cell.
             dirichlet: What boundary values add to u.
 
@@ -334,7 +334,7 @@ class LatticeObstacle:
         return len(cells) > 0
 
     def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
-        """Where u is given on the lattice of some cells, from where it is at the vertices."""
+        """Which lattice points of some cells are Dirichlet points, from the Dirichlet vertices."""
         on_side = self._patches.held[cells] @ (POINTS.T == 0)
         return on_side | (given[self.simplices.dofs[cells]] @ (POINTS.T == 1))
 
@@ -356,8 +356,8 @@ class LatticeObstacle:
         return found
 
     def _known(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
-        """What is near the obstacle in some cells at least, and the cells of its parts (collective where the obstacle
-        needs the distance)."""
+        """Polynomials near the obstacle in at least these cells, and the cell of each part (collective where the
+        obstacle needs the distance)."""
         new = cells[~self._enclosed[cells]]
         self._pieces.append((new, in_cells(self.simplices, self._field, AS_THEY_ARE, new)))
         self._enclosed[new] = True
@@ -367,7 +367,7 @@ class LatticeObstacle:
 
     def _difference(self, group: Group, u: np.ndarray, degree: int = 2) -> tuple[int, np.ndarray, np.ndarray]:
         """Degree and Bernstein coefficients of obstacle - u on parts, from u at the nodes of the simplex of each; their
-        round-off. The degree is at least the one that is named."""
+        round-off. The degree is at least `degree`."""
         degree = max(group.degree, degree)
         known = group.coefficients
         if degree > group.degree:
@@ -390,12 +390,12 @@ class LatticeObstacle:
         may_touch: np.ndarray,
         pressing: np.ndarray,
     ) -> Between:
-        """Look between the points of the lattice.
+        """Bound u - obstacle between the points of the lattice.
 
         Args:
             u: Values of P2 at the nodes of all cells.
-            cells: Some of them.
-            gap: There on the lattice.
+            cells: The cells to bound it in.
+            gap: u - obstacle on their lattices.
             dirichlet: What boundary values add to u.
             may_touch: Whether the obstacle may be above u in these cells.
             pressing: Whether they have a multiplier.
@@ -413,7 +413,7 @@ class LatticeObstacle:
                 groups = self._on_parts(_by_part(half.corners, part, self.simplices.x[cells[at]]), cells[at])
             for rows, group in groups:
                 degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
-                known = 2 * group.rest[:, None]  # 2: of the chord too
+                known = 2 * group.rest[:, None]  # twice: of the datum and of its chord
                 rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
                 most, least, means = _above_chords(times, degree, coefficient)
                 place = at[rows], part[rows]
@@ -426,12 +426,12 @@ class LatticeObstacle:
                 matters = pressing[at[rows], None] | (at_corners[place] + above > 0)
                 rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * margin[:, None]))).any(axis=1)
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
-        place = at, part  # each of these is a small triangle
+        place = at, part  # after the last halving each part is a small triangle
         bend[place], mean[place], size[place] = self._bends_anew(u, cells[at], part, gap[at], dirichlet)
         touches = may_touch[:, None] & (highest + bend > 0)
         M = np.where(touches, np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
         N = np.where(touches, highest + bend, 0.0).max(axis=1, initial=0.0)
-        with_M = M <= 2 * N  # what M adds falls as u - obstacle grows
+        with_M = M <= 2 * N  # M is preferred: what it adds decreases as u - obstacle grows
         needed = np.array([np.where(with_M, M, 0.0), np.where(with_M, 0.0, N)])
         return Between(needed, touches, mean, size)
 
@@ -442,14 +442,14 @@ class LatticeObstacle:
 
         Args:
             u: Values of P2 at the nodes of all cells.
-            cells: The cell that each lies in.
-            small: Which it is there.
-            gap: On the lattice of that cell.
+            cells: The cell of each small triangle.
+            small: Its index in that cell.
+            gap: u - obstacle on the lattice of that cell.
             dirichlet: What boundary values add to u.
 
         Returns:
-            How far obstacle - u is above its chord at most; a bound of the mean of the chord above it; and of the
-            absolute value of that.
+            Upper bounds, for d = obstacle - u: of d minus its chord, of the mean of the chord minus d, and of the
+            absolute value of the difference.
         """
         corners = POINTS[SMALL[small]] @ self.simplices.x[cells]
         nodes = np.einsum("jsi,sj->si", OF_SMALL[:, small], u[cells])
@@ -468,7 +468,7 @@ class LatticeObstacle:
         return bend, mean, size
 
     def _whole(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
-        """Polynomials near the obstacle in whole cells, and the places of these among some cells (collective where the
+        """Polynomials near the obstacle in whole cells, and the indices of these cells in `cells` (collective where the
         obstacle needs the distance)."""
         place = np.full(len(self._enclosed), -1)
         place[cells] = np.arange(len(cells))
@@ -552,7 +552,7 @@ class ElementP2(Element):
             flux: With the multipliers.
 
         Returns:
-            It; int lambda_+ (v - obstacle); and ||lambda - lambda_+||_T.
+            The function; int lambda_+ (v - obstacle); and ||lambda - lambda_+||_T.
         """
         area, count = self.simplices.area, len(self.simplices.area)
         added, contact, reduced = np.zeros((count, len(POINTS))), np.zeros(count), np.zeros(count)
@@ -568,9 +568,9 @@ class ElementP2(Element):
             added[cells] += side.sign * lift
             positive = mean[:, None] + kept[:, None] * (at_vertices - mean[:, None])
             weight = np.maximum(positive[cells] @ POINTS.T, 0.0)
-            # int lambda_+ (v - obstacle), v - obstacle being linear on the small triangles but for what is `between`
+            # int lambda_+ (v - obstacle), v - obstacle is linear on the small triangles up to `between`
             products = np.einsum("cp,cp->c", weight @ PRODUCTS, gap + lift)
-            # and |lambda_+ - mean| being at most its range
+            # and |lambda_+ - its mean| is at most its range
             corners = [weight[:, corner] for corner in SMALL.T]
             width = reduce(np.maximum, corners) - reduce(np.minimum, corners)
             products += np.einsum("cs,cs->c", reduce(np.add, corners) / 3, between.mean)
@@ -624,7 +624,8 @@ class ElementP2(Element):
         return squares
 
     def _penetration(self) -> np.ndarray:
-        """How far u is beyond an obstacle at the middles, between them its mean: what a smaller eps makes smaller."""
+        """Penetration at the midpoints of edges, at vertices the mean of those around: the part that a smaller eps
+        reduces."""
         gaps, equilibration = self.problem.gaps(), self.equilibration
         below, above = (np.maximum(-np.where(np.isfinite(gap), gap, 0.0), 0.0) for gap in gaps)
         beyond = with_ghosts(self.problem.level.V, below - above)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 NEGLIGIBLE_CURVATURE = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
 NEGLIGIBLE_REMAINDER = 1e-4  # of h/length max|f|: an interpolant of degree 2 so near is enough
-THIN = 2e-3  # likewise, of the datum on parts that a condition cuts, times the root of their share
+THIN = 2e-3  # the same limit for the datum on parts that a condition cuts, times the root of their share
 APART = 3.0  # so many times further than a condition may change from a line, it is decided
 NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it
 EXACT = 5e-13  # of its size: round-off, which conditions do not see

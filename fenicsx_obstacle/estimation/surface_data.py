@@ -6,12 +6,12 @@ cells as a continuous function w with w = d there:
     w = sum_E b_E phi_i phi_j + L e + sum_E (phi_i + phi_j) e'_E(phi_j/(phi_i + phi_j)) + sum_F (1 - phi_a) r_F.
 
 E are the edges (i, j) of these facets and b_E/4 is d at the middle of E, so that the first sum is d where that is
-quadratic. e = d - first sum; L e has the values of e at the nodes of degree 4 on these facets and 0 at the others. The
-rest e' = e - L e is of fifth order where the datum is smooth. e'_E is e' along an edge, which w has in all cells around
-it. r_F is what is left of e' on a facet. It is 0 on the edges of the facet, and in the cell beside it a cone with the
-tip at the opposite vertex a. The polynomials are integrated exactly. The gradient of the third part depends on the
-place along the edge alone, which is evenly distributed over the cell, and that of the fourth on the place on the facet:
-means of |e'|^2 and of its slope there are enough, and are bounded.
+quadratic. e = d - first sum; L e is the polynomial of degree 4 in each cell that equals e at the nodes on these facets
+and 0 at the others. The rest e' = e - L e is of fifth order where the datum is smooth. e'_E is e' along an edge; w has
+this term in all cells around it. r_F is what is left of e' on a facet. It is 0 on the edges of the facet, and continued
+into the cell as a cone with the tip at the opposite vertex a. The polynomials are integrated exactly. The gradient of
+the third sum depends only on phi_j/(phi_i + phi_j), which is uniformly distributed over the cell, and that of the
+fourth only on the point of the facet: means of |e'|^2 and of its slope there are enough, and are bounded.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 FACETS = Division(4, 1e-2, 1e-3)
-HALVED = 3  # how often facets are divided on which bounds of the slope of e' are too large,
-STEEP = 0.02  # in parts of the slope of d,
-MAX_PARTS = 100_000  # while there are so few
+HALVED = 3  # subdivisions of facets on which the bound of the slope of e' is above
+STEEP = 0.02  # this fraction of the slope of d
+MAX_PARTS = 100_000  # of facets; no subdivision beyond
 ROUND_OFF = 1e-14  # relative to the values of u
-INSIDE = 1e-11  # of the way from an edge to the middle of a facet: values there are those of this facet
+INSIDE = 1e-11  # relative shift of edge points towards the facet's centroid, where the datum is that of this facet
 ALONG = np.linspace(0.0, 1.0, polynomials.MAX_DEGREE + 1)  # polynomials that agree there agree on the edge
 DEGREE = 4
 PAIRS = list(combinations(range(4), 2))
@@ -47,7 +47,7 @@ SIDES = list(combinations(range(3), 2))  # edges of a facet
 
 
 def _lattice(corners: int) -> np.ndarray:
-    """Barycentric coordinates of the nodes of a degree, times it, shape (nodes, corners)."""
+    """Barycentric coordinates of the nodes of degree DEGREE, times DEGREE, shape (nodes, corners)."""
     steps = product(range(DEGREE + 1), repeat=corners)
     return np.array([one for one in steps if sum(one) == DEGREE])
 
@@ -149,7 +149,8 @@ class SurfaceData(BoundaryValues):
         return found
 
     def _traces(self, parts: list[_Facets]) -> np.ndarray:
-        """Values at `ALONG` on local edges, upward, shape (points, edges); 0 where u is not given (collective).
+        """Values at `ALONG` on local edges, towards the larger global vertex number, shape (points, edges); 0 where u
+        is not given (collective).
 
         Raises:
             InputError: If facets with a common edge, or a common vertex, do not agree.
@@ -231,10 +232,10 @@ class SurfaceData(BoundaryValues):
         return found
 
     def _beyond(self, part: _Facets, nodal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What is left of d without its interpolant on facets (collective).
+        """Bounds of e', what is left of d minus its interpolant, on facets (collective).
 
         Returns:
-            Bounds on each facet of |e'|, of its slope, of the mean of |e'|^2 and of that of its slope, shape
+            Bounds on each facet of |e'|, of its slope, and of the means of the squares of both, shape
             (4, facets); the same along its edges, shape (4, facets, 3); and bounds of the boundary value.
         """
         of_facets, of_edges = np.zeros((4, len(part.cells))), np.zeros((4, len(part.cells), 3))
@@ -262,7 +263,7 @@ class SurfaceData(BoundaryValues):
 
         Args:
             part: The facets.
-            enough: A bound of slopes that is near enough, on each facet.
+            enough: A bound of the slope that need not be improved, on each facet.
         """
         owner, inside, found = np.arange(len(part.cells)), np.broadcast_to(np.eye(3), (len(part.cells), 3, 3)), []
         lower, upper, share = [], [], 1.0
@@ -365,7 +366,7 @@ class SurfaceData(BoundaryValues):
         self.volume[self._cells] = area * coefficients.mean(axis=1)
 
     def _add_rest(self, parts: list[_Facets], of_facets: list[np.ndarray], of_edges: np.ndarray) -> None:
-        """Bounds of what of w is no polynomial in the cells (local)."""
+        """Bounds of the non-polynomial part of w in the cells (local)."""
         simplices, edges = self.simplices, self._of_cells
         norms = np.linalg.norm(simplices.normal, axis=0) / (3 * simplices.area)[:, None]  # of grad phi_i
         rest, steep, mean = (np.zeros(len(simplices.area)) for _ in range(3))

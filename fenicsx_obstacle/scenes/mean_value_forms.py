@@ -1,8 +1,8 @@
 """Mean value forms: linear functions close to a formula in cells in which a condition changes.
 
 On a cell with the middle c a formula is within C + G (x - c), C and G intervals: G bounds the gradient of every branch
-that may hold somewhere in the cell, C what these branches are at c. Where branches meet smoothly G is narrow; where
-they jump C is wide. Nothing is assumed of continuity.
+that may hold somewhere in the cell, C the values of these branches at c. Where branches meet smoothly G is narrow;
+where they jump C is wide. Continuity is not assumed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ EITHER = intervals.of_bounds(-1.0, 1.0, 0)
 
 @dataclass(frozen=True)
 class Form:
-    """C + G (x - c) on each cell: the value of some branch at the middle, and its slopes."""
+    """C + G (x - c) on each cell: enclosures of the branches' values at the middle and of their slopes."""
 
     value: Enclosure
     slopes: tuple[Enclosure, ...]  # one for each coordinate
@@ -46,8 +46,8 @@ def linear(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def lines(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
-    """Where a condition of a formula changes in cells, as `effects.field.Enclosed.cuts` has it: of several conditions
-    the one that is nearest to a line."""
+    """Where a condition of a formula changes in cells, in the form of `effects.field.Enclosed.cuts`; of several
+    conditions the one whose zero set is closest to a line."""
     found, rest = np.zeros((cells.count, cells.corners.shape[1])), np.full(cells.count, np.inf)
     with np.errstate(all="ignore"):
         walk = cells.walk
@@ -61,7 +61,8 @@ def lines(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
-    """A linear function near a number in which no condition changes: as `linear` has it, or the interpolant."""
+    """A linear function near a formula without conditions, and bounds: by `linear`, or the interpolant if that is
+    closer."""
     values, rest, _ = linear(cells, formula)
     x, corners = cells.corners, cells.corners.shape[1]
     if corners not in polynomials.REMAINDER:
@@ -77,7 +78,7 @@ def nearest(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _at_corners(form: Form, cells: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The linear function in the middle of a form, and bounds as `linear` has them."""
+    """The linear function given by the midpoints of the intervals of a form, and bounds as in `linear`."""
     value = _middle_and_width(form.value, cells.count)
     away = cells.corners - cells.corners.mean(axis=1, keepdims=True)
     at_corners, rest, square = np.repeat(value[0][:, None], away.shape[1], axis=1), value[1], np.zeros(cells.count)
@@ -91,7 +92,7 @@ def _at_corners(form: Form, cells: Cells) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def _middle_and_width(a: Enclosure, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Middle and half width; infinite widths where bounds are."""
+    """Midpoint and half width, infinite where a bound is."""
     finite = np.broadcast_to(a.finite, count)
     lower, upper = (np.where(finite, bound, 0.0) for bound in (a.lower, a.upper))
     return (lower + upper) / 2, np.where(finite, (upper - lower) / 2, np.inf)
@@ -107,7 +108,7 @@ class _Forms:
         self._middle[:, : cells.corners.shape[2]] = cells.corners.mean(axis=1)
 
     def form(self, formula: Formula, node: ast.expr) -> Form:
-        """The mean value form of a node; without a rule it consists of the bounds only."""
+        """The mean value form of a node; if there is no rule for it, C is its enclosure and G is 0."""
         match node:
             case ast.Name(id=name):
                 if name not in self._known:
@@ -243,14 +244,14 @@ def _pairs(one: Form, other: Form) -> list[tuple[Enclosure, Enclosure]]:
 
 
 def _sum(a: Enclosure, b: Enclosure) -> Enclosure:
-    """Nothing is computed where one of them is the number 0."""
+    """a + b, not computed if one of them is the number 0."""
     if _is_zero(a):
         return b
     return a if _is_zero(b) else add(a, b)
 
 
 def _product(a: Enclosure, b: Enclosure) -> Enclosure:
-    """Nothing is computed where one of them is the number 0, and the other is defined."""
+    """a b, not computed if one of them is the number 0 and the other is defined."""
     if (_is_zero(a) and b.defined.all()) or (_is_zero(b) and a.defined.all()):
         return ZERO
     return multiply(a, b)
