@@ -29,10 +29,12 @@ def check_parts(scene: Scene) -> None:
 
 
 def _check(scene: Scene, part: BoundaryTable, place: str) -> None:
+    _check_kind(scene, part, place)
     acting = [key for key in ACTING if getattr(part, key) is not None]
     if part.value is None and not acting:
         raise InputError(f"{place}: the key 'value' is missing, or {', '.join(ACTING)}")
-    if part.value is not None and acting:
+    partly = isinstance(part.value, tuple) and "free" in part.value  # of an elastic body: rollers may carry a load
+    if part.value is not None and acting and not partly:
         raise InputError(f"{place}: {acting[0]} has no effect where u is given by 'value'; use separate tables")
     if part.on == ():
         raise InputError(f"{place} on = []: has no part")
@@ -44,3 +46,17 @@ def _check(scene: Scene, part: BoundaryTable, place: str) -> None:
             raise InputError(f"{place} where: 'distance' is 0 on the whole boundary")
         if TIME in needed:
             raise InputError(f"{place} where: parts of the boundary cannot depend on time; 't' is for values")
+
+
+def _check_kind(scene: Scene, part: BoundaryTable, place: str) -> None:
+    """Reject scalar data of displacements, and the other way round."""
+    if not scene.model.vector_valued:
+        if isinstance(part.value, tuple):
+            raise InputError(f"{place} value = {list(part.value)}: a list is for elastic bodies, with 'elasticity'")
+        return
+    if part.value is not None and not isinstance(part.value, tuple):
+        wanted = 'u has several components: give a list, such as [0, "free"]'
+        raise InputError(f"{place} value = {part.value}: {wanted}")
+    for side in ("lower", "upper"):
+        if getattr(part, side) is not None:
+            raise InputError(f"{place} {side}: bounds a scalar u; of an elastic body take 'obstacle'")

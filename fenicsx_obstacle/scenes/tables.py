@@ -42,6 +42,7 @@ class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
 
 
 Datum = Value | DataTable
+Vector = tuple[Datum, ...]  # of an elastic body: its components
 
 
 class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -75,6 +76,7 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] beside `value`: effects, obstacles
+NO_NUMBERS: dict[str, Any] = {"traction": Vector, "obstacle": dict[str, Any]}  # keys of elastic bodies
 
 
 class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -82,7 +84,7 @@ class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 
     on: str | tuple[str, ...] | None = None
     where: str | None = None
-    value: Datum | None = None
+    value: Datum | Vector | None = None
 
 
 if TYPE_CHECKING:
@@ -93,7 +95,7 @@ if TYPE_CHECKING:
 
 else:
     BoundaryTable = msgspec.defstruct(
-        "BoundaryTable", [(key, Datum | None, None) for key in ACTING], bases=(_PartTable,), module=__name__,
+        "BoundaryTable", [(key, NO_NUMBERS.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,), module=__name__,
         frozen=True, forbid_unknown_fields=True, omit_defaults=True,
     )  # fmt: skip
 
@@ -307,6 +309,7 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
     if problem.startswith("Invalid enum value"):
         return f"{place}= {_short(found)} is not known" + nearest(str(found), _choices_at(path))
     words = {" | null": "", "`int`": "a whole number", "`float | str | object`": "a number, a formula or {file = ...}",
+             "`float | str | array | object`": "a number, a formula, a list of these or {file = ...}",
              "`float | str`": "a number or a formula", "`float`": "a number",
              "`str`": "a text in quotes", "`str | array`": "a text in quotes, or a list of these", "`array`": "a list",
              "`object`": "a table", "`bool`": "true or false", "`date`": "a date"}  # fmt: skip
