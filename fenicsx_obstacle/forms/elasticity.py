@@ -33,6 +33,7 @@ class Elasticity:
         young: Young's modulus E, force per area.
         poisson: Poisson's ratio, dimensionless.
         plane: `strain`, `stress` or `axial` on plane meshes; None in space.
+        remarks: What the user should know of the data, in words.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Elasticity:
         if gdim == 3 and plane is not None:
             raise InputError(f"{name}: plane = {shown(plane)}: u has three components, so that there is no plane")
         self.u, self.young, self.poisson, self.plane = u, young, poisson, plane
+        self.remarks: tuple[str, ...] = ()
         low, _ = self._range(young)
         if not low > 0:
             raise InputError(f"{name}: young = {low:g}: must be positive")
@@ -76,12 +78,12 @@ class Elasticity:
                 f"{self._name}: poisson = {high:g} with elements of degree 1: they lock, and the pressure is wrong by a "
                 "fifth or more; take degree 2"
             )
+        self.remarks = (
+            f"poisson = {high:g} with elements of degree 1: they begin to lock, which shows as noise in the "
+            "pressure; degree 2 is better",
+        )
         if self.u.function_space.mesh.comm.rank == 0:
-            warnings.warn(
-                f"poisson = {high:g} with elements of degree 1: they begin to lock, which shows as noise in the "
-                "pressure; degree 2 is better",
-                stacklevel=4,
-            )
+            warnings.warn(self.remarks[0], stacklevel=4)
 
     @property
     def _degree(self) -> int:

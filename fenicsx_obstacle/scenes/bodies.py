@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -12,20 +13,31 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
+from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.contact_nodes import KINK, over
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
 from fenicsx_obstacle.effects.domain.elasticity import Elasticity
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
 
+MAX_SLOPE = 0.2  # norm of the gradient of u in the middle of a cell: strains and rotations are small
+MAX_SHARE = 0.2  # of the longest side of the body: displacements are small
+FIRST = 1e-4  # of the radius of an obstacle, or of the body: its first step after it touches
+REACHED = 1e-8  # relative difference of a force
+MOST_MOVES = 60
+SAME = 1e-9  # of the size of the body: one point
 CLOSE = 0.95  # cosine of the angle of two directions of the gap that one node may have
 
 
@@ -120,6 +132,105 @@ class Body:
             self.gap.x.array[one.dofs] = -values  # -u . n >= -gap
         self.gap.x.scatter_forward()
         self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle")
+
+    def solve(self, options: SolverOptions) -> VectorSolution:
+        """Solve; an obstacle with a force is moved until it presses with it (collective).
+
+        Raises:
+            InputError: If no u can satisfy the data, or the force is not reached.
+            NotConverged: With PETSc's reason.
+        """
+        eps = options.eps
+        if isinstance(eps, EpsFormula):
+            eps = eps.value(self.level.h)
+        solve = partial(self._solved, "auto" if options.method == "vi" else eps, options.method)
+        solution = solve() if self.pressing is None else self._pressed(self.pressing, solve)
+        self._check_small(solution)
+        return solution
+
+    def _solved(self, eps: Any, method: str) -> VectorSolution:
+        solution = self.problem.solve(eps=eps, method=method)
+        assert isinstance(solution, VectorSolution)
+        return solution
+
+    def _pressed(self, one: Facing, solve: Callable[[], VectorSolution]) -> VectorSolution:
+        """The solution with the obstacle moved until it presses with its force (collective).
+
+        The power of the force that is nearly linear in the approach for Hertz's contact is interpolated linearly
+        between the nearest points on both sides (regula falsi in the version of Illinois).
+        """
+        obstacle, place = one.obstacle, f"{one.obstacle.source}.force"
+        assert obstacle.force is not None
+        power = 2 / 3 if obstacle.kind == "sphere" else 1.0
+        goal = obstacle.force**power
+        size = obstacle.radius or self.data.extent
+        touching, step = self._touching(one), FIRST * size
+        low, high = (touching, -goal), (np.nan, np.nan)  # places, and how far beyond the goal the power of the force is
+        travel, last = touching + step, 0
+        for _ in range(MOST_MOVES):
+            one.travel.value = travel
+            self.place()
+            solution = solve()
+            force = float(part_of(one, solution.nodes).resultant @ np.array(obstacle.moves))
+            if abs(force - obstacle.force) <= REACHED * obstacle.force:
+                return solution
+            beyond = max(force, 0.0) ** power - goal
+            if beyond < 0:
+                high = (high[0], high[1] / 2) if last == -1 else high
+                low, last = (travel, beyond), -1
+            else:
+                low = (low[0], low[1] / 2) if last == 1 else low
+                high, last = (travel, beyond), 1
+            if np.isnan(high[0]):
+                share = (beyond + goal) / goal  # of the power of the force that is reached
+                travel = touching + (travel - touching) * min(max(1.1 / max(share, 1e-9), 1.5), 20.0)
+                if travel - touching > size + self.data.extent:
+                    break
+            else:
+                travel = low[0] - low[1] * (high[0] - low[0]) / (high[1] - low[1])
+        raise InputError(f"{place} = {obstacle.force:g}: is not reached; does the obstacle move towards the body?")
+
+    def _touching(self, one: Facing) -> float:
+        """How far an obstacle is moved until it touches the body at rest (collective).
+
+        Raises:
+            InputError: If it does not come nearer.
+        """
+
+        def least(travel: float) -> float:
+            one.travel.value = travel
+            self.place()
+            return -largest(self.level.comm, self.gap.x.array[one.dofs])
+
+        nearer = least(0.0) - least(FIRST * self.data.extent)
+        if nearer <= 0:
+            raise InputError(f"{one.obstacle.source}.moves = {list(one.obstacle.moves)}: away from the body")
+        travel = 0.0
+        for _ in range(MOST_MOVES):  # along a curved surface the gap is not linear
+            travel += (gap := least(travel)) * FIRST * self.data.extent / nearer
+            if abs(gap) <= SAME * self.data.extent:
+                break
+        return travel
+
+    def _check_small(self, solution: VectorSolution) -> None:
+        """Reject solutions that are no small displacements (collective).
+
+        Raises:
+            InputError: With the slope or the displacement.
+        """
+        comm, reference = self.level.comm, Reference(self.level.mesh)
+        cells, middle = np.arange(own_cells(self.level.mesh)), reference.weights(reference.vertices.mean(axis=0))
+        parts = [self.vectors.component(solution.u, k) for k in range(self.vectors.components)]
+        squares = sum((reference.gradients(part, cells, middle[None, None]) ** 2).sum(axis=(1, 2)) for part in parts)
+        slope = float(np.sqrt(largest(comm, squares)))
+        size = float(np.sqrt(largest(comm, sum(part.x.array**2 for part in parts))))
+        for what, found, most in (("slopes", slope, MAX_SLOPE), ("a size", size / self.data.extent, MAX_SHARE)):
+            if found > most:
+                of_body = "" if what == "slopes" else " of the body's"
+                raise InputError(
+                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}: elasticity is for small "
+                    f"ones, up to {most:g}; take smaller loads, a stiffer body, or an obstacle that is nearer"
+                )
 
     def _faced(self, obstacle: Obstacle) -> Facing:
         """An obstacle with its nodes; sets the directions of the gap there (collective)."""
@@ -223,6 +334,13 @@ class Body:
         given = fem.Function(self._component_space)
         given.interpolate(self.data.on_part(field, part))
         return given
+
+
+def part_of(one: Facing, nodes: ContactTable) -> ContactTable:
+    """The contact nodes that face an obstacle."""
+    size = np.ptp(nodes.points, axis=0).max(initial=0.0)
+    near = cKDTree(one.points).query(nodes.points)[0] <= SAME * size
+    return ContactTable(nodes.points[near], nodes.normals[near], nodes.areas[near], nodes.pressure[near], nodes.gap[near])
 
 
 def _assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
