@@ -13,7 +13,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.folder import NODES
 from fenicsx_obstacle.problems.solution import Files
 from fenicsx_obstacle.problems.vector_valued import VectorSolution
@@ -88,11 +87,16 @@ class BodyContext:
         self.setup_seconds = time.perf_counter() - started - self.mesh_seconds
 
     def renewed(self, scene: Scene) -> BodyContext:
-        """The same mesh with other data (collective)."""
-        return BodyContext(scene, self.body.level.comm, self.body.level)
+        """The same mesh with other data, and this solution as the start (collective)."""
+        level, u_values = self.body.level, self.body.u.x.array.copy()
+        self.close()
+        new = BodyContext(scene, level.comm, level)
+        new.body.u.x.array[:] = u_values
+        return new
 
     def close(self) -> None:
-        """Nothing is kept beyond the object."""
+        """Free matrices and solvers; answers stay (collective)."""
+        del self.body, self._report
 
     def answer(
         self, options: SolverOptions | None = None, *, yardstick: bool = False, near: np.ndarray | None = None,
@@ -113,7 +117,7 @@ class BodyContext:
         """
         scene, body, options = self.scene, self.body, options or self.options
         if uncertainty:
-            raise InputError(f"{scene.source}: an uncertainty is for scalar u, not for elastic bodies")
+            scene.only_scalar("uncertainty")
         start = time.perf_counter()
         solution = body.solve(options)
         known = contact_quantities(body, solution)
@@ -136,7 +140,7 @@ class BodyContext:
             if self._report.places:
                 record["report_places"] = self._report.places
         # clocks differ between ranks: rank 0 speaks for all
-        return BodyAnswer.of(solution, scene.with_options(options), level=body.vectors,
+        return BodyAnswer.of(solution, scene.with_options(options), level=solution.level.with_parts(body.level),
                              record=body.level.comm.bcast(record))  # fmt: skip
 
 
@@ -152,9 +156,7 @@ def solve_body(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, **asked: Any) -> B
         InputError: If one is given, or the data are invalid.
         NotConverged: With PETSc's reason.
     """
-    names = {"bound": "bound", "tol": "tolerance", "tol_absolute": "tolerance", "budget": "budget",
-             "yardstick": "yardstick", "restart": "restart", "uncertainty": "uncertainty"}  # fmt: skip
     for key, value in asked.items():
         if value not in (None, False):
-            raise InputError(f"{scene.source}: {names[key]}: is for scalar u, not for elastic bodies")
+            scene.only_scalar(key)
     return BodyContext(scene, comm).answer()

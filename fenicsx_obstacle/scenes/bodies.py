@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.contact_nodes import KINK, over
+from fenicsx_obstacle.discrete.contact_nodes import KINK, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.reference import Reference
@@ -85,6 +85,7 @@ class Body:
         Raises:
             InputError: If the data are invalid.
         """
+        level = replace(level, pair=vector_pair(level.pair))  # pressures at all nodes
         self.scene, self.level = scene, level
         self.data, self.vectors = Data(scene.model, level), over(level)
         mesh, V = level.mesh, self.vectors.V
@@ -168,8 +169,7 @@ class Body:
         low, high = (touching, -goal), (np.nan, np.nan)  # places, and how far beyond the goal the power of the force is
         travel, last = touching + step, 0
         for _ in range(MOST_MOVES):
-            one.travel.value = travel
-            self.place()
+            self._move(one, travel)
             solution = solve()
             force = float(part_of(one, solution.nodes).resultant @ np.array(obstacle.moves))
             if abs(force - obstacle.force) <= REACHED * obstacle.force:
@@ -189,6 +189,17 @@ class Body:
             else:
                 travel = low[0] - low[1] * (high[0] - low[0]) / (high[1] - low[1])
         raise InputError(f"{place} = {obstacle.force:g}: is not reached; does the obstacle move towards the body?")
+
+    def _move(self, one: Facing, travel: float) -> None:
+        """Move an obstacle, and nodes of u that touch it with it, as a start (collective)."""
+        gdim, nodes, before = self.level.mesh.geometry.dim, self.vectors.node_of[one.dofs], self.gap.x.array.copy()
+        one.travel.value = travel
+        self.place()
+        u, n = (part.x.array.reshape(-1, gdim) for part in (self.u, self._normals))
+        reached = np.einsum("ij,ij->i", u[nodes], n[nodes]) + before[one.dofs]  # u . n - gap
+        closed = reached >= -SAME * self.data.extent
+        beyond = before[one.dofs] - self.gap.x.array[one.dofs] + SAME * self.data.extent  # the start is put on it
+        u[nodes] += np.where(closed, beyond, 0.0)[:, None] * n[nodes]
 
     def _touching(self, one: Facing) -> float:
         """How far an obstacle is moved until it touches the body at rest (collective).

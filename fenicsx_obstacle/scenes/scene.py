@@ -424,6 +424,18 @@ class Scene(Vocabulary):
         if "distance" in self.needs(formula):
             raise InputError(f"{formula.place}: 'distance' has no gradient, so it is not allowed in [exact]")
 
+    def only_scalar(self, what: str) -> None:
+        """Reject a scene with an elastic body.
+
+        Args:
+            what: What is for scalar u only.
+
+        Raises:
+            InputError: In one sentence.
+        """
+        if self.model.vector_valued:
+            raise InputError(f"{self.source}: {what}: for scalar u only, not for elastic bodies")
+
     def _check_body(self) -> None:
         """Reject tables that elastic bodies do not have."""
         own = self.tables
