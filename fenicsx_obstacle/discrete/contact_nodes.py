@@ -67,7 +67,9 @@ class VectorLevel(Level):
 
     def with_parts(self, level: Level) -> VectorLevel:
         """The same spaces, with the named parts and the size of the cells of a level on the same mesh."""
-        found = VectorLevel(self.mesh, level.h, level.facets, level.groups, level.shape, self.pair, remarks=level.remarks)
+        found = VectorLevel(
+            self.mesh, level.h, level.facets, level.groups, level.shape, self.pair, remarks=level.remarks
+        )
         found.__dict__.update(V=self.V, _collapsed=self._collapsed)
         return found
 

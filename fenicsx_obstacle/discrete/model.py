@@ -91,7 +91,9 @@ class Model:
     def data(self) -> list[Field]:
         """All data, those of materials one by one."""
         given = [self.lower, self.upper, *(effect.inputs for effect in self.effects)]
-        given += [getattr(part, key) for part in self.boundary for key in ("value", "where", "lower", "upper", "components")]
+        given += [
+            getattr(part, key) for part in self.boundary for key in ("value", "where", "lower", "upper", "components")
+        ]
         given += [] if self.time is None else [self.time.start, self.time.velocity]
         found = [list(field.parts.values()) if field.parts is not None else [field] for field in fields_in(given)]
         return [field for part in found for field in part]

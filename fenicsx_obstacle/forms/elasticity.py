@@ -75,8 +75,8 @@ class Elasticity:
             return
         if high > USELESS:
             raise InputError(
-                f"{self._name}: poisson = {high:g} with elements of degree 1: they lock, and the pressure is wrong by a "
-                "fifth or more; take degree 2"
+                f"{self._name}: poisson = {high:g} with elements of degree 1: they lock, and the pressure is wrong by "
+                "a fifth or more; take degree 2"
             )
         self.remarks = (
             f"poisson = {high:g} with elements of degree 1: they begin to lock, which shows as noise in the "
@@ -100,7 +100,9 @@ class Elasticity:
         try:
             number = float(np.asarray(value.value if isinstance(value, fem.Constant) else value))
         except (TypeError, ValueError):
-            raise InputError(f"{self._name}: {shown(value)}: expected a number, a Constant, a Function or UFL") from None
+            raise InputError(
+                f"{self._name}: {shown(value)}: expected a number, a Constant, a Function or UFL"
+            ) from None
         return number, number
 
     @property

@@ -105,7 +105,9 @@ class Body:
         if not self.facing:
             raise InputError(f"{scene.source}: an elastic body without contact: give a [[boundary]] an obstacle")
         if sum(one.obstacle.force is not None for one in self.facing) > 1:
-            raise InputError(f"{scene.source}: several obstacles with a force: one can be moved until its force is reached")
+            raise InputError(
+                f"{scene.source}: several obstacles with a force: one can be moved until its force is reached"
+            )
         self._distance = [self._compiled(one) for one in self.facing]
         self.place()
         self.problem = _Problem(
@@ -239,8 +241,8 @@ class Body:
             if found > most:
                 of_body = "" if what == "slopes" else " of the body's"
                 raise InputError(
-                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}: elasticity is for small "
-                    f"ones, up to {most:g}; take smaller loads, a stiffer body, or an obstacle that is nearer"
+                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}: elasticity is for "
+                    f"small ones, up to {most:g}; take smaller loads, a stiffer body, or an obstacle that is nearer"
                 )
 
     def _faced(self, obstacle: Obstacle) -> Facing:
@@ -275,7 +277,8 @@ class Body:
         self._normals.x.scatter_forward()
 
     def _of_body(self, obstacle: Obstacle, facets: np.ndarray) -> np.ndarray:
-        """Means of the normals of facets, at local nodes; of quadratic elements linear between vertices (collective)."""
+        """Means of the normals of facets, at local nodes; of quadratic elements linear between vertices
+        (collective)."""
         mesh, gdim = self.level.mesh, self.level.mesh.geometry.dim
         linear = releases.functionspace(mesh, "Lagrange", 1, gdim)
         ds, v, n = self._over(facets), ufl.TestFunction(linear), ufl.FacetNormal(mesh)
@@ -288,8 +291,8 @@ class Body:
         found = [x for part in mesh.comm.allgather(found) for x in part]
         if found:
             place = ", ".join(f"{x:.4g}" for x in min(found)[:gdim])
-            raise InputError(f"{obstacle.source}: the body has an edge at ({place}), where facets with different normals "
-                             "meet; give 'along', or a table [[boundary]] for each side")  # fmt: skip
+            raise InputError(f"{obstacle.source}: the body has an edge at ({place}), where facets with different "
+                             "normals meet; give 'along', or a table [[boundary]] for each side")  # fmt: skip
         vectors[there] /= lengths[there][:, None]
         on_body = fem.Function(self.vectors.V)
         on_body.interpolate(sums)
@@ -351,7 +354,9 @@ def part_of(one: Facing, nodes: ContactTable) -> ContactTable:
     """The contact nodes that face an obstacle."""
     size = np.ptp(nodes.points, axis=0).max(initial=0.0)
     near = cKDTree(one.points).query(nodes.points)[0] <= SAME * size
-    return ContactTable(nodes.points[near], nodes.normals[near], nodes.areas[near], nodes.pressure[near], nodes.gap[near])
+    return ContactTable(
+        nodes.points[near], nodes.normals[near], nodes.areas[near], nodes.pressure[near], nodes.gap[near]
+    )
 
 
 def _assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:

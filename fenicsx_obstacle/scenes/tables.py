@@ -92,11 +92,12 @@ if TYPE_CHECKING:
     class BoundaryTable(_PartTable, frozen=True):
         lower: Datum | None = None
         upper: Datum | None = None
+        obstacle: dict[str, Any] | None = None
 
 else:
     BoundaryTable = msgspec.defstruct(
-        "BoundaryTable", [(key, NO_NUMBERS.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,), module=__name__,
-        frozen=True, forbid_unknown_fields=True, omit_defaults=True,
+        "BoundaryTable", [(key, NO_NUMBERS.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
+        module=__name__, frozen=True, forbid_unknown_fields=True, omit_defaults=True,
     )  # fmt: skip
 
 

@@ -87,7 +87,8 @@ def _body_boundary(scene: Scene) -> list[str]:
     lines = []
     for number, part in enumerate(scene.tables.boundary):
         acting = " ".join(e.equation for e in scene.effects if getattr(e, "part", None) == number)
-        given = [f"u_{axis} = {plain(one)}" for axis, one in zip("xyz", part.value or (), strict=False) if one != "free"]
+        values = part.value if isinstance(part.value, tuple) else ()
+        given = [f"u_{axis} = {plain(one)}" for axis, one in zip("xyz", values, strict=False) if one != "free"]
         lines += [f"{', '.join(given)} {_where(part)}"] if given else []
         lines += [f"sigma(u) n = {acting} {_where(part)}"] if acting else []
     return [*lines, "free: sigma(u) n = 0 on what is not listed"]

@@ -66,8 +66,8 @@ def draw_line(answer: Answer, start: Sequence[float], end: Sequence[float], path
     check_name(path)
     if answer.scene.model.vector_valued:
         raise InputError(
-            "--along: draws scalar u; of an elastic body nodes.csv has pressure and gap, and solution.along(start, end) "
-            "of Python has all quantities"
+            "--along: draws scalar u; of an elastic body nodes.csv has pressure and gap, and in Python "
+            "solution.along(start, end) has all quantities"
         )
     profile = answer.along(start, end)
     outside = np.isnan(profile.u)
