@@ -189,8 +189,8 @@ class Report:
         points, weights = self._facet_rule()
         inside = self._reference.on_facets(numbers, points)
         sizes = shares[:, None] * self._reference.facet_measures(cells, numbers, points) * weights
-        of_gradient = partial(
-            outward_flux, self._reference, self._tension, self._nodal["u"], cells, numbers, inside
+        of_gradient = lambda: outward_flux(  # noqa: E731
+            self._reference, self._tension, self._nodal["u"], cells, numbers, inside
         )  # fmt: skip
         normal: Callable[[], np.ndarray] = of_gradient
         if self._normal is not None and seen_from is None:

@@ -34,14 +34,14 @@ def parse_report(scene: Scene, entries: Mapping[str, float | str], reserved: set
     Raises:
         InputError: Naming the entry and the column.
     """
-    found: dict[str, Formula] = {}
+    found, quantities = dict[str, Formula](), _quantities(scene)
     for name, value in entries.items():
         place = f"{scene.source}: [report] {name}"
         if not name.isidentifier():
             raise InputError(f"{place}: a name has letters, digits and _ only")
         formula = parse(value, place, functionals=True)
-        itself = formula.text == name and name in _quantities(scene)  # in the output under its own name
-        if (name in reserved | _quantities(scene) and not itself) or name in scene.define:
+        itself = formula.text == name and name in quantities  # in the output under its own name
+        if (name in reserved | quantities and not itself) or name in scene.define:
             raise InputError(f"{place}: '{name}' has a meaning already; choose another name")
         _Checker(scene, formula, set(found)).check(formula.tree, inside=False)
         found[name] = formula

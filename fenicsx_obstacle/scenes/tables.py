@@ -76,7 +76,7 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] beside `value`: effects, obstacles
-NO_NUMBERS: dict[str, Any] = {"traction": Vector, "obstacle": dict[str, Any]}  # keys of elastic bodies
+OF_BODIES: dict[str, Any] = {"obstacle": dict[str, Any], "pressure": Datum, "traction": Vector}  # of elastic bodies
 
 
 class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
 
 else:
     BoundaryTable = msgspec.defstruct(
-        "BoundaryTable", [(key, NO_NUMBERS.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
+        "BoundaryTable", [(key, OF_BODIES.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
         module=__name__, frozen=True, forbid_unknown_fields=True, omit_defaults=True,
     )  # fmt: skip
 

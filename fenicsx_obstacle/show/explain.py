@@ -11,7 +11,7 @@ from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.boundary_table import part_place
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import BoundaryTable
+from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable
 from fenicsx_obstacle.show.steps import steps_of
 from fenicsx_obstacle.solvers.choose import (
     ALGEBRAIC,
@@ -340,6 +340,7 @@ def _exact(scene: Scene) -> list[str]:
 
 def _not_included(scene: Scene) -> str:
     named = {effect.key for effect in scene.effects}
-    absent = [key for key in (*sorted(known()), *sorted(known("boundary"))) if key not in named]
+    keys = (*sorted(known() - {"elasticity"}), *sorted(known("boundary") - set(OF_BODIES)))
+    absent = [key for key in keys if key not in named]
     absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in scene.sides]
     return "; ".join(absent) or "nothing"
