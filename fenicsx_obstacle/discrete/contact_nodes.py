@@ -455,6 +455,6 @@ class VectorData(Data):
         if most > BEYOND * size:
             word = "upper" if side > 0 else "lower"
             raise InputError(
-                f"{self.model.source}: a value of bcs is beyond the {word} obstacle by {most:.3g}, so that no u "
+                f"{self.model.source}: a given value of u is beyond the {word} obstacle by {most:.3g}, so that no u "
                 "satisfies both"
             )
