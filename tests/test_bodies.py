@@ -97,9 +97,10 @@ def test_a_scene_is_its_obstacle_problem():
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", ["hertz_cylinder", "hertz_sphere"])
+@pytest.mark.parametrize("name", ["hertz_cylinder", "hertz_sphere", "hertz_solid"])
 def test_hertz(name):
-    """Force given, a/R = .05, body 40 a: half-width and peak within 1 % of Hertz, the approach of the sphere 2 %."""
+    """Force given, a/R = .05, body 40 a: half-width and peak within 1 % of Hertz, the approach of the sphere 2 %; also
+    in space."""
     scene = Scene.read(DEMOS / f"{name}.toml")
     report = solve(scene).report
     wanted = scene.number("P" if name == "hertz_cylinder" else "F", "test")

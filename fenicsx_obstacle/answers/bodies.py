@@ -22,6 +22,7 @@ from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.stopping import StepMonitor
+from fenicsx_obstacle.text import vector_in_words
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,8 +48,8 @@ class BodyAnswer(VectorSolution, Answer):
 
     def _figures(self) -> list[str]:
         contact, figures = self.record["contact"], super()._figures()
-        words = ", ".join(f"{x:.6g}" for x in contact["resultant"])
-        figures[1:3] = [f"contact area {contact['area']:.6g}", f"contact force ({words})"]
+        force = vector_in_words(contact["resultant"])
+        figures[1:3] = [f"contact area {contact['area']:.6g}", f"contact force {force}"]
         for key, name in (("half_width", "half-width"), ("peak", "peak of p"), ("approach", "approach")):
             if contact[key] is not None:
                 figures.append(f"{name} {contact[key]:.6g}")
