@@ -62,6 +62,8 @@ def solve(
     free_boundary.csv and report.html into out/SCENE; with [time] frames.xdmf, history.png, a state for --restart too.
     """
     scene = _read(scene_file, typed(given))  # a mistake in it is told before finite elements are loaded
+    if newton:
+        scene.only_scalar("--newton")
     from fenicsx_obstacle.answers.adapt import solve
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import difflib
 import unicodedata
+from collections.abc import Sequence
 from typing import Any
 
 LISTED = 40  # known names in a message
 SHOWN = 60  # characters of a value
 LONGEST = 160  # characters of a title or name where it is shown
+ROUND_OFF = 1e-12  # of the largest component of a vector
 
 
 def counted(number: int, noun: str) -> str:
@@ -41,6 +43,12 @@ def plain(value: Any) -> str:
 def short(value: Any) -> str:
     """A number or formula in few characters."""
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def vector_in_words(values: Sequence[float]) -> str:
+    """A vector as one writes it, without the round-off of components that are 0."""
+    largest = max(map(abs, values), default=0.0)
+    return f"({', '.join(f'{x:.6g}' if abs(x) > ROUND_OFF * largest else '0' for x in values)})"
 
 
 def nearest(word: str, known: Any) -> str:

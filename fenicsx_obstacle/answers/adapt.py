@@ -87,6 +87,11 @@ def solve(
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
     scene, limits = changed(scene_of(scene), given), Budget.of(budget)
+    if scene.model.vector_valued:
+        from fenicsx_obstacle.answers.bodies import solve_body  # only where a scene has an elastic body
+
+        return solve_body(scene, comm, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget,
+                          yardstick=yardstick, restart=restart, uncertainty=uncertainty)  # fmt: skip
     if scene.time is not None and (bound or tol is not None or tol_absolute is not None):
         raise InputError(f"{scene.source}: the error bound is for one equilibrium, not for scenes with [time]")
     if scene.time is None and restart is not None:

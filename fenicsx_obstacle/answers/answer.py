@@ -111,7 +111,13 @@ class Answer(Solution):
 
         folder = Path(folder)
         saved = read(folder, comm, needed=("scene.toml",), steps_in_time=NEWTON)
-        answer = cls(**saved.fields, scene=Scene.read(folder / "scene.toml"))
+        scene = Scene.read(folder / "scene.toml")
+        if "nodes" in saved.fields:
+            from fenicsx_obstacle.answers.bodies import BodyAnswer  # no scalar solution needs it
+            from fenicsx_obstacle.problems.vector_valued import saved as body
+
+            return BodyAnswer.of(body(saved.fields), scene)
+        answer = cls(**saved.fields, scene=scene)
         if "time" not in answer.record:
             return answer
         from fenicsx_obstacle.answers.frames import load_course

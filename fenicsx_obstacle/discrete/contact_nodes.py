@@ -65,6 +65,14 @@ class VectorLevel(Level):
     def points(self) -> np.ndarray:
         return np.repeat(self.nodes, self.components, axis=1)
 
+    def with_parts(self, level: Level) -> VectorLevel:
+        """The same spaces, with the named parts and the size of the cells of a level on the same mesh."""
+        found = VectorLevel(
+            self.mesh, level.h, level.facets, level.groups, level.shape, self.pair, remarks=level.remarks
+        )
+        found.__dict__.update(V=self.V, _collapsed=self._collapsed)
+        return found
+
     @cached_property
     def _collapsed(self) -> tuple[fem.FunctionSpace, np.ndarray]:
         """The scalar space of this degree, and the node of V of each of its local dofs (first use is collective)."""
@@ -447,6 +455,6 @@ class VectorData(Data):
         if most > BEYOND * size:
             word = "upper" if side > 0 else "lower"
             raise InputError(
-                f"{self.model.source}: a value of bcs is beyond the {word} obstacle by {most:.3g}, so that no u "
+                f"{self.model.source}: a given value of u is beyond the {word} obstacle by {most:.3g}, so that no u "
                 "satisfies both"
             )

@@ -255,6 +255,11 @@ class Data:
         dx = ufl.Measure("dx", domain=self.level.mesh)
         return Weighted(dx, self.radius) if self.model.radial else dx
 
+    @property
+    def axial(self) -> bool:
+        """Whether x is the distance from an axis, the weight of all integrals."""
+        return self.model.radial
+
     @cached_property
     def radius(self) -> Cellwise:
         """Distance from the axis, positive in each cell (first use is collective)."""

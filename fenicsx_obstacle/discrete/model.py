@@ -22,6 +22,7 @@ class Part:
         value: Of u, where it is given.
         lower: Obstacle there.
         upper: Obstacle there.
+        components: Of a vector-valued u, those that are given there; None for one that is free.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Part:
     value: Field | None = None
     lower: Field | None = None
     upper: Field | None = None
+    components: tuple[Field | None, ...] = ()
 
     @property
     def bears(self) -> bool:
@@ -89,7 +91,9 @@ class Model:
     def data(self) -> list[Field]:
         """All data, those of materials one by one."""
         given = [self.lower, self.upper, *(effect.inputs for effect in self.effects)]
-        given += [getattr(part, key) for part in self.boundary for key in ("value", "where", "lower", "upper")]
+        given += [
+            getattr(part, key) for part in self.boundary for key in ("value", "where", "lower", "upper", "components")
+        ]
         given += [] if self.time is None else [self.time.start, self.time.velocity]
         found = [list(field.parts.values()) if field.parts is not None else [field] for field in fields_in(given)]
         return [field for part in found for field in part]
@@ -98,6 +102,11 @@ class Model:
     def elastic(self) -> Effect:
         """The elastic effect, which is the main part of a(u, v)."""
         return next(effect for effect in self.effects if effect.elastic)
+
+    @property
+    def vector_valued(self) -> bool:
+        """Whether u is a displacement, with as many components as points have coordinates."""
+        return bool(self.elastic.vector_valued)
 
     @property
     def radial(self) -> bool:

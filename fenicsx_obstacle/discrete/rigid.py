@@ -148,7 +148,7 @@ def check_held(problem: VectorProblem) -> bool:
     if len(strength) < len(loose) or strength[-1] <= INDEPENDENT * strength[0]:
         raise InputError(
             f"{source}: the body is not supported: {_in_words(len(loose))}, and contact does not resist "
-            f"{'it' if len(loose) == 1 else 'all of them'}; prescribe more components of u with bcs"
+            f"{'it' if len(loose) == 1 else 'all of them'}; prescribe more components of u"
         )
     from scipy.optimize import nnls  # only where contact alone holds a body
 
@@ -157,7 +157,7 @@ def check_held(problem: VectorProblem) -> bool:
         raise InputError(
             f"{source}: only contact supports the body, and the load does not press it against the obstacles, "
             "so that no "
-            "solution exists; prescribe more components of u with bcs"
+            "solution exists; prescribe more components of u"
         )
     return True
 

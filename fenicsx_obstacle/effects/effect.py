@@ -79,6 +79,10 @@ class Sampler(Protocol):
         """Nodal Function with the values of a datum."""
 
     @property
+    def axial(self) -> bool:
+        """Whether x is the distance from an axis, the weight of all integrals."""
+
+    @property
     def motion(self) -> Any:
         """Derivatives in time, where the model has time."""
 
@@ -148,6 +152,7 @@ class Effect:
     upwinded: ClassVar[bool] = False  # its test functions are upwinded where there is drift
     radial: ClassVar[bool] = False  # gives all integrals the weight x
     elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
+    vector_valued: ClassVar[bool | None] = False  # whether u is a displacement; None: it does not matter
     order: ClassVar[int] = 0  # of its derivative in time
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)

@@ -54,6 +54,11 @@ class ExactData:
         return self.data.number(value)
 
     @property
+    def axial(self) -> bool:
+        """As sampled."""
+        return self.data.axial
+
+    @property
     def motion(self) -> Any:
         """As in the step: differences in time are not exact."""
         return self.data.motion

@@ -33,9 +33,12 @@ class Elasticity:
         young: Young's modulus E, force per area.
         poisson: Poisson's ratio, dimensionless.
         plane: `strain`, `stress` or `axial` on plane meshes; None in space.
+        remarks: What the user should know of the data, in words.
     """
 
-    def __init__(self, u: fem.Function, *, young: Any, poisson: Any, plane: str | None = None):
+    def __init__(
+        self, u: fem.Function, *, young: Any, poisson: Any, plane: str | None = None, name: str = "Elasticity"
+    ):
         """Check the data (collective).
 
         Args:
@@ -43,42 +46,44 @@ class Elasticity:
             young: A number, a Constant, a Function or UFL.
             poisson: The same.
             plane: `strain`, `stress` or `axial`; needed where u has two components.
+            name: What messages call it.
 
         Raises:
             InputError: If `plane` is another word or missing, E <= 0, the ratio is not between -1 and 1/2, or it is
                 above 0.49 and elements are of degree 1, where volumetric locking leaves no digit of the pressure.
         """
-        gdim = u.function_space.mesh.geometry.dim
+        self._name, gdim = name, u.function_space.mesh.geometry.dim
         if u.function_space.dofmap.index_map_bs != gdim or gdim < 2:
-            raise InputError(f"Elasticity: u must have {max(gdim, 2)} components, one for each coordinate of the mesh")
+            raise InputError(f"{name}: u must have {max(gdim, 2)} components, one for each coordinate of the mesh")
         if gdim == 2 and plane not in PLANES:
             hint = nearest(str(plane), PLANES) if plane is not None else ""
-            raise InputError(f"Elasticity: plane = {shown(plane)}{hint}: a plane body needs {', '.join(PLANES)}")
+            raise InputError(f"{name}: plane = {shown(plane)}{hint}: a plane body needs {', '.join(PLANES)}")
         if gdim == 3 and plane is not None:
-            raise InputError(f"Elasticity: plane = {shown(plane)}: u has three components, so that there is no plane")
+            raise InputError(f"{name}: plane = {shown(plane)}: u has three components, so that there is no plane")
         self.u, self.young, self.poisson, self.plane = u, young, poisson, plane
+        self.remarks: tuple[str, ...] = ()
         low, _ = self._range(young)
         if not low > 0:
-            raise InputError(f"Elasticity: young = {low:g}: must be positive")
+            raise InputError(f"{name}: young = {low:g}: must be positive")
         self._check_ratio(*self._range(poisson))
 
     def _check_ratio(self, low: float, high: float) -> None:
         if not -1 < low <= high < 0.5:
             bad = low if not -1 < low < 0.5 else high
-            raise InputError(f"Elasticity: poisson = {bad:g}: must be above -1 and below 1/2")
+            raise InputError(f"{self._name}: poisson = {bad:g}: must be above -1 and below 1/2")
         if self.plane == "stress" or high <= LOCKS or self._degree != 1:
             return
         if high > USELESS:
             raise InputError(
-                f"Elasticity: poisson = {high:g} with elements of degree 1: they lock, and the pressure is wrong by a "
-                "fifth or more; take degree 2"
+                f"{self._name}: poisson = {high:g} with elements of degree 1: they lock, and the pressure is wrong by "
+                "a fifth or more; take degree 2"
             )
+        self.remarks = (
+            f"poisson = {high:g} with elements of degree 1: they begin to lock, which shows as noise in the "
+            "pressure; degree 2 is better",
+        )
         if self.u.function_space.mesh.comm.rank == 0:
-            warnings.warn(
-                f"poisson = {high:g} with elements of degree 1: they begin to lock, which shows as noise in the "
-                "pressure; degree 2 is better",
-                stacklevel=4,
-            )
+            warnings.warn(self.remarks[0], stacklevel=4)
 
     @property
     def _degree(self) -> int:
@@ -95,7 +100,9 @@ class Elasticity:
         try:
             number = float(np.asarray(value.value if isinstance(value, fem.Constant) else value))
         except (TypeError, ValueError):
-            raise InputError(f"Elasticity: {shown(value)}: expected a number, a Constant, a Function or UFL") from None
+            raise InputError(
+                f"{self._name}: {shown(value)}: expected a number, a Constant, a Function or UFL"
+            ) from None
         return number, number
 
     @property

@@ -30,7 +30,16 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.problems.solution import Solution
 
 STEPS = "newton.gif"  # drawn on demand; of an older solution it goes like what belongs to time
-_OF_SOME = {"scene.toml", "newton.csv", "checkpoint.h5", STEPS, *OWN_MESH, *FRAMES}  # files that not all folders have
+NODES = "nodes.csv"  # the contact nodes of an elastic body
+_OF_SOME = {
+    "scene.toml",
+    NODES,
+    "newton.csv",
+    "checkpoint.h5",
+    STEPS,
+    *OWN_MESH,
+    *FRAMES,
+}  # files that not all folders have
 FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
 VECTORS = ("u0", "u1", "u2", "gap", "von_mises")  # further ones of vector-valued solutions
 DERIVED = ("gap",)  # written for ParaView, not read back with scalar solutions

@@ -172,7 +172,11 @@ class ObstacleProblem:
             data = self._vector_data(form, sides, held, of, measure)
             self._set_stress(stress, V.mesh, compiled)
         else:
-            where: dict[str, Any] = sides if facets is None else {"boundary": (Part("measure", ("contact",), **sides),)}
+            where: dict[str, Any] = (
+                sides
+                if facets is None
+                else {"boundary": (Part("measure", ("contact",), lower=sides["lower"], upper=sides["upper"]),)}
+            )
             model = Model((form,), source=self.name, **where)
             data = Data(model, level, bcs=held, live=True)
         self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
@@ -193,7 +197,11 @@ class ObstacleProblem:
         if of is None:
             raise InputError(f"{self.name}: u is vector-valued: say what the obstacles bound, of=ufl.dot(u, n)")
         level = of_vector_space(V, self.name, {"contact": facets})
-        model = Model((form,), boundary=(Part("measure", ("contact",), **sides),), source=self.name)
+        model = Model(
+            (form,),
+            boundary=(Part("measure", ("contact",), lower=sides["lower"], upper=sides["upper"]),),
+            source=self.name,
+        )
         return VectorData(model, level, bcs, of=of, u=form.u, weight=weight)
 
     def _set_stress(self, stress: Any, mesh: Mesh, compiled: tuple[Any, Any]) -> None:

@@ -94,18 +94,24 @@ class Report:
         Raises:
             InputError: If a point that depends on other figures is outside.
         """
-        self._nodal, self.values, self.places = {"u": u, "p": p, "contact": contact}, {}, {}
+        self._nodal = {"u": u, "p": p, "contact": contact}
         if any(NORMAL_FLUX in formula.names for formula in self.scene.report.values()):
             self._normal = NormalFlux(
                 self.data, self._reference, self._facet_rule(), self._tension, u, support
             )  # fmt: skip
+        return self._evaluated({})
+
+    def _evaluated(self, known: Mapping[str, float]) -> dict[str, float | None]:
+        """All output quantities, in order, from the nodal values and known quantities (collective)."""
+        self.values, self.places = dict(known), {}
         for name, formula in self.scene.report.items():
             self._last_place: list[float] = []
             tree = _Inner(self, formula).visit(deepcopy(formula.tree))
             if isinstance(formula.tree, ast.Call) and _name(formula.tree) in ("sup", "inf"):
                 self.places[name] = self._last_place
             self.values[name] = self._number(formula.part(tree))
-        return {name: value if np.isfinite(value) else None for name, value in self.values.items()}
+        found = {name: self.values[name] for name in self.scene.report}
+        return {name: value if np.isfinite(value) else None for name, value in found.items()}
 
     def functional(self, formula: Formula, call: ast.Call) -> float:
         """Value of integral, at, sup or inf; those within it have become numbers already (collective)."""
@@ -183,8 +189,8 @@ class Report:
         points, weights = self._facet_rule()
         inside = self._reference.on_facets(numbers, points)
         sizes = shares[:, None] * self._reference.facet_measures(cells, numbers, points) * weights
-        of_gradient = partial(
-            outward_flux, self._reference, self._tension, self._nodal["u"], cells, numbers, inside
+        of_gradient = lambda: outward_flux(  # noqa: E731
+            self._reference, self._tension, self._nodal["u"], cells, numbers, inside
         )  # fmt: skip
         normal: Callable[[], np.ndarray] = of_gradient
         if self._normal is not None and seen_from is None:
@@ -201,10 +207,9 @@ class Report:
         Collective where it is the first to need the distance. `on_facets` gives what facets alone have.
         """
         shape, values_of = (len(cells), where.shape[1]), self._reference.values
+        nodal = {name: partial(values_of, function, cells, where) for name, function in self._nodal.items()}
         fields: dict[str, Callable[[], np.ndarray]] = {
-            "u": lambda: values_of(self._nodal["u"], cells, where),
-            "p": lambda: values_of(self._nodal["p"], cells, where),
-            "contact": lambda: values_of(self._nodal["contact"], cells, where),
+            **nodal,
             "distance": lambda: values_of(self.data.distance, cells, where),
             "slope": lambda: self._slope(cells, where),
             "flux": lambda: self._tension(cells, where) * self._slope(cells, where),

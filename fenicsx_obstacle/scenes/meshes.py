@@ -81,13 +81,19 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
         mesh, sides, h, halvings = coarsest_grid(shape, comm)
         level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
     try:
-        pair.rule(releases.cell_name(level.mesh))
+        pair.rule(_cells_of_rule(scene, level))
     except InputError as error:
         raise InputError(f"{scene.source}: [solve] {error}") from None
     if refine and releases.cell_name(level.mesh) not in SIMPLICES:
         finer = "smaller cells in the file" if level.shape is None else "more 'cells'"
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take {finer}")
     return level, refine
+
+
+def _cells_of_rule(scene: Scene, level: Level) -> str:
+    """The cells that the rule of the pair is for: contact of elastic bodies has the rules of facets."""
+    cell = releases.cell_name(level.mesh)
+    return "triangle" if scene.model.vector_valued and cell == "tetrahedron" else cell
 
 
 def shape_of(scene: Scene) -> shapes.Shape:

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 NORMAL_FLUX = "normal_flux"  # tension du/dn: on a part of the boundary only
 JUMP = "jump"  # of tension du/dn across a curve inside
 FIELDS = ("u", "p", "contact", "slope", "flux", NORMAL_FLUX, JUMP)
+# of elastic bodies: fields, and numbers that are known without a functional
+BODY_FIELDS = ("u_x", "u_y", "u_z", "p", "contact", "von_mises")
+BODY_QUANTITIES = ("force_x", "force_y", "force_z", "moment", "moment_x", "moment_y", "moment_z", "contact_area",
+                   "half_width", "peak", "approach")  # fmt: skip
 _DIMENSIONS = {"interval": 1, "rectangle": 2, "disk": 2, "l-shape": 2, "box": 3}
 
 
@@ -30,17 +34,28 @@ def parse_report(scene: Scene, entries: Mapping[str, float | str], reserved: set
     Raises:
         InputError: Naming the entry and the column.
     """
-    found: dict[str, Formula] = {}
+    found, quantities = dict[str, Formula](), _quantities(scene)
     for name, value in entries.items():
         place = f"{scene.source}: [report] {name}"
         if not name.isidentifier():
             raise InputError(f"{place}: a name has letters, digits and _ only")
-        if name in reserved or name in scene.define:
-            raise InputError(f"{place}: '{name}' has a meaning already; choose another name")
         formula = parse(value, place, functionals=True)
+        itself = formula.text == name and name in quantities  # in the output under its own name
+        if (name in reserved | quantities and not itself) or name in scene.define:
+            raise InputError(f"{place}: '{name}' has a meaning already; choose another name")
         _Checker(scene, formula, set(found)).check(formula.tree, inside=False)
         found[name] = formula
     return found
+
+
+def _quantities(scene: Scene) -> set[str]:
+    """Names of numbers that are known without a functional."""
+    if not scene.model.vector_valued:
+        return set()
+    for name in (*BODY_FIELDS, *BODY_QUANTITIES):
+        if name in scene.define:
+            raise InputError(f"{scene.source}: [define] {name}: has a meaning of elastic bodies; choose another name")
+    return set(BODY_QUANTITIES)
 
 
 class _Checker:
@@ -48,8 +63,9 @@ class _Checker:
 
     def __init__(self, scene: Scene, formula: Formula, earlier: set[str]):
         self.formula, self.dimension = formula, _DIMENSIONS.get(scene.tables.mesh.shape or "")
-        self.varying = {*scene.known_names, *FIELDS, *earlier}
-        self.constant = {name for name in scene.known_names if scene.is_constant(name)} | earlier
+        fields, numbers = BODY_FIELDS if scene.model.vector_valued else FIELDS, earlier | _quantities(scene)
+        self.varying = {*scene.known_names, *fields, *numbers}
+        self.constant = {name for name in scene.known_names if scene.is_constant(name)} | numbers
 
     def check(self, node: ast.expr, *, inside: bool, on_part: bool = False) -> None:
         """Check a subtree; `inside` a functional, where fields have values; `on_part` of the mesh, by its name."""

@@ -215,6 +215,8 @@ class Scene(Vocabulary):
             self._check_exact(typed.exact.u, "[exact] u")
             if typed.exact.pressure is not None:
                 self._check_exact(typed.exact.pressure, "[exact] pressure")
+        if self.model.vector_valued:
+            self._check_body()
         set_("report", parse_report(self, typed.report, RESERVED))
         solve, place = typed.solve, f"{source}: [solve]"
         set_("options", SolverOptions(solve.method, self._eps(solve.eps), solve.start, place))
@@ -240,6 +242,8 @@ class Scene(Vocabulary):
     @property
     def sides(self) -> list[str]:
         """The names of the given obstacles, in the domain or on its boundary: lower, upper."""
+        if self.model.vector_valued:  # the pressure of obstacles on the body is >= 0
+            return ["lower"] if any(part.obstacle is not None for part in self.tables.boundary) else []
         places = self.tables.boundary if self.model.thin else [self.tables.obstacle]
         return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
 
@@ -318,11 +322,23 @@ class Scene(Vocabulary):
                 raw = getattr(part, key)
                 if raw is not None:
                     effects.append(find(key).read(raw, f"{part_place(number)} {key}", self, part=number))
+        self._check_kinds(effects)
         for effect in effects:
             if (why := effect.conflict(effects)) is not None:
                 place = "[effects]" if effect.table == "effects" else "[[boundary]]"
                 raise InputError(f"{self.source}: {place} {why}")
         return tuple(effects)
+
+    def _check_kinds(self, effects: list[Effect]) -> None:
+        """Reject effects of scalar u beside an elastic body, and the other way round."""
+        wanted = next(effect.vector_valued for effect in effects if effect.elastic)
+        for effect in effects:
+            if effect.vector_valued not in (None, wanted):
+                place = "[effects]" if effect.table == "effects" else part_place(getattr(effect, "part", 0))
+                why = "is for scalar u, not for elastic bodies" if wanted else "is for elastic bodies ('elasticity')"
+                given = " = " + effect.text if effect.key == "load" else ""
+                hint = "; give a list of components" if effect.key == "load" and wanted else ""
+                raise InputError(f"{self.source}: {place} {effect.key}{given}: {why}{hint}")
 
     @property
     def mesh(self) -> Any:
@@ -358,14 +374,23 @@ class Scene(Vocabulary):
         for number, table in enumerate(self.tables.boundary):
             place = part_place(number)
             on = (table.on,) if isinstance(table.on, str) else table.on
-            parts.append(Part(place, on, **self._given(table, place, "where", "value", "lower", "upper")))
+            given = self._given(table, place, "where", "value", "lower", "upper")
+            if isinstance(components := given.get("value"), tuple):
+                given = {**given, "value": None, "components": components}
+            parts.append(Part(place, on, **given))
         sides = self._given(self.tables.obstacle, "[obstacle]", "lower", "upper")
         return Model(self.effects, **sides, boundary=tuple(parts), source=self.source)
 
     def _given(self, table: Any, place: str, *keys: str) -> dict[str, Any]:
         """The data of a table that are given."""
         values = {key: getattr(table, key) for key in keys}
-        return {key: self.field(value, f"{place} {key}") for key, value in values.items() if value is not None}
+        return {key: self._datum(value, f"{place} {key}") for key, value in values.items() if value is not None}
+
+    def _datum(self, value: Any, place: str) -> Field | tuple[Field | None, ...]:
+        """A datum, or the components of a displacement, None for one that is "free"."""
+        if not isinstance(value, tuple):
+            return self.field(value, place)
+        return tuple(None if one == "free" else self.field(one, f"{place}[{k}]") for k, one in enumerate(value))
 
     def value(self, value: Any, place: str) -> Field:
         """A number, a formula, or one of these for each material.
@@ -399,6 +424,32 @@ class Scene(Vocabulary):
         if "distance" in self.needs(formula):
             raise InputError(f"{formula.place}: 'distance' has no gradient, so it is not allowed in [exact]")
 
+    def only_scalar(self, what: str) -> None:
+        """Reject a scene with an elastic body.
+
+        Args:
+            what: What is for scalar u only.
+
+        Raises:
+            InputError: In one sentence.
+        """
+        if self.model.vector_valued:
+            raise InputError(f"{self.source}: {what}: for scalar u only, not for elastic bodies")
+
+    def _check_body(self) -> None:
+        """Reject tables that elastic bodies do not have."""
+        own = self.tables
+        for name, given, why in (
+            ("time", own.time, "one equilibrium is solved; study --vary solves several"),
+            ("exact", own.exact, "is for scalar u; compare output quantities under [report]"),
+            ("profile", own.profile, "is for scalar u; nodes.csv has pressure and gap at the contact nodes"),
+            ("obstacle", own.obstacle != tables.ObstacleTable(), "bounds a scalar u; give [[boundary]] an obstacle"),
+        ):
+            if given:
+                raise InputError(f"{self.source}: [{name}] with elasticity: {why}")
+        if self.pair.name not in ("P1", "P2", "Q1", "Q2"):
+            raise InputError(f"{self.source}: [solve] element = '{self.pair.name}': elastic bodies take P1, P2, Q1, Q2")
+
     def problem(self, comm: Any = None) -> ObstacleProblem:
         """The scene on its mesh, as a problem that is solved from Python (collective).
 
@@ -414,6 +465,10 @@ class Scene(Vocabulary):
         from fenicsx_obstacle.scenes import meshes
 
         ranks = self.mesh.comm if self.mesh is not None else comm or MPI.COMM_WORLD
+        if self.model.vector_valued:
+            from fenicsx_obstacle.scenes.bodies import Body  # only where a scene names an elastic body
+
+            return Body(self, meshes.build(self, ranks)).problem
         return ObstacleProblem.of_model(self.model, meshes.build(self, ranks))
 
     def toml(self) -> str:

@@ -42,6 +42,7 @@ class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
 
 
 Datum = Value | DataTable
+Vector = tuple[Datum, ...]  # of an elastic body: its components
 
 
 class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -75,6 +76,7 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 
 ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] other than `value`: effects, obstacles
+OF_BODIES: dict[str, Any] = {"obstacle": dict[str, Any], "pressure": Datum, "traction": Vector}  # of elastic bodies
 
 
 class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -82,7 +84,7 @@ class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 
     on: str | tuple[str, ...] | None = None
     where: str | None = None
-    value: Datum | None = None
+    value: Datum | Vector | None = None
 
 
 if TYPE_CHECKING:
@@ -90,11 +92,12 @@ if TYPE_CHECKING:
     class BoundaryTable(_PartTable, frozen=True):
         lower: Datum | None = None
         upper: Datum | None = None
+        obstacle: dict[str, Any] | None = None
 
 else:
     BoundaryTable = msgspec.defstruct(
-        "BoundaryTable", [(key, Datum | None, None) for key in ACTING], bases=(_PartTable,), module=__name__,
-        frozen=True, forbid_unknown_fields=True, omit_defaults=True,
+        "BoundaryTable", [(key, OF_BODIES.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
+        module=__name__, frozen=True, forbid_unknown_fields=True, omit_defaults=True,
     )  # fmt: skip
 
 
@@ -307,6 +310,7 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
     if problem.startswith("Invalid enum value"):
         return f"{place}= {_short(found)} is not known" + nearest(str(found), _choices_at(path))
     words = {" | null": "", "`int`": "a whole number", "`float | str | object`": "a number, a formula or {file = ...}",
+             "`float | str | array | object`": "a number, a formula, a list of these or {file = ...}",
              "`float | str`": "a number or a formula", "`float`": "a number",
              "`str`": "a text in quotes", "`str | array`": "a text in quotes, or a list of these", "`array`": "a list",
              "`object`": "a table", "`bool`": "true or false", "`date`": "a date"}  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -70,7 +71,7 @@ def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[fl
     where = "" if whole else "near the contact, "
     scale = "to scale" if factor == 1.0 else f"displacements {factor:g} times as large"
     grey = "; grey: obstacle" if len(sides) == 1 else ""
-    left.set_title(f"{where}{scale}; arrows: contact pressure{grey}", fontsize=9)
+    left.set_title(fill(f"{where}{scale}; arrows: contact pressure{grey}", 58), fontsize=9)
     _profile(upper, lower, nodes)
     return page
 

@@ -13,7 +13,7 @@ from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.boundary_table import part_place
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import BoundaryTable
+from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable
 from fenicsx_obstacle.show.steps import steps_of
 from fenicsx_obstacle.solvers.choose import (
     ALGEBRAIC,
@@ -42,6 +42,8 @@ def explain(scene: Scene) -> str:
 
 def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     """Its parts: name and lines of each."""
+    if scene.model.vector_valued:
+        return _explained_body(scene)
     return [
         ("equation", _equation(scene)),
         ("data", [_datum(effect) for effect in scene.effects]),
@@ -59,6 +61,65 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     ]
 
 
+def _explained_body(scene: Scene) -> list[tuple[str, list[str]]]:
+    """The same of a scene with an elastic body."""
+    return [
+        ("equation", _equation(scene)),
+        ("data", [_datum(effect) for effect in scene.effects if effect.key != "obstacle"]),
+        ("effects", _integrals(scene)),
+        ("with", [f"{name} = {formula.text}" for name, formula in scene.define.items()]),
+        ("obstacle", _body_obstacles(scene)),
+        ("boundary", _body_boundary(scene)),
+        ("discrete", _body_discrete(scene)),
+        ("mesh", [_mesh(scene)]),
+        ("solver", _body_solver(scene)),
+        ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
+        ("not included", ["friction; large displacements; contact of two elastic bodies"]),
+    ]
+
+
+def _body_obstacles(scene: Scene) -> list[str]:
+    lines = [f"{effect.text} {_where(scene.tables.boundary[getattr(effect, 'part', 0)])}" for effect in scene.effects
+             if effect.key == "obstacle"]  # fmt: skip
+    return [*lines, "u . n <= gap, p >= 0 where they touch, p = 0 elsewhere; n: along, the normal of a half-space, or "
+                    "the normal of the body"]  # fmt: skip
+
+
+def _body_boundary(scene: Scene) -> list[str]:
+    lines = []
+    for number, part in enumerate(scene.tables.boundary):
+        acting = " ".join(e.equation for e in scene.effects if getattr(e, "part", None) == number)
+        values = part.value if isinstance(part.value, tuple) else ()
+        given = [f"u_{axis} = {plain(one)}" for axis, one in zip("xyz", values, strict=False) if one != "free"]
+        lines += [f"{', '.join(given)} {_where(part)}"] if given else []
+        lines += [f"sigma(u) n = {acting} {_where(part)}"] if acting else []
+    return [*lines, "free: sigma(u) n = 0 on what is not listed"]
+
+
+def _body_discrete(scene: Scene) -> list[str]:
+    space = f"V_h, continuous {scene.pair.space}, one for each component"
+    lines = [f"a(u, v) + (1/eps) I((u . n - gap)^+, v . n) = f(v) for all v in {space}   (3.4)"]
+    if not scene.penalised:
+        lines = ["a(u, v - u) >= f(v - u) for all v in V_h with v . n <= gap at the nodes, u too   (3.19)"]
+    ordered = sorted(scene.effects, key=lambda effect: not effect.elastic)
+    lines.append("a(u, v) - f(v) = " + " ".join(effect.term for effect in ordered if effect.term))
+    lines.append("I: nodal rule of the facets where obstacles are   (3.5), (3.6)")
+    if scene.penalised:
+        auto = scene.options.eps == "auto"
+        value = "auto: a thousandth of the median of D_i/A_ii, about 1e-3 h/E" if auto else scene.options.formula.text
+        lines += ["p = (u . n - gap)^+ / eps at the nodes   (3.7), (3.8)", f"eps = {value}  [length^3/force]"]
+    return lines
+
+
+def _body_solver(scene: Scene) -> list[str]:
+    lines = [_why(scene), METHODS[scene.options.method], _steps(scene),
+             "each step: conjugate gradients with smoothed aggregation (GAMG) and rigid body motions"]  # fmt: skip
+    if any(effect.key == "obstacle" and "force" in effect.text for effect in scene.effects):
+        lines.append("an obstacle with a force is moved until it presses with it: a solve for each of its places, from "
+                     "the last solution")  # fmt: skip
+    return [*lines, "displacements are small: slopes above 0.2, or displacements above 0.2 of the body, are rejected"]
+
+
 def _datum(effect: Effect) -> str:
     unit = f"  [{effect.unit}]" if effect.unit else ""
     part = getattr(effect, "part", None)
@@ -70,7 +131,7 @@ def _equation(scene: Scene) -> list[str]:
     inside = [effect for effect in scene.effects if effect.table == "effects"]
     left = [effect.equation for effect in inside if effect.left]
     right = [effect.equation for effect in inside if not effect.left and effect.equation]
-    contact = ["p"] if scene.sides and not scene.model.thin else []
+    contact = ["p"] if scene.sides and not scene.model.thin and not scene.model.vector_valued else []
     return [f"{' + '.join(left).replace('+ -', '- ')} = {' + '.join(right + contact) or '0'}"]
 
 
@@ -283,6 +344,7 @@ def _exact(scene: Scene) -> list[str]:
 
 def _not_included(scene: Scene) -> str:
     named = {effect.key for effect in scene.effects}
-    absent = [key for key in (*sorted(known()), *sorted(known("boundary"))) if key not in named]
+    keys = (*sorted(known() - {"elasticity"}), *sorted(known("boundary") - set(OF_BODIES)))
+    absent = [key for key in keys if key not in named]
     absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in scene.sides]
     return "; ".join(absent) or "nothing"

@@ -16,7 +16,7 @@ from fenicsx_obstacle.problems.summary import report_in_words, uncertain
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.text import counted, title_of
+from fenicsx_obstacle.text import counted, title_of, vector_in_words
 
 NAME = "report.html"
 _PARTS = {  # of the bound: what makes each smaller
@@ -242,7 +242,11 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("energy", "none" if record["energy"] is None else f"{record['energy']:.10g}{uncertain(record, 'energy')}"),
         ("contact area", f"{contact['area']:.6g}{uncertain(record, 'contact', 'area')}"),
     ]
-    for side in [side for side in ("lower", "upper") if side in contact]:
+    if "resultant" in contact:
+        facts.append(("contact force", vector_in_words(contact["resultant"])))
+        names = {"half_width": "half-width of the contact", "peak": "peak of p", "approach": "approach"}
+        facts += [(name, f"{contact[key]:.6g}") for key, name in names.items() if contact.get(key) is not None]
+    for side in [side for side in ("lower", "upper") if side in contact and "resultant" not in contact]:
         error = uncertain(record, "contact", side, "force")
         facts.append((f"force on {side} obstacle", f"{contact[side]['force']:.6g}{error}"))
     facts.append(("penetration", f"{record['penetration']:.4g}{uncertain(record, 'penetration')}"))

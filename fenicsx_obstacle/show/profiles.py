@@ -65,6 +65,11 @@ def draw_line(answer: Answer, start: Sequence[float], end: Sequence[float], path
         InputError: If the line leaves the mesh, or the name is of no picture.
     """
     check_name(path)
+    if answer.scene.model.vector_valued:
+        raise InputError(
+            "--along: draws scalar u; of an elastic body nodes.csv has pressure and gap, and in Python "
+            "solution.along(start, end) has all quantities"
+        )
     profile = answer.along(start, end)
     outside = np.isnan(profile.u)
     if outside.any():

@@ -64,7 +64,11 @@ def report_command(
 
 def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool, newton: bool) -> tuple[Answer, str]:
     comm = answer.level.comm
-    write_free_boundary(answer, folder / "free_boundary.csv")
+    of_body = answer.scene.model.vector_valued  # which has nodes.csv instead of a free boundary
+    if of_body:
+        on_root(comm, (folder / "free_boundary.csv").unlink, True)
+    else:
+        write_free_boundary(answer, folder / "free_boundary.csv")
     file = folder / PICTURE if picture and _has_picture(answer) else None
     others = dict[str, Path]()
     if file is not None:

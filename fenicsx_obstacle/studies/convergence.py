@@ -188,7 +188,7 @@ class Study:
             from fenicsx_obstacle.answers.profiles import as_columns, profiles_of  # only where a scene names one
 
             extras["profiles"] = {name: as_columns(profile) for name, profile in profiles_of(answer).items()}
-        if by == "eps" and eps is not None:
+        if by == "eps" and eps is not None and not answer.scene.model.vector_valued:
             extras["to_vi"] = self._solves.to_reference(answer)
         at_rest = self.last.time is None
         if by == "h" and work.exact is not None and at_rest:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -16,6 +16,9 @@ from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import nested
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.bodies import BodyContext
 
 NEAR = 1.0  # layers of nodes by which contact may move so that the last solution is a better start than a coarse one
 
@@ -30,7 +33,7 @@ class Solves:
 
     def __init__(self, comm: MPI.Comm):
         self.comm = comm
-        self.work: SolverContext | None = None
+        self.work: SolverContext | BodyContext | None = None
         self._reference: Answer | None = None
         self._distance: Distance | None = None
         self._last: tuple[Mapping[str, Any], Answer] | None = None
@@ -53,7 +56,7 @@ class Solves:
         """
         near = None
         if self.work is None:
-            self.work = SolverContext(scene, self.comm)
+            self.work = self._context(scene)
         elif not self._serves(scene):
             self._reference = self._distance = None
             if meshes.same(self.work.scene, scene):
@@ -61,15 +64,22 @@ class Solves:
                 self.work = self.work.renewed(scene)
             else:
                 self.close()  # the old mesh goes before the new one comes
-                self.work = SolverContext(scene, self.comm)
+                self.work = self._context(scene)
         answer = self.work.answer(scene.options, yardstick=True, near=near, uncertainty=uncertainty)
         self._measure(values, answer)
         self._last = values, answer
         return answer
 
+    def _context(self, scene: Scene) -> SolverContext | BodyContext:
+        if not scene.model.vector_valued:
+            return SolverContext(scene, self.comm)
+        from fenicsx_obstacle.answers.bodies import BodyContext  # only where a scene has an elastic body
+
+        return BodyContext(scene, self.comm)
+
     def to_reference(self, answer: Answer) -> dict[str, float]:
         """Distance to the solution of the variational inequality on the mesh of the last solve (collective)."""
-        assert self.work is not None
+        assert isinstance(self.work, SolverContext)
         if self._reference is None:
             self._reference = self.work.answer(replace(self.work.options, method="vi"))
             self._distance = Distance(self.work.problem)

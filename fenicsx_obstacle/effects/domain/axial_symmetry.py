@@ -23,6 +23,7 @@ class AxialSymmetry(Effect):
 
     key = "axial_symmetry"
     radial = True
+    vector_valued = None
     dimension = (0, 0, 0)
     no_bound = "the error bound is for plane problems, not for axial symmetry"
 

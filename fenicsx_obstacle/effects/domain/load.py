@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 
 if TYPE_CHECKING:
     import ufl
@@ -22,6 +22,14 @@ class Load(Effect):
     upwinded = True
     unit = "force/area"
     dimension = (-2, 1, 1)
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
+        if isinstance(raw, list):
+            from fenicsx_obstacle.effects.body_force import BodyForce  # only where a scene has a vector
+
+            return BodyForce.read(raw, place, reader)
+        return cls(reader.value(raw, place))
 
     @property
     def area_load(self) -> Field:

@@ -1,0 +1,163 @@
+"""Solves scenes with an elastic body: mesh, ObstacleProblem, output quantities."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, fields
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.io.folder import NODES
+from fenicsx_obstacle.problems.solution import Files
+from fenicsx_obstacle.problems.vector_valued import VectorSolution
+from fenicsx_obstacle.scenes import meshes
+from fenicsx_obstacle.scenes.bodies import Body
+from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
+from fenicsx_obstacle.solvers.stopping import StepMonitor
+from fenicsx_obstacle.text import vector_in_words
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyAnswer(VectorSolution, Answer):
+    """A solution of a scene with an elastic body; pressures are >= 0, and normals those of the obstacles."""
+
+    @classmethod
+    def of(cls, solution: VectorSolution, scene: Scene, **changes: Any) -> BodyAnswer:
+        """A vector-valued solution with its scene."""
+        kept = {one.name: getattr(solution, one.name) for one in fields(VectorSolution)}
+        return cls(**{**kept, **changes}, scene=scene)
+
+    def functions(self) -> dict[str, fem.Function]:
+        return VectorSolution.functions(self)
+
+    def files(self, folder: Path, *given: Any) -> Files:
+        text, nodes = StringIO(), self.nodes
+        axes = "xyz"[: nodes.points.shape[1]]
+        heads = [*axes, *(f"n_{axis}" for axis in axes), "area", "p", "gap"]
+        columns = np.column_stack([nodes.points, nodes.normals, nodes.areas, nodes.pressure, nodes.gap])
+        np.savetxt(text, columns, fmt="%.12g", delimiter=",", header=",".join(heads), comments="")
+        return {**Answer.files(self, folder, *given), NODES: text.getvalue().encode()}
+
+    def _figures(self) -> list[str]:
+        contact, figures = self.record["contact"], super()._figures()
+        force = vector_in_words(contact["resultant"])
+        figures[1:3] = [f"contact area {contact['area']:.6g}", f"contact force {force}"]
+        for key, name in (("half_width", "half-width"), ("peak", "peak of p"), ("approach", "approach")):
+            if contact[key] is not None:
+                figures.append(f"{name} {contact[key]:.6g}")
+        return figures
+
+
+class BodyContext:
+    """Mesh and ObstacleProblem of a scene with an elastic body, for several solves that differ in their options only.
+
+    Attributes:
+        scene: What is solved.
+        options: Those of the scene, or given instead.
+        body: The problem on the mesh.
+    """
+
+    exact = None
+
+    def __init__(
+        self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, level: Any = None, options: SolverOptions | None = None
+    ):
+        """Assemble (collective).
+
+        Args:
+            scene: What to solve.
+            comm: Communicator; not used if the scene has a DOLFINx mesh.
+            level: The scene's mesh, where it is made already.
+            options: Of the solves, instead of those of the scene.
+        """
+        self.scene, self.options, started = scene, options or scene.options, time.perf_counter()
+        if level is None:
+            level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+        self.mesh_seconds = time.perf_counter() - started
+        self.body = Body(scene, level)
+        self._report = BodyReport(self.body)
+        self._report.check()
+        self.setup_seconds = time.perf_counter() - started - self.mesh_seconds
+
+    def renewed(self, scene: Scene) -> BodyContext:
+        """The same mesh with other data, and this solution as the start (collective)."""
+        level, u_values = self.body.level, self.body.u.x.array.copy()
+        self.close()
+        new = BodyContext(scene, level.comm, level)
+        new.body.u.x.array[:] = u_values
+        return new
+
+    def close(self) -> None:
+        """Free matrices and solvers; answers stay (collective)."""
+        del self.body, self._report
+
+    def answer(
+        self, options: SolverOptions | None = None, *, yardstick: bool = False, near: np.ndarray | None = None,
+        uncertainty: bool = False, monitor: StepMonitor | None = None,
+    ) -> BodyAnswer:  # fmt: skip
+        """Solve (collective).
+
+        Args:
+            options: How; by default as the context was made for.
+            yardstick: There is none for elastic bodies.
+            near: Not used: a solve starts from the last solution of its ObstacleProblem.
+            uncertainty: There is none for elastic bodies.
+            monitor: There is none.
+
+        Raises:
+            InputError: For a bad eps, or displacements that are not small.
+            NotConverged: With PETSc's reason.
+        """
+        scene, body, options = self.scene, self.body, options or self.options
+        if uncertainty:
+            scene.only_scalar("uncertainty")
+        start = time.perf_counter()
+        solution = body.solve(options)
+        known = contact_quantities(body, solution)
+        record = dict(solution.record)
+        numbers = {name: value if np.isfinite(value) else None for name, value in known.items()}
+        shape, table = body.level.shape, scene.tables
+        solve = self.setup_seconds + time.perf_counter() - start
+        record |= {
+            "scene": scene.name, "title": table.title, "refine": table.mesh.refine, "h": body.level.h,
+            "cells": None if shape is None else shape.cells[0],
+            "contact": {**record["contact"], **{key: numbers[key] for key in ("half_width", "peak", "approach")}},
+            "newton_total": record["newton_iterations"], "krylov_total": record["krylov_iterations"],
+            "seconds": {"total": self.mesh_seconds + solve, "mesh": self.mesh_seconds, "solve": solve},
+            "poisson_seconds": None, "poisson_units": None,
+        }  # fmt: skip
+        if remarks := [*body.level.remarks, *body.law.remarks]:
+            record["mesh_remarks"] = remarks
+        if scene.report:
+            record["report"] = self._report.of(solution, known)
+            if self._report.places:
+                record["report_places"] = self._report.places
+        # clocks differ between ranks: rank 0 speaks for all
+        return BodyAnswer.of(solution, scene.with_options(options), level=solution.level.with_parts(body.level),
+                             record=body.level.comm.bcast(record))  # fmt: skip
+
+
+def solve_body(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, **asked: Any) -> BodyAnswer:
+    """Solve a scene with an elastic body (collective).
+
+    Args:
+        scene: What to solve.
+        comm: Communicator; not used if the scene has a DOLFINx mesh.
+        **asked: Further arguments of `solve`, which are for scalar u; none may be given.
+
+    Raises:
+        InputError: If one is given, or the data are invalid.
+        NotConverged: With PETSc's reason.
+    """
+    for key, value in asked.items():
+        if value not in (None, False):
+            scene.only_scalar(key)
+    return BodyContext(scene, comm).answer()

@@ -1,0 +1,32 @@
+"""A pressure on a part of the boundary of an elastic body."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Sampler, register
+
+if TYPE_CHECKING:
+    import ufl
+
+
+@register
+class Pressure(OnPart):
+    """sigma(u) n = -pressure n with the outward normal n: + int pressure n . v; unit: force per area.
+
+    The formula is interpolated between the nodes of the part.
+    """
+
+    key = "pressure"
+    table = "boundary"
+    equation = "- pressure n"
+    term = "+ int pressure n . v over its part"
+    unit = "force/area"
+    vector_valued = True
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import FacetNormal, inner
+
+        pressure = data.on_part(self.value, self.part)
+        return pressure * inner(FacetNormal(v.ufl_domain()), v) * data.over(self.part, self.key)

@@ -1,0 +1,57 @@
+"""A force per area on a part of the boundary of an elastic body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fenicsx_obstacle.effects.body_force import components_of
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Reader, Sampler, register
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.text import counted
+
+if TYPE_CHECKING:
+    import ufl
+
+    from fenicsx_obstacle.effects.field import Field
+
+
+@register
+@dataclass(frozen=True)
+class Traction(OnPart):
+    """sigma(u) n = traction: - int traction . v; unit: force per area.
+
+    The formulas are interpolated between the nodes of the part.
+
+    Attributes:
+        value: Its components.
+        source: Where it stands, for messages.
+    """
+
+    value: tuple[Field, ...]  # type: ignore[assignment]
+    source: str
+
+    key = "traction"
+    table = "boundary"
+    equation = "traction"
+    term = "- int traction . v over its part"
+    unit = "force/area"
+    vector_valued = True
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Traction:
+        return cls(components_of(raw, place, reader), more["part"], f"{reader.source}: {place}")
+
+    @property
+    def text(self) -> str:
+        return f"[{', '.join(part.text for part in self.value)}]"
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        from ufl import as_vector, inner
+
+        if len(self.value) != len(u):
+            wanted = f"u has {counted(len(u), 'component')}"
+            raise InputError(f"{self.source}: has {counted(len(self.value), 'component')}, but {wanted}")
+        force = as_vector([data.on_part(one, self.part) for one in self.value])
+        return -inner(force, v) * data.over(self.part, self.key)

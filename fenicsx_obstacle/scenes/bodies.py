@@ -1,0 +1,371 @@
+"""A scene with an elastic body, as an ObstacleProblem on its mesh."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from petsc4py import PETSc
+from scipy.spatial import cKDTree
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.contact_nodes import KINK, over, vector_pair
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.reference import Reference
+from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
+from fenicsx_obstacle.effects.domain.elasticity import Elasticity
+from fenicsx_obstacle.effects.effect import residual
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
+
+MAX_SLOPE = 0.2  # norm of the gradient of u in the middle of a cell: strains and rotations are small
+MAX_SHARE = 0.2  # of the longest side of the body: displacements are small
+FIRST = 1e-4  # of the radius of an obstacle, or of the body: its first step after it touches
+REACHED = 1e-8  # relative difference of a force
+MOST_MOVES = 60
+SAME = 1e-9  # of the size of the body: one point
+CLOSE = 0.95  # cosine of the angle of two directions of the gap that one node may have
+
+
+class _Problem(ObstacleProblem):
+    def __init__(self, name: str, *given: Any, **options: Any):
+        self.name = name
+        super().__init__(*given, **options)
+
+
+@dataclass(frozen=True, eq=False)
+class Facing:
+    """An obstacle and the nodes that face it.
+
+    Attributes:
+        obstacle: The obstacle.
+        facets: Local facets of its part of the boundary.
+        dofs: Local dofs of V_h there.
+        points: Their coordinates on all ranks, shape (n, gdim).
+        travel: How far it has moved along `obstacle.moves`.
+    """
+
+    obstacle: Obstacle
+    facets: np.ndarray
+    dofs: np.ndarray
+    points: np.ndarray
+    travel: fem.Constant
+
+
+class Body:
+    """The elastic body of a scene on one mesh.
+
+    Attributes:
+        scene: The scene.
+        level: Mesh and scalar spaces.
+        data: The data of the scene, sampled.
+        law: Hooke's law.
+        facing: The obstacles.
+        gap: In V_h; 0 where there is no obstacle.
+        problem: Its ObstacleProblem.
+    """
+
+    def __init__(self, scene: Scene, level: Level):
+        """Sample, compile and assemble (collective).
+
+        Raises:
+            InputError: If the data are invalid.
+        """
+        level = replace(level, pair=vector_pair(level.pair))  # pressures at all nodes
+        self.scene, self.level = scene, level
+        self.data, self.vectors = Data(scene.model, level), over(level)
+        mesh, V = level.mesh, self.vectors.V
+        gdim = mesh.geometry.dim
+        if mesh.topology.dim != gdim or gdim == 1:
+            raise InputError(f"{scene.source}: elasticity is for plane and solid meshes, not for surfaces or intervals")
+        if scene.model.radial:
+            _ = self.data.radius  # rejects a mesh on both sides of the axis
+        elastic = scene.model.elastic
+        assert isinstance(elastic, Elasticity)
+        self.u, v = fem.Function(V, name="u"), ufl.TestFunction(V)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they are among the remarks
+            F, self.law = residual(scene.effects, self.u, v, self.data), elastic.law(self.u, self.data)
+        self._normals, self.gap = fem.Function(V), fem.Function(level.V)
+        self.facing = [self._faced(effect) for effect in scene.effects if isinstance(effect, Obstacle)]
+        if not self.facing:
+            raise InputError(f"{scene.source}: an elastic body without contact: give a [[boundary]] an obstacle")
+        if sum(one.obstacle.force is not None for one in self.facing) > 1:
+            raise InputError(
+                f"{scene.source}: several obstacles with a force: one can be moved until its force is reached"
+            )
+        self._distance = [self._compiled(one) for one in self.facing]
+        self.place()
+        self.problem = _Problem(
+            scene.source, F, self.u, bcs=self._conditions(), lower=self.gap, of=-ufl.dot(self.u, self._normals),
+            measure=self._measure(), stress=self.law.stress,
+        )  # fmt: skip
+
+    @property
+    def pressing(self) -> Facing | None:
+        """The obstacle that moves until its force is reached, or None."""
+        return next((one for one in self.facing if one.obstacle.force is not None), None)
+
+    def place(self) -> None:
+        """Compute the gaps, with the obstacles where they are now (collective).
+
+        Raises:
+            InputError: If a gap is not finite.
+        """
+        for one, distance in zip(self.facing, self._distance, strict=True):
+            here = fem.Function(self.level.V)
+            here.interpolate(distance)
+            values = here.x.array[one.dofs]
+            if one.obstacle.value is not None:
+                values = values + self.data.on_part(one.obstacle.value, one.obstacle.part).x.array[one.dofs]
+            self.gap.x.array[one.dofs] = -values  # -u . n >= -gap
+        self.gap.x.scatter_forward()
+        self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle")
+
+    def solve(self, options: SolverOptions) -> VectorSolution:
+        """Solve; an obstacle with a force is moved until it presses with it (collective).
+
+        Raises:
+            InputError: If no u can satisfy the data, or the force is not reached.
+            NotConverged: With PETSc's reason.
+        """
+        eps = options.eps
+        if isinstance(eps, EpsFormula):
+            eps = eps.value(self.level.h)
+        solve = partial(self._solved, "auto" if options.method == "vi" else eps, options.method)
+        solution = solve() if self.pressing is None else self._pressed(self.pressing, solve)
+        self._check_small(solution)
+        return solution
+
+    def _solved(self, eps: Any, method: str) -> VectorSolution:
+        solution = self.problem.solve(eps=eps, method=method)
+        assert isinstance(solution, VectorSolution)
+        return solution
+
+    def _pressed(self, one: Facing, solve: Callable[[], VectorSolution]) -> VectorSolution:
+        """The solution with the obstacle moved until it presses with its force (collective).
+
+        The power of the force that is nearly linear in the approach for Hertz's contact is interpolated linearly
+        between the nearest points on both sides (regula falsi in the version of Illinois).
+        """
+        obstacle, place = one.obstacle, f"{one.obstacle.source}.force"
+        assert obstacle.force is not None
+        power = 2 / 3 if obstacle.kind == "sphere" else 1.0
+        goal = obstacle.force**power
+        size = obstacle.radius or self.data.extent
+        touching, step = self._touching(one), FIRST * size
+        low, high = (touching, -goal), (np.nan, np.nan)  # places, and how far beyond the goal the power of the force is
+        travel, last = touching + step, 0
+        for _ in range(MOST_MOVES):
+            self._move(one, travel)
+            solution = solve()
+            force = float(part_of(one, solution.nodes).resultant @ np.array(obstacle.moves))
+            if abs(force - obstacle.force) <= REACHED * obstacle.force:
+                return solution
+            beyond = max(force, 0.0) ** power - goal
+            if beyond < 0:
+                high = (high[0], high[1] / 2) if last == -1 else high
+                low, last = (travel, beyond), -1
+            else:
+                low = (low[0], low[1] / 2) if last == 1 else low
+                high, last = (travel, beyond), 1
+            if np.isnan(high[0]):
+                share = (beyond + goal) / goal  # of the power of the force that is reached
+                travel = touching + (travel - touching) * min(max(1.1 / max(share, 1e-9), 1.5), 20.0)
+                if travel - touching > size + self.data.extent:
+                    break
+            else:
+                travel = low[0] - low[1] * (high[0] - low[0]) / (high[1] - low[1])
+        raise InputError(f"{place} = {obstacle.force:g}: is not reached; does the obstacle move towards the body?")
+
+    def _move(self, one: Facing, travel: float) -> None:
+        """Move an obstacle, and nodes of u that touch it with it, as a start (collective)."""
+        gdim, nodes, before = self.level.mesh.geometry.dim, self.vectors.node_of[one.dofs], self.gap.x.array.copy()
+        one.travel.value = travel
+        self.place()
+        u, n = (part.x.array.reshape(-1, gdim) for part in (self.u, self._normals))
+        reached = np.einsum("ij,ij->i", u[nodes], n[nodes]) + before[one.dofs]  # u . n - gap
+        closed = reached >= -SAME * self.data.extent
+        beyond = before[one.dofs] - self.gap.x.array[one.dofs] + SAME * self.data.extent  # the start is put on it
+        u[nodes] += np.where(closed, beyond, 0.0)[:, None] * n[nodes]
+
+    def _touching(self, one: Facing) -> float:
+        """How far an obstacle is moved until it touches the body at rest (collective).
+
+        Raises:
+            InputError: If it does not come nearer.
+        """
+
+        def least(travel: float) -> float:
+            one.travel.value = travel
+            self.place()
+            return -largest(self.level.comm, self.gap.x.array[one.dofs])
+
+        nearer = least(0.0) - least(FIRST * self.data.extent)
+        if nearer <= 0:
+            raise InputError(f"{one.obstacle.source}.moves = {list(one.obstacle.moves)}: away from the body")
+        travel = 0.0
+        for _ in range(MOST_MOVES):  # along a curved surface the gap is not linear
+            travel += (gap := least(travel)) * FIRST * self.data.extent / nearer
+            if abs(gap) <= SAME * self.data.extent:
+                break
+        return travel
+
+    def _check_small(self, solution: VectorSolution) -> None:
+        """Reject solutions that are no small displacements (collective).
+
+        Raises:
+            InputError: With the slope or the displacement.
+        """
+        comm, reference = self.level.comm, Reference(self.level.mesh)
+        cells, middle = np.arange(own_cells(self.level.mesh)), reference.weights(reference.vertices.mean(axis=0))
+        parts = [self.vectors.component(solution.u, k) for k in range(self.vectors.components)]
+        squares = sum((reference.gradients(part, cells, middle[None, None]) ** 2).sum(axis=(1, 2)) for part in parts)
+        slope = float(np.sqrt(largest(comm, squares)))
+        size = float(np.sqrt(largest(comm, sum(part.x.array**2 for part in parts))))
+        for what, found, most in (("slopes", slope, MAX_SLOPE), ("a size", size / self.data.extent, MAX_SHARE)):
+            if found > most:
+                of_body = "" if what == "slopes" else " of the body's"
+                raise InputError(
+                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}: elasticity is for "
+                    f"small ones, up to {most:g}; take smaller loads, a stiffer body, or an obstacle that is nearer"
+                )
+
+    def _faced(self, obstacle: Obstacle) -> Facing:
+        """An obstacle with its nodes; sets the directions of the gap there (collective)."""
+        level, gdim = self.level, self.level.mesh.geometry.dim
+        obstacle.check(gdim, axial=self.scene.model.radial)
+        facets = self.data.facets[obstacle.part]
+        if total(level.comm, np.count_nonzero(~np.isin(facets, level.boundary_facets))) > 0:
+            raise InputError(f"{obstacle.source}: a part of it is inside the body; contact is on the boundary")
+        dofs = self.data.dofs_on(facets)
+        own = dofs[dofs < level.owned]
+        points = np.concatenate(level.comm.allgather(level.points.T[own, :gdim]))
+        self._set_normals(obstacle, facets, dofs)
+        return Facing(obstacle, facets, dofs, points, fem.Constant(level.mesh, PETSc.ScalarType(0.0)))
+
+    def _set_normals(self, obstacle: Obstacle, facets: np.ndarray, dofs: np.ndarray) -> None:
+        """The directions of the gap at the nodes of a part (collective)."""
+        node_of, gdim = self.vectors.node_of, self.level.mesh.geometry.dim
+        table = self._normals.x.array.reshape(-1, gdim)
+        nodes = node_of[dofs]
+        if obstacle.measured:
+            found = np.tile(obstacle.measured, (len(nodes), 1))
+        elif obstacle.kind == "plane":
+            found = -np.tile(obstacle.direction, (len(nodes), 1))
+        else:
+            found = self._of_body(obstacle, facets)[nodes]
+        before = table[nodes]
+        other = (np.linalg.norm(before, axis=1) > 0) & (np.einsum("ij,ij->i", before, found) < CLOSE)
+        self._refuse(other, dofs, f"{obstacle.source}: meets another part with an obstacle, whose gap has another "
+                                  "direction; leave facets between them, or give both the same 'along',")  # fmt: skip
+        table[nodes] = found
+        self._normals.x.scatter_forward()
+
+    def _of_body(self, obstacle: Obstacle, facets: np.ndarray) -> np.ndarray:
+        """Means of the normals of facets, at local nodes; of quadratic elements linear between vertices
+        (collective)."""
+        mesh, gdim = self.level.mesh, self.level.mesh.geometry.dim
+        linear = releases.functionspace(mesh, "Lagrange", 1, gdim)
+        ds, v, n = self._over(facets), ufl.TestFunction(linear), ufl.FacetNormal(mesh)
+        sums, sizes = (_assembled(form, linear) for form in (ufl.inner(n, v) * ds, v[0] * ds))
+        vectors, weights = sums.x.array.reshape(-1, gdim), sizes.x.array.reshape(-1, gdim)[:, 0]
+        lengths = np.linalg.norm(vectors, axis=1)
+        there = weights > 0
+        kinks = there & (lengths < KINK * weights)
+        found = [np.round(x, 12).tolist() for x in linear.tabulate_dof_coordinates()[kinks][:1]]
+        found = [x for part in mesh.comm.allgather(found) for x in part]
+        if found:
+            place = ", ".join(f"{x:.4g}" for x in min(found)[:gdim])
+            raise InputError(f"{obstacle.source}: the body has an edge at ({place}), where facets with different "
+                             "normals meet; give 'along', or a table [[boundary]] for each side")  # fmt: skip
+        vectors[there] /= lengths[there][:, None]
+        on_body = fem.Function(self.vectors.V)
+        on_body.interpolate(sums)
+        units = on_body.x.array.reshape(-1, gdim).copy()
+        size = np.linalg.norm(units, axis=1)
+        units[size > 0] /= size[size > 0][:, None]
+        return units
+
+    def _refuse(self, bad: np.ndarray, dofs: np.ndarray, words: str) -> None:
+        """All ranks raise if any of some dofs is bad, naming one place (collective)."""
+        points = self.level.points.T[dofs[bad]]
+        found = [one for one in self.level.comm.allgather(points[0].tolist() if len(points) else None) if one]
+        if found:
+            raise InputError(f"{words} at {self.data.place(np.array(min(found)))}")
+
+    def _compiled(self, one: Facing) -> fem.Expression:
+        """The gap of an obstacle with a shape, at the nodes of V_h."""
+        x, n = ufl.SpatialCoordinate(self.level.mesh), self._normals
+        moves = one.obstacle.moves or (0.0,) * len(n)
+        gap = one.obstacle.gap(x, [n[k] for k in range(len(n))], [part * one.travel for part in moves])
+        return releases.expression(gap, self.level.V)
+
+    def _over(self, facets: np.ndarray) -> ufl.Measure:
+        mesh = self.level.mesh
+        tags = dmesh.meshtags(mesh, mesh.topology.dim - 1, np.unique(facets), np.ones(len(np.unique(facets)), np.int32))
+        return ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
+
+    def _measure(self) -> Any:
+        """Of all parts with an obstacle, with the radius in axial symmetry."""
+        return self.law.over(self._over(np.concatenate([one.facets for one in self.facing])))
+
+    def _conditions(self) -> list[Any]:
+        """Dirichlet conditions of the components that are given (collective)."""
+        V, mesh, found = self.vectors.V, self.level.mesh, []
+        for number, part in enumerate(self.scene.model.boundary):
+            if part.components and len(part.components) != mesh.geometry.dim:
+                wanted = f"u has {mesh.geometry.dim} components"
+                raise InputError(f"{self.scene.source}: {part.name} value: has {len(part.components)}, but {wanted}")
+            for k, field in enumerate(part.components):
+                if field is not None:
+                    dofs = fem.locate_dofs_topological(
+                        (V.sub(k), self._component_space), mesh.topology.dim - 1, self.data.facets[number]
+                    )
+                    found.append(fem.dirichletbc(self._given(field, number), dofs, V.sub(k)))
+        return found
+
+    @cached_property
+    def _component_space(self) -> fem.FunctionSpace:
+        return self.vectors.V.sub(0).collapse()[0]
+
+    def _given(self, field: Field, part: int) -> fem.Function:
+        """A component of u on a part of the boundary (collective)."""
+        given = fem.Function(self._component_space)
+        given.interpolate(self.data.on_part(field, part))
+        return given
+
+
+def part_of(one: Facing, nodes: ContactTable) -> ContactTable:
+    """The contact nodes that face an obstacle."""
+    size = np.ptp(nodes.points, axis=0).max(initial=0.0)
+    near = cKDTree(one.points).query(nodes.points)[0] <= SAME * size
+    return ContactTable(
+        nodes.points[near], nodes.normals[near], nodes.areas[near], nodes.pressure[near], nodes.gap[near]
+    )
+
+
+def _assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
+    """A linear form at local dofs, ghosts included (collective)."""
+    vector = fem.petsc.assemble_vector(releases.form(form))
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    found = fem.Function(V)
+    own = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
+    found.x.array[:own] = vector.array_r[:own]
+    found.x.scatter_forward()
+    vector.destroy()
+    return found

@@ -1,0 +1,85 @@
+"""Output quantities of elastic bodies: of the contact, and those of [report]."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+
+import numpy as np
+
+from fenicsx_obstacle.effects.boundary.obstacle import HERTZ
+from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
+from fenicsx_obstacle.scenes.bodies import Body, Facing, part_of
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.functionals import Report
+from fenicsx_obstacle.scenes.report import BODY_QUANTITIES
+
+INNER = 0.9  # of the half-width: the pressure at its edge says little about the peak
+
+
+class BodyReport(Report):
+    """The [report] of a scene with an elastic body on one mesh."""
+
+    def __init__(self, body: Body):
+        super().__init__(body.data, body.scene)
+
+    def of(self, solution: VectorSolution, known: Mapping[str, float]) -> dict[str, float | None]:
+        """All output quantities, in order; None if one is not finite (collective).
+
+        Args:
+            solution: On this mesh.
+            known: Those of `contact_quantities`.
+        """
+        parts = {f"u_{axis}": solution.level.component(solution.u, k) for k, axis in enumerate("xyz"[: self._dim])}
+        self._nodal = {**parts, "p": solution.pressure, "contact": solution.contact}
+        if solution.von_mises is not None:
+            self._nodal["von_mises"] = solution.von_mises
+        return self._evaluated(known)
+
+    @property
+    def _dim(self) -> int:
+        return self.level.mesh.geometry.dim
+
+    def _is_known(self, formula: Formula) -> bool:
+        names = {node.id for node in ast.walk(formula.tree) if isinstance(node, ast.Name)}
+        return super()._is_known(formula) and not names & set(BODY_QUANTITIES)
+
+
+def contact_quantities(body: Body, solution: VectorSolution) -> dict[str, float]:
+    """Numbers of the contact by their names in [report]; those that a body does not have are not-a-number.
+
+    half_width and peak are those of the first sphere or cylinder: the half-width by the second moment of the pressure
+    about its centre, for a pressure of Hertz's shape; the peak by a fit of p^2, linear in the square of the distance
+    from the centre. Other obstacles have the largest pressure as peak.
+    """
+    nodes, found = solution.nodes, dict.fromkeys(BODY_QUANTITIES, np.nan)
+    moment = np.atleast_1d(nodes.moment())
+    found |= {f"force_{axis}": float(x) for axis, x in zip("xyz", nodes.resultant, strict=False)}
+    names = ("moment",) if len(moment) == 1 else ("moment_x", "moment_y", "moment_z")
+    found |= {name: float(x) for name, x in zip(names, moment, strict=True)}
+    found |= {"contact_area": solution.area, "peak": float(nodes.pressure.max(initial=0.0))}
+    round_one = next((one for one in body.facing if one.obstacle.kind in HERTZ), None)
+    if round_one is not None:
+        found["half_width"], found["peak"] = _hertzian(round_one, part_of(round_one, nodes))
+    if body.pressing is not None:
+        found["approach"] = float(body.pressing.travel.value)
+    return found
+
+
+def _hertzian(one: Facing, nodes: ContactTable) -> tuple[float, float]:
+    """Half-width and peak of the pressure below a sphere or a cylinder."""
+    forces = nodes.pressure * nodes.areas
+    peak = float(nodes.pressure.max(initial=0.0))
+    if not forces.sum() > 0:
+        return 0.0, peak
+    arms = nodes.points - np.array(one.obstacle.point)
+    across = [nodes.resultant / np.linalg.norm(nodes.resultant)]
+    across += [np.array(one.obstacle.direction)] if one.obstacle.direction else []
+    for unit in across:
+        arms = arms - (arms @ unit)[:, None] * unit
+    square = (arms**2).sum(axis=1)
+    half_width = float(np.sqrt(HERTZ[one.obstacle.kind] * (forces @ square) / forces.sum()))
+    inner = square < (INNER * half_width) ** 2
+    if np.count_nonzero(inner) > 2:
+        peak = float(np.sqrt(max(np.polyfit(square[inner], nodes.pressure[inner] ** 2, 1)[1], 0.0)))
+    return half_width, peak
