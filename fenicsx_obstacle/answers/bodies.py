@@ -22,7 +22,6 @@ from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.stopping import StepMonitor
-from fenicsx_obstacle.text import vector_in_words
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,15 +44,6 @@ class BodyAnswer(VectorSolution, Answer):
         columns = np.column_stack([nodes.points, nodes.normals, nodes.areas, nodes.pressure, nodes.gap])
         np.savetxt(text, columns, fmt="%.12g", delimiter=",", header=",".join(heads), comments="")
         return {**Answer.files(self, folder, *given), NODES: text.getvalue().encode()}
-
-    def _figures(self) -> list[str]:
-        contact, figures = self.record["contact"], super()._figures()
-        force = vector_in_words(contact["resultant"])
-        figures[1:3] = [f"contact area {contact['area']:.6g}", f"contact force {force}"]
-        for key, name in (("half_width", "half-width"), ("peak", "peak of p"), ("approach", "approach")):
-            if contact[key] is not None:
-                figures.append(f"{name} {contact[key]:.6g}")
-        return figures
 
 
 class BodyContext:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, vector_in_words
 
 PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
 LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
@@ -137,10 +137,14 @@ def main_values(r: Mapping[str, Any]) -> list[str]:
     figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}{uncertain(r, 'energy')}"]
     if sides:
         figures.append(f"contact area {contact['area']:.6g}{uncertain(r, 'contact', 'area')}")
-        figures += [f"force on {side} obstacle {contact[side]['force']:.6g}{uncertain(r, 'contact', side, 'force')}"
-                    for side in sides]  # fmt: skip
+        if "resultant" in contact:
+            figures.append(f"contact force {vector_in_words(contact['resultant'])}")
+        else:
+            figures += [f"force on {side} obstacle {contact[side]['force']:.6g}{uncertain(r, 'contact', side, 'force')}"
+                        for side in sides]  # fmt: skip
         figures.append(f"penetration {r['penetration']:.3g}{uncertain(r, 'penetration')}")
-    return figures
+    known = {key: contact.get(key) for key in ("half_width", "peak", "approach")}  # of an elastic body
+    return figures + [f"{key.replace('_', '-')} {value:.6g}" for key, value in known.items() if value is not None]
 
 
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
