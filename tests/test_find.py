@@ -101,7 +101,10 @@ def test_command(tmp_path):
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert abs(rows[-1]["contact"]["lower"]["force"] - 2) < 1e-3
     assert len((tmp_path / "f" / "rows.jsonl").read_text().splitlines()) == len(rows)
-    assert (tmp_path / "f" / "report.html").exists() and (tmp_path / "f" / "last" / "answer.json").exists()
+    page = (tmp_path / "f" / "report.html").read_text()
+    last = page[: page.index("</tbody>")].rpartition("<tr><td>")[2]
+    assert last.startswith(f"{rows[-1]['vary']['define.q']:.6g}")
+    assert (tmp_path / "f" / "last" / "answer.json").exists()
     again = run(*command, "--json", "-", cwd=tmp_path)
     assert [json.loads(line)["key"] for line in again.stdout.splitlines()] == [row["key"] for row in rows]
     assert len((tmp_path / "f" / "rows.jsonl").read_text().splitlines()) == len(rows)

@@ -15,7 +15,7 @@ from fenicsx_obstacle.show.report import report_answer, report_study
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = """--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking
---disable-component-update --disable-sync --window-size=1000,1400""".split()  # noqa: SIM905
+--disable-component-update --disable-sync --window-size=1000,2400""".split()  # noqa: SIM905
 NASTY = '<script>alert("x")</script> & Sons, $\\no{formula$'
 
 

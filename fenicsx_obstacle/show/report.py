@@ -206,6 +206,10 @@ def _report(
             answers[:] = [answer]
 
     rows = study.run(on_row, store)
+    if isinstance(study, Find):  # on the page the last row is the one that was found
+        table.rows.clear()
+        for row in rows:
+            table.lines(row)
     for note in table.notes():
         say(fill(note, 110))
     if latex is not None:
