@@ -118,8 +118,8 @@ class AdaptiveMesh:
 
     Attributes:
         dofs: Unknowns.
-        total: Bound of the energy error.
-        relative: The bound over the energy norm of u; None where that is 0.
+        total: Bound of the energy error; with a goal, the error of that quantity.
+        relative: The same over the energy norm of u, or over the quantity; None where that is 0.
         eps: Penalty parameter, in units of u/p; None for the variational inequality.
         seconds: Wall-clock time from the start of the solve.
         memory_mb: Peak memory of all ranks until then, in MB.
@@ -134,15 +134,41 @@ class AdaptiveMesh:
 
 
 @dataclass(frozen=True)
+class Quantity:
+    """An output quantity that had a tolerance.
+
+    Attributes:
+        name: energy, force, force.lower, force.upper, or a name of [report].
+        value: In its own unit; of the energy with a guaranteed error the middle of its bounds.
+        error: Guaranteed or estimated error of the value.
+        relative: The same over the absolute value; None where that is 0.
+        words: 'estimated'; or 'guaranteed', as far as the words of the bound say.
+        mesh: Part of the error due to the mesh, which is all of a guaranteed one.
+        penalty: Part due to eps.
+        dofs: Unknowns of the finest mesh that was solved for the estimate.
+    """
+
+    name: str
+    value: float
+    error: float
+    relative: float | None
+    words: str
+    mesh: float
+    penalty: float
+    dofs: int
+
+
+@dataclass(frozen=True)
 class Adaptive:
     """How a tolerance was reached, or why it was not.
 
     Attributes:
-        tolerance: Of the energy error.
-        relative: Whether the tolerance is relative to the energy norm of u.
-        reached: Whether the bound of the energy error is below the tolerance.
+        tolerance: Of the energy error, or of the error of a quantity.
+        relative: Whether the tolerance is relative to the energy norm of u, or to the quantity.
+        reached: Whether the bound, or the estimate, of the error is below the tolerance.
         stopped: What ended the refinement otherwise; "" if the tolerance is reached.
         path: The meshes, the coarsest first.
+        of: The quantity; "" for the energy error.
     """
 
     tolerance: float
@@ -150,6 +176,7 @@ class Adaptive:
     reached: bool
     stopped: str
     path: tuple[AdaptiveMesh, ...]
+    of: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +200,11 @@ class Profile:
     gap: np.ndarray
     slope: np.ndarray
     flux: np.ndarray | None
+
+
+def goal_in_words(goal: Quantity) -> str:
+    """The quantity that had a tolerance, with its error, in words."""
+    return f"{goal.name} = {goal.value:.10g} +- {goal.error:.2g} ({goal.words})"
 
 
 T = TypeVar("T")
@@ -288,6 +320,12 @@ class Solution:
             return None
         path = tuple(_from_record(AdaptiveMesh, mesh) for mesh in found["path"])
         return _from_record(Adaptive, {**found, "path": path})
+
+    @property
+    def goal(self) -> Quantity | None:
+        """The quantity that had a tolerance, with its error; None where none had one."""
+        found = self.record.get("goal")
+        return None if found is None else _from_record(Quantity, found)
 
     @property
     def seconds(self) -> Seconds:
@@ -523,6 +561,8 @@ class Solution:
             most = "at most" if b["words"].startswith("certified") else "about"
             times = self._effectivity()
             lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
+        if (goal := self.goal) is not None:
+            lines.append("  " + goal_in_words(goal))
         lines += self._enclosure() + self._tolerance()
         if r.get("report"):
             lines.append("  report: " + ", ".join(f"{name} = {words}" for name, words in report_in_words(r).items()))
@@ -584,7 +624,12 @@ class Solution:
             return []
         kind = "relative" if adaptive["relative"] else "absolute"
         goal = f"{kind} tolerance {adaptive['tolerance']:g}"
-        if adaptive["reached"]:
+        if adaptive.get("of"):
+            goal += f" for {adaptive['of']}"
+            if adaptive["reached"]:
+                where = f"on mesh {len(adaptive['path'])}"
+                return [f"  the {goal} is reached, {where}; eps and meshes were chosen for it"]
+        elif adaptive["reached"]:
             kind, _, what = self.record["bound"]["words"].partition(":")[0].partition("certified")
             words = ", by an indicator only" if kind else f",{what}" if what else ""
             where = f"on mesh {len(adaptive['path'])}"
