@@ -143,7 +143,7 @@ class EquilibrationP1(ABC):
         """
         simplices, patches, V = self.simplices, self.patches, self.level.V
         beta = simplices.along_normals(simplices.gradient(u) * (-self.mu / simplices.dim))
-        force, along_parts = self.parts.forces(u, patches), np.zeros(beta.shape)
+        force, along_parts = self.parts.forces(u), np.zeros(beta.shape)
         np.add.at(along_parts, self.parts.cells, force)
         drops, averaged = self._drops(beta + along_parts, self._all_moments(u))
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
