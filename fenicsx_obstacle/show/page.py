@@ -246,7 +246,8 @@ def _goal(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
     relative = "" if goal["relative"] is None else f", {goal['relative']:.3g} of the value"
     known = [(goal["name"], f"{goal['value']:.10g} +- {goal['error']:.2g}{relative}"), ("the error is", goal["words"])]
     if goal["words"] == "estimated":
-        known += [("part: mesh", f"{goal['mesh']:.3g}: a finer mesh reduces it, of {goal['dofs']} unknowns here")]
+        on = f"estimated on a mesh with {goal['dofs']} unknowns"
+        known += [("part: mesh", f"{goal['mesh']:.3g}: a finer mesh reduces it; {on}")]
         known += [("part: penalty", f"{goal['penalty']:.3g}: a smaller eps reduces it")]
     return known
 
