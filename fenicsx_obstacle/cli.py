@@ -36,6 +36,7 @@ def commands() -> None:
 @click.option("--bound", is_flag=True, help="Compute an upper bound of the energy error.")
 @click.option("--tol", type=float, metavar="R", help="Refine until the relative energy error is below R, or status 4.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
+@click.option("--of", "goal", metavar="NAME", help="The tolerance is for this: energy, force, or a name of [report].")
 @click.option("--budget", metavar="LIMIT", help="With a tolerance: a limit such as 60s, 8GB or '1e6 unknowns'.")
 @click.option("--uncertainty", is_flag=True, help="Estimate the error of each value from two coarser meshes.")
 @click.option("--restart", type=Place(), metavar="DIR", help="With [time]: continue from the state in this folder.")
@@ -47,6 +48,7 @@ def solve(
     bound: bool,
     tol: float | None,
     tol_absolute: float | None,
+    goal: str | None,
     budget: str | None,
     uncertainty: bool,
     restart: Path | None,
@@ -73,7 +75,7 @@ def solve(
     check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
         answer = solve(
-            scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget,
+            scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, goal=goal, budget=budget,
             restart=restart, keep=folder if scene.time is not None else None, uncertainty=uncertainty,
         )  # fmt: skip
         answer.save(folder)

@@ -77,6 +77,7 @@ def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
         return 0
     if MPI.COMM_WORLD.rank == 0:
         what = f"the {'relative' if adaptive['relative'] else 'absolute'} tolerance {adaptive['tolerance']:g}"
+        what += f" for {adaptive['of']}" if adaptive.get("of") else ""
         click.echo(f"Error: {what} is not reached: {adaptive['stopped']}; the last answer is in {folder}", err=True)
     return NOT_REACHED
 

@@ -50,23 +50,36 @@ SMOOTH = "sin(x)*cosh(y) + x^2"  # -Laplace u = -2
 
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_flux_and_springs(method):
-    """tension du/dn = flux - spring u, by the name of a side and by a formula: orders of the membrane alone."""
+    """tension du/dn = flux - spring u, by the name of a side and by a formula: orders of the membrane alone, on meshes
+    on which the error of the membrane is the larger one."""
     parts = [
         {"on": ["left", "bottom"], "value": SMOOTH},
         {"on": "right", "flux": "2*(cos(x)*cosh(y) + 2*x)"},
         {"where": "y > 1 - 1e-9", "spring": "1 + x", "flux": f"2*sin(x)*sinh(y) + (1 + x)*({SMOOTH})"},
     ]
-    check_orders(above(SMOOTH, "-4", tension=2, boundary=parts), method)
+    check_orders(above(SMOOTH, "-4", tension=2, boundary=parts), method, cells=(64, 128))
 
 
 @pytest.mark.parametrize("element", slow_except(["P1", "P2", "Q1", "Q2"], "P2"))
 def test_springs_of_all_elements(element):
-    """The formula of a side is interpolated, springs take the nodal rule: no element loses its order 2."""
+    """Fluxes and springs take the nodal rule of the side: no element loses its order 2."""
     parts = [{"on": ["left", "bottom", "top"], "value": "exp(x)*cos(y)"},
              {"on": "right", "spring": 3, "flux": "4*exp(x)*cos(y)"}]  # fmt: skip
     scene = membrane(exact="exp(x)*cos(y)", boundary=parts)
     coarse, fine = (solve(scene, element=element, cells=n).record["errors"]["l2"] for n in (8, 16))
     assert coarse / fine > 2**1.9
+
+
+def test_springs_that_jump_within_a_side():
+    """Springs of 1e4 beside a soft tension, which end inside an edge: order 1 in energy, and in L2 within 1 % of the
+    error without them."""
+    spring, u = "1e4*where(y < 0.613, 1, 0)", "x^2 + y^2"
+    rest = {"on": ["left", "bottom", "top"], "value": u}
+    soft, stiff = ([rest, {"on": "right", "flux": f"2*x + {k}*({u})", "spring": k}] for k in ("0", spring))
+    errors = [solve(membrane(exact=u, load=-4, boundary=parts), cells=n).errors for parts, n in (
+        (stiff, 8), (stiff, 16), (soft, 16))]  # fmt: skip
+    assert errors[0].energy / errors[1].energy > 2**0.95 and errors[1].energy < 1.01 * errors[2].energy
+    assert errors[1].l2 < 1.01 * errors[2].l2
 
 
 def test_string_on_a_spring():

@@ -53,6 +53,7 @@ def solve(
     bound: bool = False,
     tol: float | None = None,
     tol_absolute: float | None = None,
+    goal: str | None = None,
     budget: str | None = None,
     restart: str | Path | None = None,
     keep: str | Path | None = None,
@@ -73,6 +74,9 @@ def solve(
         bound: Bound the error: answer.bound.
         tol: Tolerance for the relative error in the energy norm; the mesh and, if it is auto, eps are chosen.
         tol_absolute: The same in the unit of the energy norm.
+        goal: The tolerance is for this quantity instead, relative to its value or in its unit: energy, force
+            (force.lower or force.upper where there are two obstacles), or a name of [report] that depends on u
+            differentiably.
         budget: With a tolerance: a limit, "60s", "8GB" or "1e6 unknowns"; the best solution so far is returned.
         restart: With [time]: continue from the state in this folder, saved by any number of ranks.
         keep: With [time]: folder for the state, saved every 20 s and at the end.
@@ -102,9 +106,14 @@ def solve(
                 "--uncertainty takes three meshes whose cells halve, which adaptive meshes do not: with a tolerance "
                 "there is the error bound; for an uncertainty of each value give --cells or --refine instead of --tol"
             )
+        if goal is not None:
+            from fenicsx_obstacle.answers.goal import GoalAdaptation  # only where there is one
+
+            return GoalAdaptation(scene, goal, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
         return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
-    if budget is not None:
-        raise InputError("a budget needs a tolerance: add --tol")
+    for name, given_one in (("a budget", budget), ("--of", goal)):
+        if given_one is not None:
+            raise InputError(f"{name} needs a tolerance: add --tol")
     with closing(SolverContext(scene, comm)) as context:
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
         answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False,
@@ -121,10 +130,12 @@ class Refinement:
         options: How, with the present eps.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
+        budget: Its limits.
     """
 
-    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD):
+    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, budget: Budget | None = None):
         self.scene, self.options, self.full = scene, scene.options, False
+        self.budget = budget or Budget()
         self.given = scene.options.eps != "auto"  # eps is the user's
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self.path: list[dict[str, Any]] = []
@@ -153,12 +164,13 @@ class Refinement:
         benches = [context]
         try:
             while True:
-                answer = self._balanced(context)
+                answer = self.balanced(context)
+                self.note(answer, _bound(answer).total, _bound(answer).relative)
                 paused = time.perf_counter()
                 yield context, answer
                 self._started += time.perf_counter() - paused
                 bulk = self.bulk if share is None else share(answer)
-                finer = context.refined(_marked(_indicator(answer), bulk, self.comm))
+                finer = context.refined(marked(_indicator(answer), bulk, self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
@@ -169,12 +181,12 @@ class Refinement:
         finally:
             close(benches)
 
-    def _balanced(self, context: SolverContext) -> Answer:
+    def balanced(self, context: SolverContext) -> Answer:
         """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
         first = not self.path  # a wrong exact solution is reported on the first mesh
         answer = context.answer(self.options, bound=True, errors=first)
         bound = _bound(answer)
-        while self._may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
+        while self.may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
             eps = answer.record["eps"] * max(
                 0.02, PENALTY_SHARE_AHEAD * BALANCED * bound.discretisation / bound.penalty
             )
@@ -183,14 +195,41 @@ class Refinement:
             bound = _bound(answer)
             if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
                 break
-        record = answer.record
-        self.path.append({"dofs": record["dofs"], "total": bound.total, "relative": bound.relative,
-                          "eps": record["eps"], "seconds": time.perf_counter() - self._started,
-                          "memory_mb": record["memory_mb"]})  # fmt: skip
-        _log.info("%d unknowns: error at most %.3g", record["dofs"], bound.total)
         return answer
 
-    def _may_lower_eps(self, answer: Answer) -> bool:
+    def note(self, answer: Answer, total: float, relative: float | None) -> None:
+        """Append a mesh to the path.
+
+        Args:
+            answer: On this mesh.
+            total: Bound or estimate of the error.
+            relative: The same, relative; None where that is not defined.
+        """
+        record = answer.record
+        self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
+                          "eps": record["eps"], "seconds": time.perf_counter() - self._started,
+                          "memory_mb": record["memory_mb"]})  # fmt: skip
+        _log.info("%d unknowns: error %.3g", record["dofs"], total)
+
+    def exhausted(self, unknowns: float, dim: int) -> str | None:
+        """Why there is no next mesh; None if there is one (collective).
+
+        Args:
+            unknowns: Of the largest mesh in memory.
+            dim: Its dimension.
+        """
+        before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
+        now = self.path[-1]["seconds"]
+        stop = None
+        if now + GROWTH * (now - before) > self.budget.seconds:
+            stop = f"the budget of {self.budget.seconds:g} s"
+        if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
+            stop = f"the budget of {self.budget.megabytes:g} MB"
+        if not fits(GROWTH * unknowns, dim, self.comm):
+            stop = "the memory of this machine"
+        return self.comm.bcast(stop)
+
+    def may_lower_eps(self, answer: Answer) -> bool:
         """Whether eps is chosen automatically; a number of the user is kept."""
         return answer.record["eps"] is not None and not self.given
 
@@ -199,14 +238,8 @@ class _Adaptation(Refinement):
     """Adaptive refinement until a tolerance is reached or a budget is spent."""
 
     def __init__(self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm):
-        tolerance = absolute if relative is None else relative
-        if relative is not None and absolute is not None:
-            raise InputError("two tolerances: give --tol or --tol-absolute")
-        if tolerance is None or not 0 < tolerance < np.inf:
-            option = "--tol-absolute" if relative is None else "--tol"
-            raise InputError(f"{option} {tolerance}: must be positive and finite")
-        super().__init__(scene, comm)
-        self.tolerance, self.relative, self.budget = tolerance, relative is not None, budget
+        self.tolerance, self.relative = check_tolerance(relative, absolute)
+        super().__init__(scene, comm, budget)
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose bound is below the tolerance, or the best that the budget allows (collective)."""
@@ -251,16 +284,22 @@ class _Adaptation(Refinement):
                 f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; omit eps, so that "
                 "it is chosen"
             )
-        before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
-        now = self.path[-1]["seconds"]
-        stop = None
-        if now + GROWTH * (now - before) > self.budget.seconds:
-            stop = f"the budget of {self.budget.seconds:g} s"
-        if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
-            stop = f"the budget of {self.budget.megabytes:g} MB"
-        if not fits(GROWTH * answer.record["dofs"], answer.level.mesh.topology.dim, self.comm):
-            stop = "the memory of this machine"
-        return self.comm.bcast(stop)
+        return self.exhausted(answer.record["dofs"], answer.level.mesh.topology.dim)
+
+
+def check_tolerance(relative: float | None, absolute: float | None) -> tuple[float, bool]:
+    """The tolerance, and whether it is relative.
+
+    Raises:
+        InputError: Unless one of both is given, and positive.
+    """
+    tolerance = absolute if relative is None else relative
+    if relative is not None and absolute is not None:
+        raise InputError("two tolerances: give --tol or --tol-absolute")
+    if tolerance is None or not 0 < tolerance < np.inf:
+        option = "--tol-absolute" if relative is None else "--tol"
+        raise InputError(f"{option} {tolerance}: must be positive and finite")
+    return tolerance, relative is not None
 
 
 def _bound(answer: Answer) -> Bound:
@@ -274,7 +313,7 @@ def _indicator(answer: Answer) -> np.ndarray:
     return indicator
 
 
-def _marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:
+def marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:
     """The fewest owned cells that together have a given share of the sum over all ranks (collective)."""
     everything = total(comm, indicator)
     low, high = 0.0, largest(comm, indicator)

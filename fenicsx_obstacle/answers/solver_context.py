@@ -130,6 +130,12 @@ class SolverContext:
         return SolverContext(self.scene, level.comm, levels.refined_where(level, marked), self, self.options)
 
     @property
+    def multigrid(self) -> Multigrid | None:
+        """That of this mesh, if solves use it (first use is collective)."""
+        used = nested(self.scene.effects, self.scene.pair, self.options) and self.problem.level.coarse is not None
+        return self._hierarchy()[-1] if used else None
+
+    @property
     def exact(self) -> Exact | None:
         """The exact solution on this mesh, if the scene has one."""
         if self._exact is None and (solution := self.scene.exact) is not None:

@@ -60,6 +60,8 @@ class Bound:
             points of contact.
         algebraic: What further iterations make smaller: Friedrichs' constant times the unbalanced force.
         data: Load, obstacle and boundary values between nodes.
+        energy: Numbers that the energy J(u) of the solution lies between, as far as `words` says; None with effects
+            other than tension and load, with P2, and where boundary values or obstacles there are not P1.
         guaranteed: Whether all hypotheses hold: the words are 'certified' alone.
         words: What it rests on.
         indicator: Contribution of each owned cell to the bound, to first order; the sum over all ranks is about total.
@@ -76,6 +78,7 @@ class Bound:
     data: float
     guaranteed: bool
     words: str
+    energy: tuple[float, float] | None = None
     indicator: np.ndarray | None = field(default=None, repr=False)
     admissible: fem.Function | None = field(default=None, repr=False)
 
@@ -86,10 +89,13 @@ class Bound:
         Args:
             record: What answer.json has of it.
         """
-        return cls(**{one.name: record[one.name] for one in fields(cls) if one.name in record})
+        known = {one.name: record[one.name] for one in fields(cls) if one.name in record}
+        if known.get("energy") is not None:
+            known["energy"] = tuple(known["energy"])
+        return cls(**known)
 
     @property
-    def record(self) -> dict[str, float | bool | str | None]:
+    def record(self) -> dict[str, Any]:
         """Its values, as in answer.json."""
         return {key: value for key, value in vars(self).items() if key not in ("indicator", "admissible")}
 
@@ -161,11 +167,15 @@ class Estimator:
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
         between = norm(terms.raised) + eta_p
+        energy = self.element.energy_of(terms.admissible) if eta_g == eta_p == 0.0 else None
+        if energy is not None:
+            energy = energy[0] - S**2 / 2 - eta_C, energy[1]
         return Bound(
             total=bound, admissible_total=B, relative=bound / energy_norm if energy_norm > 0 else None,
             discretisation=norm(terms.distance), penalty=norm(terms.penetration), algebraic=algebraic,
             data=hypot(norm(terms.oscillation**2), eta_g, between, max(unbalanced - algebraic, 0.0)),
-            guaranteed=certification.guaranteed, words=certification.words, indicator=indicator, admissible=admissible,
+            guaranteed=certification.guaranteed, words=certification.words, energy=energy, indicator=indicator,
+            admissible=admissible,
         )  # fmt: skip
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:

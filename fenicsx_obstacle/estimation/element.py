@@ -180,6 +180,15 @@ class Element(ABC):
         """Bound of the energy, twice, of what boundary values are between the nodes, in each cell."""
         return self.dirichlet.energy(self.tension.most)
 
+    def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
+        """Bounds of the energy of a function, a(v, v)/2 - f(v) with the true data; None where there are none
+        (collective).
+
+        Args:
+            v: Values at local dofs.
+        """
+        return None
+
     @abstractmethod
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """The terms of a state (collective).

@@ -8,6 +8,7 @@ from math import sqrt
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.cell_data import other_effects
 from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
@@ -16,7 +17,7 @@ from fenicsx_obstacle.estimation.flux_triangles import TriangleEquilibration
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.parallel import largest, smallest, total
 
 ROUND_OFF = 1e-9  # relative to the values of u
 
@@ -81,6 +82,17 @@ class ElementP1(Element):
             energy=self._energy(u, self.tension.least_mean), admissible=v, crossing=crossing,
             lacking=outside**2,
         )  # fmt: skip
+
+    def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
+        """See `Element.energy_of`; with tension and load (collective)."""
+        if other_effects(self.simplices.data):
+            return None
+        comm, area, load = self.simplices.data.level.comm, self.simplices.area, self.equilibration.load
+        values = v[self.simplices.dofs]
+        work = total(comm, sums(load.moments * values))
+        rest = total(comm, load.rest * area * np.abs(values).max(axis=1, initial=0.0))
+        least, most = (total(comm, self._energy(v, mu)) / 2 for mu in (self.tension.least_mean, self.tension.most_mean))
+        return least - work - rest, most - work + rest
 
     def data_in_cells(self) -> list[CellDatum]:
         """See `Element.data_in_cells`."""

@@ -145,7 +145,7 @@ class EquilibrationP1(ABC):
         """
         simplices, patches, V = self.simplices, self.patches, self.level.V
         beta = simplices.along_normals(simplices.gradient(u) * (-self.mu / simplices.dim))
-        force, outside = self.parts.forces(u, patches), beta.copy()
+        force, outside = self.parts.forces(u), beta.copy()
         np.add.at(outside, self.parts.cells, force)
         drops, averaged = self._drops(outside, self._all_moments(u))
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)

@@ -23,6 +23,10 @@ class NormalFlux:
     It is the flux of the gradient there, which alone would miss the balance by O(h), and a function of V_h beside it by
     which I(tension du/dn, phi_i) = a(u, phi_i) - f(phi_i) at every node i where u is given: all of it together is
     minus the integral of load + p, to the accuracy of the solver.
+
+    Attributes:
+        correction: That function of V_h.
+        lengths: int phi_i over the parts of the boundary where u is given, at owned dofs.
     """
 
     def __init__(
@@ -62,7 +66,7 @@ class NormalFlux:
         for function in (missing, lengths):
             releases.vec(function).ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         own = level.owned
-        length = lengths.x.array[:own]
+        self.lengths = length = lengths.x.array[:own]
         found = length > 1e-9 * length.max(initial=0.0)  # nodes off the facet have none, up to round-off
         self.correction = fem.Function(level.V)
         self.correction.x.array[:own][found] = (support + missing.x.array[:own])[found] / length[found]

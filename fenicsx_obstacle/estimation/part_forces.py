@@ -23,12 +23,11 @@ import numpy as np
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.oscillation import poincare
-from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.reactions import squared_norm
 from fenicsx_obstacle.estimation.simplex_geometry import sizes
-from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
 
 # of facets by the dimension of the cells; a jump inside an edge is found to the length whose root counts
@@ -74,29 +73,11 @@ class PartForces:
         lower, upper = self.pieces[1].lower, self.pieces[1].upper
         return np.where(np.isfinite(lower), np.maximum(lower, 0.0), 0.0), np.where(np.isfinite(upper), upper, 0.0)
 
-    def forces(self, u: np.ndarray, patches: Patches) -> np.ndarray:
-        """Forces g - k u at the vertices of the cell of each facet, shape (facets, d + 1), whose sums at free vertices
-        are the solver's (collective).
-
-        The solver has a consistent rule for g and the nodal one for k u, whose difference may exceed g - k u on a
-        facet. Here both are taken by the nodal rule where there is a spring, and what the sums differ by is spread
-        evenly over the facets.
-        """
-        (g, k), dim = self.nodal, self.simplices.dim
-        size, spring = self.share * self.size, k * u[self.dofs]
-        solver = (g + g.sum(axis=1, keepdims=True)) / (dim + 1) - spring
-        chosen = np.where((k > 0).any(axis=1, keepdims=True), g - spring, solver)
-        chosen, solver, sizes = (
-            self._at_vertices(size[:, None] / dim * values) for values in (chosen, solver, np.ones(g.shape))
-        )
-        if dim == 1 or total(patches.comm, len(size)) == 0:
-            return solver
-        corners = np.zeros((2, *self.simplices.dofs.shape))
-        for sums, values in zip(corners, (solver - chosen, sizes), strict=True):
-            np.add.at(sums, self.cells, values)
-        missing, around = (patches.at_vertices(values) for values in patches.gather(*corners))
-        even = np.divide(missing, around, out=np.zeros(len(around)), where=patches.free & (around > 0))
-        return chosen + sizes * with_ghosts(self.simplices.data.level.V, even)[self.simplices.dofs[self.cells]]
+    def forces(self, u: np.ndarray) -> np.ndarray:
+        """The solver's forces g - k u at the vertices of the cell of each facet, by the nodal rule, shape (facets, d +
+        1) (local)."""
+        (g, k), size = self.nodal, self.share * self.size
+        return self._at_vertices(size[:, None] / self.simplices.dim * (g - k * u[self.dofs]))
 
     def _at_vertices(self, values: np.ndarray) -> np.ndarray:
         """Values at the vertices of the facets as those of their cells, 0 opposite to the facet."""

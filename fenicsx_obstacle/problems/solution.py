@@ -19,7 +19,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.problems.summary import main_values, summary
-from fenicsx_obstacle.problems.values import Adaptive, AdaptiveMesh, Errors, Force, Profile, Seconds
+from fenicsx_obstacle.problems.values import Adaptive, AdaptiveMesh, Errors, Force, Profile, Quantity, Seconds
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.solvers.stopping import Step
 from fenicsx_obstacle.text import counted, nearest, shown, title_of
@@ -148,6 +148,12 @@ class Solution:
             return None
         path = tuple(_from_record(AdaptiveMesh, mesh) for mesh in found["path"])
         return _from_record(Adaptive, {**found, "path": path})
+
+    @property
+    def goal(self) -> Quantity | None:
+        """The quantity that had a tolerance, with its error; None where none had one."""
+        found = self.record.get("goal")
+        return None if found is None else _from_record(Quantity, found)
 
     @property
     def seconds(self) -> Seconds:

@@ -57,6 +57,8 @@ def summary(record: Mapping[str, Any], title: str) -> str:
         most = "at most" if b["words"].startswith("certified") else "about"
         times = _effectivity(r["bound"])
         lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
+    if (goal := r.get("goal")) is not None:
+        lines.append(f"  {goal['name']} = {goal['value']:.10g} +- {goal['error']:.2g} ({goal['words']})")
     lines += _enclosure(r) + _tolerance(r)
     if r.get("report"):
         lines.append("  report: " + ", ".join(f"{name} = {words}" for name, words in report_in_words(r).items()))
@@ -122,7 +124,12 @@ def _tolerance(record: Mapping[str, Any]) -> list[str]:
         return []
     kind = "relative" if adaptive["relative"] else "absolute"
     goal = f"{kind} tolerance {adaptive['tolerance']:g}"
-    if adaptive["reached"]:
+    if adaptive.get("of"):
+        goal += f" for {adaptive['of']}"
+        if adaptive["reached"]:
+            where = f"on mesh {len(adaptive['path'])}"
+            return [f"  the {goal} is reached, {where}; eps and meshes were chosen for it"]
+    elif adaptive["reached"]:
         kind, _, what = record["bound"]["words"].partition(":")[0].partition("certified")
         words = ", by an indicator only" if kind else f",{what}" if what else ""
         where = f"on mesh {len(adaptive['path'])}"

@@ -76,15 +76,41 @@ class AdaptiveMesh:
 
 
 @dataclass(frozen=True)
+class Quantity:
+    """An output quantity that had a tolerance.
+
+    Attributes:
+        name: energy, force, force.lower, force.upper, or a name of [report].
+        value: In its own unit; of the energy with a guaranteed error the middle of its bounds.
+        error: Guaranteed or estimated error of the value.
+        relative: The same over the absolute value; None where that is 0.
+        words: 'estimated'; or 'guaranteed', as far as the words of the bound say.
+        mesh: Part of the error due to the mesh, which is all of a guaranteed one.
+        penalty: Part due to eps.
+        dofs: Unknowns of the finest mesh that was solved for the estimate.
+    """
+
+    name: str
+    value: float
+    error: float
+    relative: float | None
+    words: str
+    mesh: float
+    penalty: float
+    dofs: int
+
+
+@dataclass(frozen=True)
 class Adaptive:
     """How a tolerance was reached, or why it was not.
 
     Attributes:
-        tolerance: Of the energy error.
-        relative: Whether the tolerance is relative to the energy norm of u.
-        reached: Whether the bound of the energy error is below the tolerance.
+        tolerance: Of the energy error, or of the error of a quantity.
+        relative: Whether the tolerance is relative to the energy norm of u, or to the quantity.
+        reached: Whether the bound, or the estimate, of the error is below the tolerance.
         stopped: What ended the refinement otherwise; "" if the tolerance is reached.
         path: The meshes, the coarsest first.
+        of: The quantity; "" for the energy error.
     """
 
     tolerance: float
@@ -92,6 +118,7 @@ class Adaptive:
     reached: bool
     stopped: str
     path: tuple[AdaptiveMesh, ...]
+    of: str = ""
 
 
 @dataclass(frozen=True, eq=False)

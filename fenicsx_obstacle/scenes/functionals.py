@@ -206,19 +206,31 @@ class Report:
 
         Collective where it is the first to need the distance. `on_facets` gives what facets alone have.
         """
+        shape, values = self.fields(expression, cells, where, on_facets)
+        return self.pointwise(expression, cells, where, values).reshape(shape)
+
+    def fields(
+        self, expression: Formula, cells: np.ndarray, where: np.ndarray,
+        on_facets: Mapping[str, Callable[[], np.ndarray]] | None = None,
+    ) -> tuple[tuple[int, int], dict[str, np.ndarray]]:  # fmt: skip
+        """The fields that an expression needs, each flat, and the shape of the points, as `_inside` has them."""
         shape, values_of = (len(cells), where.shape[1]), self._reference.values
-        nodal = {name: partial(values_of, function, cells, where) for name, function in self._nodal.items()}
-        fields: dict[str, Callable[[], np.ndarray]] = {
-            **nodal,
+        known: dict[str, Callable[[], np.ndarray]] = {
+            **{name: partial(values_of, function, cells, where) for name, function in self._nodal.items()},
             "distance": lambda: values_of(self.data.distance, cells, where),
             "slope": lambda: self._slope(cells, where),
             "flux": lambda: self._tension(cells, where) * self._slope(cells, where),
             **(on_facets or {}),
         }
-        named = sorted(self.scene.needs(expression) & set(fields))  # in the same order on every rank
-        values = {name: np.broadcast_to(fields[name](), shape).ravel() for name in named}
+        named = sorted(self.scene.needs(expression) & set(known))  # in the same order on every rank
+        return shape, {name: np.broadcast_to(known[name](), shape).ravel() for name in named}
+
+    def pointwise(
+        self, expression: Formula, cells: np.ndarray, where: np.ndarray, values: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Values of an expression, flat, from those of its fields."""
         x = (where @ self._corners[cells]).reshape(-1, 3).T
-        return self.scene.at_points(expression, x, {**self.data.now, **self.values, **values}).reshape(shape)
+        return self.scene.at_points(expression, x, {**self.data.now, **self.values, **values})
 
     def _slope(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         """|grad u|; along the surface, for a surface."""

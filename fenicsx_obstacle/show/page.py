@@ -86,6 +86,7 @@ def write_answer_page(
         parts.append(section("All moments", _picture(time_history, f"{_title(scene)}, over time", wide=True)))
     parts += [section("Profiles", plots(profiles))] if profiles else []
     drawn = {name: file for name, file in (others or {}).items() if file.exists()}  # not of every mesh
+    parts += [section("Quantity with a tolerance", facts(_goal(record["goal"])))] if "goal" in record else []
     parts += [section("Error bound", facts(_bound(record["bound"])))] if "bound" in record else []
     parts += [
         section(name, _picture(file, f"{_title(scene)}: {name}", wide=file.suffix == ".gif"))
@@ -256,6 +257,17 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     spent = f"{seconds['solve']:.3g} for the solve, {seconds['mesh']:.3g} for the mesh, {seconds['total']:.3g} in all"
     facts += [("seconds", spent), ("memory of all ranks", f"{record['memory_mb']:.0f} MB")]
     return facts
+
+
+def _goal(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The quantity that had a tolerance, with its error and how far it is guaranteed."""
+    relative = "" if goal["relative"] is None else f", {goal['relative']:.3g} of the value"
+    known = [(goal["name"], f"{goal['value']:.10g} +- {goal['error']:.2g}{relative}"), ("the error is", goal["words"])]
+    if goal["words"] == "estimated":
+        on = f"estimated on a mesh with {goal['dofs']} unknowns"
+        known += [("part: mesh", f"{goal['mesh']:.3g}: a finer mesh reduces it; {on}")]
+        known += [("part: penalty", f"{goal['penalty']:.3g}: a smaller eps reduces it")]
+    return known
 
 
 def _bound(bound: Mapping[str, Any]) -> list[tuple[str, str | list[str]]]:

@@ -17,13 +17,14 @@ if TYPE_CHECKING:
 class Flux(OnPart):
     """tension du/dn = flux: the Neumann condition, - int flux v; unit: force per length.
 
-    The formula is interpolated between the nodes of the part. Source: natural condition of (2.2).
+    By the nodal rule of the facets, as springs are: a flux `spring*g` and a spring are in balance at each node where
+    u = g, whatever their sizes. Source: natural condition of (2.2).
     """
 
     key = "flux"
     table = "boundary"
     equation = "flux"
-    term = "- int flux v over its part"
+    term = "- int flux v over its part, nodal rule"
     unit = "force/length"
     dimension = (-1, 1, 1)
 
@@ -32,11 +33,11 @@ class Flux(OnPart):
         return self.value, self.part
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key)
+        return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key, nodal=True)
 
     def push(self, data: Sampler) -> tuple[float, float]:
         values = data.on_part(self.value, self.part).x.array
         return float(values.min(initial=0.0)), float(values.max(initial=0.0))
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return -data.on_part(self.value, self.part) * u * data.over(self.part, self.key)
+        return -data.on_part(self.value, self.part) * u * data.over(self.part, self.key, nodal=True)

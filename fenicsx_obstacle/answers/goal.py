@@ -1,0 +1,307 @@
+"""From a tolerance for one output quantity to a solution: energy, contact force, or a quantity of [report].
+
+The error is estimated on a finer mesh: all cells of the mesh are refined, those at the free boundary once more, and the
+problem is solved there. The change of the quantity, times `BEYOND` for what still finer meshes would change, and the
+part of the penalty are the estimate. Where it comes from is said by the dual weighted residual (`dual_weighted`), and
+there the mesh is refined. The energy has a guaranteed error instead wherever there is an error bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers.adapt import (
+    BALANCED,
+    BULK,
+    PENALTY_SHARE_AHEAD,
+    Refinement,
+    check_tolerance,
+    marked,
+)
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.solver_context import SolverContext, close
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.dual_weighted import adjoint_of, contributions, energy_contributions
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes import meshes
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.text import nearest
+
+BEYOND = 4 / 3  # of order 2 in h, halved cells remove three quarters of the error
+AT_FREE_BOUNDARY = 1  # further refinements there: h/4
+LEAST_SHARE = 0.05  # of the sum of the absolute values of all contributions: they cancel by chance
+NOT_DIFFERENTIABLE = ("area", "penetration")
+ENERGY = "energy"
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The estimated error of a quantity on one mesh.
+
+    Attributes:
+        value: The quantity there.
+        mesh: Part of the mesh, >= 0.
+        penalty: Part of the penalty, >= 0.
+        indicator: Contribution of each owned cell.
+        dofs: Unknowns of the finest mesh that it took.
+    """
+
+    value: float
+    mesh: float
+    penalty: float
+    indicator: np.ndarray
+    dofs: int
+
+    @property
+    def error(self) -> float:
+        """The estimate."""
+        return self.mesh + self.penalty
+
+
+class Goal:
+    """An output quantity that has a tolerance.
+
+    Attributes:
+        name: As the user named it.
+    """
+
+    def __init__(self, scene: Scene, name: str):
+        """Find it.
+
+        Raises:
+            InputError: If there is no such quantity, or if it has no derivative.
+        """
+        self.scene, self.name = scene, name
+        forces = {f"force.{side}": side for side in scene.sides}
+        if len(scene.sides) == 1:
+            forces["force"] = scene.sides[0]
+        known = [ENERGY, *forces, *scene.report]
+        if name in NOT_DIFFERENTIABLE and name not in scene.report:
+            raise InputError(f"{scene.source}: --of {name}: it does not depend on u differentiably, so that its error "
+                             "cannot be estimated")  # fmt: skip
+        if name not in known:
+            raise InputError(f"{scene.source}: --of {name}: no quantity '{name}'" + nearest(name, known))
+        self._side = forces.get(name)
+        if name in scene.report:
+            from fenicsx_obstacle.scenes.report_derivatives import check_differentiable  # only where one is named
+
+            check_differentiable(scene, name)
+
+    def value(self, record: Mapping[str, Any]) -> float:
+        """The quantity in the record of an answer.
+
+        Raises:
+            InputError: If it has none.
+        """
+        if self._side is not None:
+            return record["contact"][self._side]["force"]
+        found = record[ENERGY] if self.name == ENERGY else record["report"][self.name]
+        if found is None:
+            raise InputError(f"{self.scene.source}: --of {self.name}: it is not finite" if self.name != ENERGY else
+                             f"{self.scene.source}: --of energy: the scene has none")  # fmt: skip
+        return found
+
+    def derivative(self, problem: Problem, answer: Answer, side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative with respect to u and to the nodal forces, at owned dofs (collective).
+
+        Args:
+            problem: Holds the solution.
+            answer: The solution.
+            side: 1 at nodes that may press against the lower obstacle, -1 at those at the upper one, else 0.
+        """
+        if self._side is not None:
+            sign = 1.0 if self._side == "lower" else -1.0
+            return np.zeros(len(side)), np.where(side == sign, sign, 0.0)
+        from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport  # only where one is named
+
+        report = DifferentiableReport(problem.data, self.scene)
+        report.evaluate(answer.u, answer.pressure, answer.contact, problem.elastic.array_r)
+        per_force, D = np.zeros(len(side)), problem.weights
+        per_force[side != 0] = problem.thickness / D[side != 0]
+        return report.derivative(self.name, per_force)
+
+
+class GoalAdaptation(Refinement):
+    """Adaptive refinement until the error of a quantity is below a tolerance, or a budget is spent."""
+
+    def __init__(
+        self, scene: Scene, goal: str, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm
+    ):
+        """Check the quantity and the tolerance.
+
+        Raises:
+            InputError: If one of them is wrong, or the element has no estimate.
+        """
+        self.tolerance, self.relative = check_tolerance(relative, absolute)
+        if not (scene.pair.nested_hierarchy and scene.pair.at_vertices):
+            raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
+        super().__init__(scene, comm, budget)
+        self.goal, self.words = Goal(scene, goal), "estimated"
+
+    def answer(self, *, yardstick: bool) -> Answer:
+        """The first answer whose estimate is below the tolerance, or the best that the budget allows (collective)."""
+        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
+        contexts = [context]
+        bounded = self.goal.name == ENERGY and self._has_bound(context)
+        try:
+            while True:
+                found = self._guaranteed(context) if bounded else None
+                if found is None:
+                    bounded, found = False, self._estimated(context)
+                answer, estimate = found
+                size = abs(estimate.value)
+                self.note(answer, estimate.error, estimate.error / size if size > 0 else None)
+                why = self._finished(answer, estimate)
+                if why is not None:
+                    break
+                finer = context.refined(marked(estimate.indicator, BULK[1], self.comm))
+                contexts.append(finer)
+                if finer.problem.level.dofs > self.budget.unknowns:
+                    why = "the budget of unknowns"
+                    break
+                context.forget_estimator()
+                context = finer
+            if yardstick:
+                timed = context.answer(self.options, yardstick=True, errors=False)
+                answer = replace(timed, bound=answer.bound)
+            answer = context.measured(answer)
+        finally:
+            close(contexts)
+        adaptive = {"of": self.goal.name, "tolerance": self.tolerance, "relative": self.relative, "reached": why == "",
+                    "stopped": why, "path": self.path}  # fmt: skip
+        size = abs(estimate.value)
+        relative = estimate.error / size if size > 0 else None
+        goal = {
+            "name": self.goal.name, "value": estimate.value, "error": estimate.error, "relative": relative,
+            "words": self.words, "mesh": estimate.mesh, "penalty": estimate.penalty, "dofs": estimate.dofs,
+        }  # fmt: skip
+        seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
+        here = {"cells": None, "refine": None, "seconds": seconds, "goal": goal, "adaptive": adaptive}
+        return replace(answer, record=self.comm.bcast({**answer.record, **here}))
+
+    def _finished(self, answer: Answer, estimate: Estimate) -> str | None:
+        """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
+        size = abs(estimate.value) if self.relative else 1.0
+        limit = self.tolerance * size
+        if estimate.error <= limit:
+            return ""
+        if size == 0.0:
+            raise InputError(f"{self.scene.source}: --of {self.goal.name}: it is 0; give --tol-absolute")
+        if self.given and estimate.penalty > limit:
+            return (f"eps = {answer.record['eps']:.3g} alone contributes {estimate.penalty:.3g}; omit eps, so that it "
+                    "is chosen")  # fmt: skip
+        return self.exhausted(estimate.dofs, answer.level.mesh.topology.dim)
+
+    def _has_bound(self, context: SolverContext) -> bool:
+        """Whether there is an error bound for the scene (collective)."""
+        try:
+            return context.estimator is not None
+        except InputError:
+            return False
+
+    def _guaranteed(self, context: SolverContext) -> tuple[Answer, Estimate] | None:
+        """The solution on one mesh, and the middle of the bounds of the energy; None where they are not proved
+        (collective)."""
+        answer = self.balanced(context)
+        bound = answer.bound
+        assert bound is not None and bound.indicator is not None
+        if bound.energy is None or not bound.words.startswith("certified"):
+            return None
+        self.words = bound.words.replace("certified", "guaranteed", 1)
+        low, high = bound.energy
+        half = (high - low) / 2
+        return answer, Estimate(low + half, half, 0.0, bound.indicator, answer.record["dofs"])
+
+    def _estimated(self, context: SolverContext) -> tuple[Answer, Estimate]:
+        """The solution on one mesh, and the estimate from a finer one (collective)."""
+        answer = context.answer(self.options, errors=False)
+        options = replace(self.options, eps=answer.record["eps"]) if answer.record["eps"] is not None else self.options
+        finer: list[SolverContext] = []
+        values = [self.goal.value(answer.record)]
+        try:
+            below, cells, fine = context, np.ones(own_cells(answer.level.mesh), dtype=bool), answer
+            while len(finer) <= AT_FREE_BOUNDARY and total(self.comm, np.count_nonzero(cells)) > 0:
+                below = below.refined(cells)
+                finer.append(below)
+                fine = below.answer(options, errors=False)
+                values.append(self.goal.value(fine.record))
+                cells = at_free_boundary(fine)
+            estimate = self._compared(context, answer, finer, fine, values)
+        finally:
+            for one in reversed(finer):
+                one.close()
+        if self.may_lower_eps(answer) and estimate.penalty > BALANCED * estimate.mesh:
+            share = PENALTY_SHARE_AHEAD * BALANCED * estimate.mesh / estimate.penalty
+            self.options = replace(self.options, eps=answer.record["eps"] * max(0.02, share))
+        return answer, estimate
+
+    def _compared(
+        self, context: SolverContext, answer: Answer, finer: list[SolverContext], fine: Answer, values: list[float]
+    ) -> Estimate:
+        """The estimate from the quantity on all meshes and the solution on the finest one (collective)."""
+        finest, below = finer[-1].problem, [one.problem for one in reversed(finer[:-1])]
+        own, coarse = finest.level.owned, context.problem.level.owned
+        chain, given = [finest, *below], answer.u.x.array[:coarse]
+        if self.goal.name == ENERGY:
+            nodal = energy_contributions(finest, below, given)
+            pressure, eps = fine.pressure.x.array[:own] / finest.thickness, fine.record["eps"] or 0.0
+            penalty = eps * total(self.comm, finest.weights * pressure**2) / 2
+        else:
+            side, before = _sides(fine, own), _sides(answer, coarse)
+            of_coarse = _where_all(chain, before == 1).astype(int) - _where_all(chain, before == -1)
+            q, w = self.goal.derivative(finest, fine, np.where(side != 0, side, of_coarse))
+            adjoint = adjoint_of(finest, finer[-1].multigrid, (side != 0) & (side == of_coarse), q, w)
+            nodal = contributions(finest, below, given, before != 0, adjoint)
+            lower, upper = finest.gaps()
+            beyond = np.where(side != 0, np.minimum(lower, 0.0) - np.minimum(upper, 0.0), 0.0)
+            penalty = abs(total(self.comm, adjoint.m * beyond))
+        indicator = _in_cells(finest.level, np.abs(nodal))
+        for level in [one.problem.level for one in reversed(finer)]:
+            assert level.coarse is not None and level.parents is not None
+            indicator = np.bincount(level.parents, indicator, own_cells(level.coarse.mesh))
+        changes = BEYOND * abs(values[1] - values[0]), abs(values[-1] - values[0])
+        mesh = max(*changes, LEAST_SHARE * total(self.comm, indicator))
+        return Estimate(values[0], mesh, penalty, indicator, finest.level.dofs)
+
+
+def at_free_boundary(answer: Answer) -> np.ndarray:
+    """The owned cells with vertices in contact and others without."""
+    level = answer.level
+    touches = answer.contact.x.array[releases.cell_dofs(level.V)[: own_cells(level.mesh)]] > 0.5
+    return touches.any(axis=1) & ~touches.all(axis=1)
+
+
+def _sides(answer: Answer, own: int) -> np.ndarray:
+    """1 at owned nodes in contact with the lower obstacle, -1 with the upper one, else 0."""
+    touches = answer.contact.x.array[:own] > 0.5
+    return np.where(touches, np.sign(answer.pressure.x.array[:own]), 0.0).astype(int)
+
+
+def _where_all(chain: list[Problem], coarse: np.ndarray) -> np.ndarray:
+    """Whether a condition on owned coarse nodes holds at all those that an owned node of the first mesh is interpolated
+    from (collective)."""
+    for problem in reversed(chain):
+        coarse = problem.transfer.all_of(coarse)
+    return coarse
+
+
+def _in_cells(level: Level, nodal: np.ndarray) -> np.ndarray:
+    """Nodal values, each divided among the cells around the node, by owned cells (collective)."""
+    values, counts = fem.Function(level.V), fem.Function(level.V)
+    dofs = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
+    np.add.at(counts.x.array, dofs, 1.0)
+    releases.add_ghosts(counts)
+    values.x.array[: level.owned] = nodal / np.maximum(counts.x.array[: level.owned], 1.0)
+    values.x.scatter_forward()
+    return values.x.array[dofs].sum(axis=1)

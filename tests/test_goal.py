@@ -1,0 +1,142 @@
+"""A tolerance for one quantity: estimates near the true error, guaranteed energies, the identity of the adjoint."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import COMM, DEMOS
+
+from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.answers import goal
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes import catalogue
+
+FORCE = 4 * math.pi * 0.5777150035509267**2  # of disk_flat: load times area of the contact disk
+TORQUE = 2 * (2 * math.pi) * (0.6 * 0.08 + 1.25 * (0.16 * 0.08 - 0.4**4 / 4) + (1 - 0.16) / 2 - (1 - 0.064) / 3)
+STRING = -1.5236439079917347  # a = sqrt(2 c/f) = 0.27386, J = -(f^2 a^3)/3 - f c (1 - 2 a) for f = 8, c = 0.3
+COARSE = {"mesh.cells": 8}
+ROUND_BAR = Scene(mesh={"shape": "disk", "cells": 8}, tension=1, load=5, upper="1 - r", boundary=[{"value": 0}],
+                  report={"torque": "2*integral(u)"})  # fmt: skip
+STRING_SCENE = Scene.read(DEMOS / "string.toml").change(COARSE)
+
+
+def within_factor_2(answer, exact):
+    """Whether the true error is within a factor 2 of the estimate, and the estimate below the tolerance."""
+    found = answer.goal
+    true = abs(found.value - exact)
+    assert answer.adaptive.reached and found.error <= answer.adaptive.tolerance * abs(found.value)
+    return true / 2 <= found.error <= 2 * true
+
+
+def test_force():
+    """Contact force: the true error is within a factor 2 of the estimate, and is below the tolerance."""
+    answer = solve(catalogue.scene("disk_flat").change(COARSE), tol=0.01, goal="force")
+    assert within_factor_2(answer, FORCE) and abs(answer.goal.value - FORCE) <= 0.01 * FORCE
+    assert answer.goal.value == answer.force.upper and answer.goal.words == "estimated"
+    assert f"force = {answer.goal.value:.10g} +- " in answer.summary()
+    assert "relative tolerance 0.01 for force is reached" in answer.summary()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scene", "name", "exact"), [
+    (ROUND_BAR, "torque", TORQUE),
+    (catalogue.scene("disk_flat").change({**COARSE, "report": {"outflow": "integral(normal_flux, 'left')"}}), "outflow",
+     FORCE / 4 - 2),
+], ids=["torque", "outflow"])  # fmt: skip
+def test_report(scene, name, exact):
+    """Integrals and fluxes of [report]: the true error is within a factor 2 of the estimate, and below the
+    tolerance."""
+    answer = solve(scene, tol=0.01, goal=name)
+    assert within_factor_2(answer, exact) and abs(answer.goal.value - exact) <= 0.01 * abs(exact)
+
+
+def test_energy_is_guaranteed():
+    """J(v_h) - S^2/2 - eta_C <= J(u) <= J(v_h): the energy of a string lies between its bounds on each mesh."""
+    for cells in (4, 8, 16):
+        bound = solve(STRING_SCENE, cells=cells, bound=True).bound
+        assert bound.energy[0] <= STRING <= bound.energy[1] and bound.guaranteed
+    answer = solve(STRING_SCENE, tol=0.003, goal="energy")
+    assert answer.goal.words == "guaranteed" and abs(answer.goal.value - STRING) <= answer.goal.error
+    assert answer.goal.error <= 0.003 * abs(STRING)
+
+
+@pytest.mark.parametrize("name", ["force", "volume", "load"])
+def test_terms_add_up(name, monkeypatch):
+    """The terms of the dual weighted residual add up to the change of a linear quantity on nested meshes."""
+    sums = []
+
+    def recorded(*given):
+        found = contributions(*given)
+        sums.append(total(COMM, found))
+        return found
+
+    def compared(self, context, answer, finer, fine, values):
+        sums.append(values[-1] - values[0])
+        return was(self, context, answer, finer, fine, values)
+
+    contributions, was = goal.contributions, goal.GoalAdaptation._compared
+    monkeypatch.setattr(goal, "contributions", recorded)
+    monkeypatch.setattr(goal.GoalAdaptation, "_compared", compared)
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load=8, upper=0.2, boundary=[{"value": 0}],
+                  report={"volume": "integral(u*x)", "load": "integral(p)"})  # fmt: skip
+    solve(scene, tol=0.5, goal=name)
+    assert sums[1] == pytest.approx(sums[0], rel=1e-4)
+
+
+def test_derivatives():
+    """The derivative of a quantity is the limit of its difference quotients, of order 2 in the step."""
+    from fenicsx_obstacle.answers.solver_context import SolverContext
+    from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport
+
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension="1 + x", load=8, boundary=[{"value": 0}],
+                  report={"mean": "integral(u)/integral(1)", "drag": "sqrt(integral(slope^2*x)) + 2*mean",
+                          "middle": "at(u^2, 0.4, 0.3)", "stress": "integral(flux*u)"})  # fmt: skip
+    context = SolverContext(scene)
+    answer = context.answer()
+    report = DifferentiableReport(context.problem.data, scene)
+    level, zero = context.problem.level, np.zeros(context.problem.level.owned)
+
+    def values(t):
+        moved = answer.u.copy()
+        moved.x.array[:] += t * np.sin(level.points[0] + 2 * level.points[1])
+        return report.evaluate(moved, answer.pressure, answer.contact, zero)
+
+    ends, t = [values(t) for t in (1e-6, -1e-6)], 1e-6
+    values(0.0)
+    direction = np.sin(level.points[0] + 2 * level.points[1])[: level.owned]
+    for name in scene.report:
+        of_u, of_forces = report.derivative(name, zero)
+        quotient = (ends[0][name] - ends[1][name]) / (2 * t)
+        assert total(COMM, of_u * direction) == pytest.approx(quotient, rel=1e-6) and not of_forces.any()
+    context.close()
+
+
+def test_mistakes():
+    """Quantities without a derivative, unknown ones and other elements: one message each."""
+    scene = catalogue.scene("disk_flat").change({**COARSE, "report": {
+        "top": "max(u)", "wet": "integral(contact)", "twice": "2*top", "slope_there": "at(slope, 0, 0)"}})  # fmt: skip
+    for name, words in (
+        ("area", "does not depend on u differentiably"),
+        ("top", "a maximum or minimum is not differentiable"),
+        ("twice", "a maximum or minimum is not differentiable"),
+        ("wet", "the contact set does not depend on u differentiably"),
+        ("slope_there", "only those of u have an estimate"),
+        ("torque", "no quantity 'torque'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            solve(scene, tol=0.1, goal=name)
+    with pytest.raises(InputError, match="for the element P1"):
+        solve(scene, tol=0.1, goal="force", element="P2")
+    with pytest.raises(InputError, match="needs a tolerance"):
+        solve(scene, goal="force")
+
+
+def test_the_same_on_all_ranks():
+    """Meshes, value and estimate do not depend on the number of ranks."""
+    from mpi4py import MPI
+
+    scene = catalogue.scene("disk_flat").change(COARSE)
+    one, all_ = (solve(scene, tol=0.02, goal="force", comm=comm) for comm in (MPI.COMM_SELF, MPI.COMM_WORLD))
+    assert one.dofs == all_.dofs and one.goal.dofs == all_.goal.dofs
+    assert one.goal.value == pytest.approx(all_.goal.value, rel=1e-8)
+    assert one.goal.error == pytest.approx(all_.goal.error, rel=1e-4)
