@@ -124,8 +124,10 @@ class BodyContext:
             "seconds": {"total": self.mesh_seconds + solve, "mesh": self.mesh_seconds, "solve": solve},
             "poisson_seconds": None, "poisson_units": None,
         }  # fmt: skip
-        if remarks := [*body.level.remarks, *body.law.remarks]:
-            record["mesh_remarks"] = remarks
+        if body.level.remarks:
+            record["mesh_remarks"] = list(body.level.remarks)
+        if body.law.remarks:
+            record["remarks"] = list(body.law.remarks)
         if scene.report:
             record["report"] = self._report.of(solution, known)
             if self._report.places:

@@ -1,6 +1,7 @@
 """Contact nodes of vector-valued problems: one unit normal N_i, one weight D_i and one gap for each node.
 
-At a contact node the constraint is lower <= of(u) <= upper with of(u) = N_i . u, up to a given part and a length. A
+At a contact node the constraint is lower <= of(u) <= upper with of(u) = N_i . u, up to a term independent of u and a
+factor. A
 Householder reflection H_i maps N_i to a coordinate axis, so that one component of H_i u is the normal displacement and
 the constraint a simple bound. The penalty and the variational inequality take the same N_i, D_i and bounds.
 """
@@ -34,10 +35,10 @@ from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.text import shown
 
-KINK = 0.8  # length of the mean of unit normals, below which a node has no normal: two facets at more than 74 degrees
-HELD = 1e-6  # part of a unit normal in free directions, below which contact moves nothing
+KINK = 0.8  # least length of the mean of unit normals: two facets whose normals differ by 74 degrees
+HELD = 1e-6  # least length of a unit normal's part in free directions; below it the node is held
 ROUND_OFF = 1e-14  # of a unit normal
-BEYOND = 1e-10  # of the largest gap or displacement: a held node beyond an obstacle by round-off
+BEYOND = 1e-10  # relative to the largest gap or displacement: what a held node may be beyond an obstacle
 
 
 class VectorLevel(Level):
@@ -45,7 +46,7 @@ class VectorLevel(Level):
 
     @property
     def components(self) -> int:
-        """Of u at a node."""
+        """Number of components of u."""
         return self.V.dofmap.index_map_bs
 
     @property
@@ -120,7 +121,7 @@ def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndar
 
     Args:
         V: Continuous Lagrange elements of degree 1 or 2, as many components as points have coordinates.
-        source: What messages call its user.
+        source: The caller's name in messages.
         facets: Local facets of each named part.
 
     Raises:
@@ -150,7 +151,7 @@ def over(level: Level) -> VectorLevel:
 
 
 def vector_pair(pair: Pair) -> Pair:
-    """The same V_h with pressures at all nodes; of its rules none is used, contact has those of facets."""
+    """The same V_h with pressures at all nodes; its cell rules are not used, contact uses rules on facets."""
     return Pair(pair.name, pair.degree, pair.rules, ("Lagrange", pair.degree))
 
 
@@ -225,7 +226,7 @@ class ContactNodes:
         self.weights, self._lengths = D[self.nodes], lengths[touchable]
         self._scale, self._offset = scale[touchable], offset[touchable]
         self._in_held_directions = np.where(held, unit, 0.0)[touchable]
-        # nodes where contact moves nothing: what is given there is checked
+        # nodes held along the normal: their given values are checked against the obstacle
         self._held = nodes[~touchable], unit[~touchable], scale[~touchable], offset[~touchable]
         self.normals = free[touchable] / self._lengths[:, None]
         axis = np.argmax(np.abs(self.normals) > np.abs(self.normals).max(axis=1, initial=0.0)[:, None] - 1e-6, axis=1)
@@ -269,7 +270,7 @@ class ContactNodes:
         return out
 
     def rotation(self, A: PETSc.Mat) -> PETSc.Mat:
-        """The same as a matrix with the layout of A, its own inverse (collective)."""
+        """The map `rotated` as a matrix with the layout of A; it is its own inverse (collective)."""
         bs, (first, end) = self.components, A.getOwnershipRange()
         count = np.searchsorted(self.turned, (end - first) // bs)
         turned = np.zeros(end - first, dtype=bool)
@@ -287,12 +288,12 @@ class ContactNodes:
         return R
 
     def extended(self, values: np.ndarray, V: fem.FunctionSpace) -> np.ndarray:
-        """Values at local nodes, where nodes of weight 0 get those of linear functions on their facets (collective).
+        """Values at local nodes; those of nodes of weight 0 are extrapolated linearly on their facets (collective).
 
         P2 has such nodes at the vertices of triangles, and in axial symmetry on the axis.
 
         Args:
-            values: At local nodes; right at the contact nodes.
+            values: At local nodes; valid at the contact nodes.
             V: The vector-valued space.
         """
         if self._beside is None:
@@ -300,7 +301,7 @@ class ContactNodes:
         targets, known, factors = self._beside
         around = values[known]
         at = np.einsum("ij,ij->i", factors, around)
-        at = np.where((around <= 0).all(axis=1), np.minimum(at, 0.0), at)  # no pull beside what pushes
+        at = np.where((around <= 0).all(axis=1), np.minimum(at, 0.0), at)  # extrapolation does not change the sign
         at = np.where((around >= 0).all(axis=1), np.maximum(at, 0.0), at)
         sums = fem.Function(V)
         table = sums.x.array.reshape(len(values), self.components)
@@ -356,8 +357,8 @@ def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
 def _weightless(
     level: VectorLevel, facets: np.ndarray, on: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Nodes of weight 0 on owned contact facets, once for each facet, and the nodes and factors of the linear function
-    there; None if there are none on any rank (collective)."""
+    """Nodes of weight 0 on owned contact facets, once for each facet, and the nodes and factors from which they are
+    extrapolated; None if there are none on any rank (collective)."""
     mesh, V = level.mesh, level.V
     dim, layout = mesh.topology.dim - 1, V.dofmap.dof_layout
     own = facets[facets < mesh.topology.index_map(dim).size_local]
@@ -409,7 +410,7 @@ class VectorData(Data):
     """The data of a vector-valued problem: obstacles bound the normal components at contact nodes."""
 
     def __init__(self, model: Model, level: VectorLevel, bcs: Any, *, of: Any, u: fem.Function, weight: Any = None):
-        """Sample nothing yet.
+        """Store the arguments; data are sampled on first use.
 
         Args:
             model: With obstacles on the facets named `contact`.

@@ -39,6 +39,7 @@ def summary(record: Mapping[str, Any], title: str) -> str:
         f"{r['seconds']['total']:.2f} s in all, {r['memory_mb']:.0f} MB",
         "  " + "; ".join(figures),
         *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
+        *(f"  warning: {remark}" for remark in r.get("remarks", ())),
         *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
     ]
     if r["penetration"] > LARGE_PENETRATION * r["u_range"]:

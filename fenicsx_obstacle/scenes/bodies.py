@@ -250,7 +250,8 @@ class Body:
         level, gdim = self.level, self.level.mesh.geometry.dim
         obstacle.check(gdim, axial=self.scene.model.radial)
         facets = self.data.facets[obstacle.part]
-        if total(level.comm, np.count_nonzero(~np.isin(facets, level.boundary_facets))) > 0:
+        own_facets = facets[facets < level.mesh.topology.index_map(level.mesh.topology.dim - 1).size_local]
+        if total(level.comm, np.count_nonzero(~np.isin(own_facets, level.boundary_facets))) > 0:
             raise InputError(f"{obstacle.source}: a part of it is inside the body; contact is on the boundary")
         dofs = self.data.dofs_on(facets)
         own = dofs[dofs < level.owned]
