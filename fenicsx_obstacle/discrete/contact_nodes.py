@@ -1,9 +1,9 @@
 """Contact nodes of vector-valued problems: one unit normal N_i, one weight D_i and one gap for each node.
 
 At a contact node the constraint is lower <= of(u) <= upper with of(u) = N_i . u, up to a term independent of u and a
-factor. A
-Householder reflection H_i maps N_i to a coordinate axis, so that one component of H_i u is the normal displacement and
-the constraint a simple bound. The penalty and the variational inequality take the same N_i, D_i and bounds.
+factor. A Householder reflection H_i maps N_i to a coordinate axis, so that one component of H_i u is the normal
+displacement and the constraint a simple bound. The penalty and the variational inequality take the same N_i, D_i and
+bounds.
 """
 
 from __future__ import annotations
