@@ -75,7 +75,7 @@ assert np.all(np.diff(exercise[1:]) <= 0) and exercise[-1] > perpetual  # the mo
 # %% [markdown]
 # ## Picture
 #
-# Left: the value one year before expiry leaves the payoff at $S^*$ without a kink. Right: the exercise boundary. It
+# Left: one year before expiry the value is tangent to the payoff at $S^*$. Right: the exercise boundary. It
 # moves in steps of one cell, because the contact set consists of nodes.
 
 # %%

@@ -9,15 +9,15 @@
 # # Kikuchi's paper in an hour
 #
 # N. Kikuchi, *Convergence of a penalty-finite element approximation for an obstacle problem*, Numer. Math. 37 (1981)
-# 105-120, on meshes so small that each cell takes seconds. Numbers such as (3.4) are those of the paper. Statements
-# about
-# errors, orders and counts are checked by `assert`. Each section ends with exercises.
+# 105-120. The meshes are coarse: each code cell runs in seconds. Numbers such as (3.4) are those of the paper.
+# Statements about errors, orders and counts are checked by `assert`. Each section ends with exercises.
 #
 # As a script, on any number of ranks, `.venv/bin/python docs/kikuchi_in_an_hour.py` writes its pictures into
 # `out/kikuchi`. Spyder and VS Code run single cells. For a notebook: `.venv/bin/pip install jupyterlab jupytext`, then
 # `.venv/bin/jupytext --to notebook docs/kikuchi_in_an_hour.py`.
 #
-# Each section needs only the next cell. The first run compiles forms and takes longer.
+# Before any section, run the next code cell (imports and helper functions); no section needs another section. The
+# first run compiles forms and takes longer.
 
 # %%
 from itertools import pairwise
@@ -88,7 +88,7 @@ def keep(page, name):
 
 
 # %% [markdown]
-# ## 1. The penalised problem, and the pressure for free
+# ## 1. The penalised problem and its contact pressure
 #
 # Find $u \le g$ with $-u'' = f + p$, where the contact pressure $p \le 0$ vanishes wherever $u < g$. The penalty method
 # replaces the constraint by a force that grows with the penetration: find $u \in V_h$ with
@@ -119,7 +119,7 @@ ends = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0] * (1 - x[0]), 0)
 solve_form(F, u, bcs=[fem.dirichletbc(fem.Function(V), ends)], upper=c, eps=eps)
 assert np.allclose(u.x.array, answer.u.x.array)
 
-# one added line makes that residual (3.4), and u solves it; only the supports at both ends react
+# with the penalty added, F is the residual of (3.4); it is 0 for u, except at the Dirichlet nodes (set to 0 below)
 F += penalty(u, v, upper=c, eps=eps)
 b = fem.petsc.assemble_vector(fem.form(F))
 b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
@@ -150,9 +150,9 @@ keep(page, "1_string")
 # $$ \|u_\varepsilon - u_h\|_1 \le C \varepsilon/h, \qquad \|p_\varepsilon - p_h\|_0 \le C \varepsilon/h^2.
 #    \qquad (5.5) $$
 #
-# In the picture below, for small $\varepsilon$, both errors are of order $\varepsilon$. For $\varepsilon > h^2$ they do
-# not depend on
-# the mesh, (5.5) is pessimistic, and the orders are about 3/4 and 1/4: section 7 computes why. For every $\varepsilon$,
+# In the picture below, for small $\varepsilon$, both errors are of order $\varepsilon$. For $\varepsilon > h^2$ they
+# do not depend on the mesh, the bound (5.5) is not sharp, and the orders are about 3/4 and 1/4 (explained in section
+# 7). For every $\varepsilon$,
 # $|u_\varepsilon - u_h| \le \varepsilon \max|p_h|$ at every node, because the stiffness matrix is an M-matrix.
 #
 # **Exercise 2.1.** Repeat with `cells=64` and `cells=1024`. How does the value of $\varepsilon$ at which the order
@@ -186,11 +186,10 @@ keep(page, "2_eps")
 # %% [markdown]
 # ## 3. h tends to 0, and eps with it
 #
-# Now errors against the exact solution. The discrete inequality has order 1 for u (5.6), and for p in the norm
-# $\|\cdot\|_1^*$ dual to that of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With
-# $\varepsilon = h$ it does not: the error is then that of the penalty, about $\varepsilon^{3/4}$ where the pressure
-# jumps, as it
-# does at the free boundary here.
+# Now errors against the exact solution. The discrete inequality has order 1 for u in $H^1$ (5.6) and order 1 for p in
+# $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With
+# $\varepsilon = h$ it does not; the penalty error dominates, about $\varepsilon^{3/4}$ for u, because the pressure
+# jumps at the free boundary.
 #
 # **Exercise 3.1.** Which power $\varepsilon = h^k$ is the largest $\varepsilon$ that gives order 1 for u? Use section
 # 2, then test it.
@@ -222,14 +221,16 @@ keep(page, "3_h")
 # %% [markdown]
 # ## 4. Stability: lost in L2, kept in the dual norm
 #
-# How well does $V_h$ control a pressure? (3.18) asks for $\alpha_h$ with
+# The inf-sup condition (3.18) of $V_h$ and the pressure space $Q_h$ asks for $\alpha_h > 0$ with
 #
 # $$ \sup_{v \in V_h} I(q, v)/\|v\|_1 \ge \alpha_h \|q\|_0 \quad \text{for all } q \in Q_h. \qquad (3.18) $$
 #
-# Examples 2 and 3 find $\alpha_h = h/C$, which is optimal: a pressure that changes its sign from node to node does
-# little work. Hence the 1/h and 1/h^2 of (5.5). The reason is the norm. In the dual norm
-# $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$ such a pressure is small too, and the constant $\beta_h$ is bounded away from 0.
-# Therefore (5.8) and (5.9) lose no power of h. In both, q is 0 at boundary nodes, where functions of $V_h$ vanish.
+# Examples 2 and 3 of the paper prove it with $\alpha_h = h/C$. This order is optimal: for a q that changes sign from
+# node to node, $I(q, v)/\|v\|_1$ is at most of order $h\,\|q\|_0$ for every v. Hence the 1/h and 1/h^2 of (5.5). The
+# reason is the norm. The dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, v in $H^1_0$, of such a pressure is small too.
+# With it in place of $\|q\|_0$ in (3.18), the constant is called $\beta_h$ and is bounded away from 0.
+# Therefore (5.8) and (5.9) lose no power of h. In the definitions of both constants, q is 0 at the boundary nodes,
+# because every v in $V_h$ vanishes there.
 #
 # **Exercise 4.1.** Add `"P1-voronoi"` on criss-cross meshes (`"diagonal": "crossed"`). Which of the two constants
 # changes its order?
@@ -266,11 +267,12 @@ keep(page, "4_stability")
 #
 # Example 3: Q1 with one-point Gauss for I. The penalty now acts at the centres of the cells. On n x n cells there are
 # n^2 centres for (n - 1)^2 interior nodes, so that 2n - 1 independent pressures q do no work: I(q, v) = 0 for all v in
-# $V_h$. One of them is a checkerboard, whose mean around each node is 0. Only the sign of p limits their part in
-# $p_h$. u is as accurate as with the trapezoid rule, the pressure is not.
+# $V_h$. One of them is a checkerboard, whose mean around each node is 0. The equations determine $p_h$ only up to
+# these q; only the condition $p_h \le 0$ limits how much of them $p_h$ contains. u is as accurate as with the
+# trapezoid rule, the pressure is not.
 #
-# **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that they change sign in one
-# direction.
+# **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that each is the sum of a
+# pressure that alternates in sign along x and one that alternates along y.
 #
 # **Exercise 5.2.** Solve with the penalty, `eps="h^2"`, in place of `method="vi"`. Does the pressure oscillate less?
 
@@ -299,11 +301,12 @@ keep(page, "5_chessboard")
 # Theorem 4.2 states only that $\|p - p_h\|_0$ is bounded (5.7). That is sharp on a mesh that is not uniform, with
 # an obstacle that is not flat. In contact u = g at the nodes, so that $p_i = (A g)_i/D_i - f_i$, with the stiffness
 # matrix
-# A and the weight $D_i$ of the node in I. On a criss-cross mesh $D_i = h^2/3$ with four triangles and
-# $2h^2/3$ with eight, where $h^2/2$ would be consistent: the curvature of g is multiplied by 3/2 and 3/4, on every
-# mesh.
+# A and the weight $D_i$ of the node in I. On a criss-cross mesh $D_i = h^2/3$ at nodes with four triangles (centres of
+# squares) and $2h^2/3$ at nodes with eight (corners); $h^2/2$ would be consistent. So $p_i$ contains $-\Delta g$ times
+# 3/2 or 3/4, however fine the mesh is.
 #
-# - The penalty with $\varepsilon = h^2$ damps this oscillation; for much smaller $\varepsilon$ it returns.
+# - The factors 3/2 and 3/4 make the pressure oscillate from node to node; $\varepsilon = h^2$ damps this, a much
+#   smaller $\varepsilon$ does not.
 # - `P1-voronoi` gives each node its Voronoi area, here $h^2/2$. This is a rule with positive weights (3.6) as well.
 #
 # **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
@@ -366,13 +369,13 @@ keep(page, "6_stall")
 # - In contact w = u - c solves -w'' + w/eps = f, w(alpha) = 0. By symmetry
 #   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at alpha is
 #   $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
-# - Outside $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, of the same value and slope there. u(0) = 0 gives
-#   $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. As s hardly depends on $\alpha$, a few fixed-point iterations converge.
+# - Outside contact, $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, with the same value and slope at $\alpha$. u(0) = 0
+#   gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. As s hardly depends on $\alpha$, a few fixed-point iterations converge.
 #
 # So contact begins too early, at about $a - \sqrt\varepsilon$, and the pressure rises over the width
-# $\sqrt\varepsilon$. In a layer,
-# with $z = (x - \alpha)/\sqrt\varepsilon$, it is $-f(1 - e^{-z})$ for the jump at z = 1, and the slope is
-# $\sqrt\varepsilon f e^{-z}$ for $\sqrt\varepsilon f (1 - z)^+$. Hence, for both layers and up to higher orders,
+# $\sqrt\varepsilon$. Let $z = (x - \alpha)/\sqrt\varepsilon > 0$ in the left layer. To leading order $p_\varepsilon =
+# -f(1 - e^{-z})$, while p jumps from 0 to -f at z = 1; $u_\varepsilon' = \sqrt\varepsilon f e^{-z}$, while $u' =
+# \sqrt\varepsilon f (1 - z)^+$. Hence, for both layers and up to higher orders,
 #
 # $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \left[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
 #    \right] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
@@ -448,14 +451,14 @@ keep(page, "7_layer")
 # If the contact set were known, (3.4) would be linear. The iteration starts with the empty set, solves, takes
 # $\{u > g\}$ as the next set, and stops when the set repeats: then u solves (3.4) exactly. Below are a few lines of
 # NumPy
-# for the string, beside the package's own iteration. It is Newton's method for (3.4). With an M-matrix, after the first
-# step u decreases and so do the sets, so that the iteration is finite.
+# for the string, beside the package's own iteration. The iteration (3.4)* is Newton's method for (3.4). With an
+# M-matrix, after the first step u decreases and so do the sets, so that the iteration is finite.
 #
 # For a small $\varepsilon$ a set loses about one layer of nodes per step: the number of steps grows like 1/h. Nested
 # iteration
 # starts from the contact set of the mesh twice as coarse; its number of steps does not grow.
 #
-# **Exercise 8.1.** Start from the full set in place of the empty one. Are the sets still nested?
+# **Exercise 8.1.** Start from the full set in place of the empty one. Does each set still contain the next one?
 #
 # **Exercise 8.2.** Write (3.4)\* for the 3 x 3 matrix of `CYCLE` in `verification/theory/iteration.py` and observe its
 # cycle.
