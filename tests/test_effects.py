@@ -670,7 +670,8 @@ solve(Scene(mesh={"shape": "rectangle", "cells": 4}, tension=1, lower=-1, **effe
 found = [name for name in sys.modules if name.startswith("fenicsx_obstacle.effects.")]
 found += [name for name in ("fenicsx_obstacle.answers.bodies", "fenicsx_obstacle.discrete.contact_nodes",
           "fenicsx_obstacle.discrete.parts", "fenicsx_obstacle.discrete.peclet", "fenicsx_obstacle.discrete.rigid",
-          "fenicsx_obstacle.discrete.tensors", "fenicsx_obstacle.discrete.vector_problem",
+          "fenicsx_obstacle.discrete.tensors", "fenicsx_obstacle.discrete.vector_levels",
+          "fenicsx_obstacle.discrete.vector_problem",
           "fenicsx_obstacle.forms.elasticity", "fenicsx_obstacle.problems.vector_valued",
           "fenicsx_obstacle.scenes.bodies", "fenicsx_obstacle.scenes.body_report",
           "pyvista", "matplotlib", "slepc4py", "gmsh") if name in sys.modules]
