@@ -393,17 +393,22 @@ def _weightless(
     return np.array(targets), np.array(known), np.array(factors)
 
 
-def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:
-    """A linear form at local nodes, ghosts included, shape (nodes, components) (collective)."""
-    vector = fem.petsc.assemble_vector(releases.form(linear))
+def assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
+    """A linear form at local dofs, ghosts included (collective)."""
+    vector = fem.petsc.assemble_vector(releases.form(form))
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     found = fem.Function(V)
     own = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
     found.x.array[:own] = vector.array_r[:own]
     found.x.scatter_forward()
     vector.destroy()
-    values = found.x.array
-    return values.reshape(len(values) // V.dofmap.index_map_bs, V.dofmap.index_map_bs).copy()
+    return found
+
+
+def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:
+    """A linear form at local nodes, ghosts included, shape (nodes, components) (collective)."""
+    values, components = assembled(linear, V).x.array, V.dofmap.index_map_bs
+    return values.reshape(len(values) // components, components)
 
 
 class VectorData(Data):

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.contact_nodes import KINK, over, vector_pair
+from fenicsx_obstacle.discrete.contact_nodes import KINK, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.reference import Reference
@@ -283,7 +283,7 @@ class Body:
         mesh, gdim = self.level.mesh, self.level.mesh.geometry.dim
         linear = releases.functionspace(mesh, "Lagrange", 1, gdim)
         ds, v, n = self._over(facets), ufl.TestFunction(linear), ufl.FacetNormal(mesh)
-        sums, sizes = (_assembled(form, linear) for form in (ufl.inner(n, v) * ds, v[0] * ds))
+        sums, sizes = (assembled(form, linear) for form in (ufl.inner(n, v) * ds, v[0] * ds))
         vectors, weights = sums.x.array.reshape(-1, gdim), sizes.x.array.reshape(-1, gdim)[:, 0]
         lengths = np.linalg.norm(vectors, axis=1)
         there = weights > 0
@@ -358,15 +358,3 @@ def part_of(one: Facing, nodes: ContactTable) -> ContactTable:
     return ContactTable(
         nodes.points[near], nodes.normals[near], nodes.areas[near], nodes.pressure[near], nodes.gap[near]
     )
-
-
-def _assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
-    """A linear form at local dofs, ghosts included (collective)."""
-    vector = fem.petsc.assemble_vector(releases.form(form))
-    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    found = fem.Function(V)
-    own = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    found.x.array[:own] = vector.array_r[:own]
-    found.x.scatter_forward()
-    vector.destroy()
-    return found
