@@ -407,7 +407,7 @@ def assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
 
 def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:
     """A linear form at local nodes, ghosts included, shape (nodes, components) (collective)."""
-    values, components = assembled(linear, V).x.array, V.dofmap.index_map_bs
+    values, components = assembled(linear, V).x.array.copy(), V.dofmap.index_map_bs
     return values.reshape(len(values) // components, components)
 
 
