@@ -222,8 +222,8 @@ def check_linear(text, x, seed):
 
 
 def test_what_is_no_number_has_no_finite_bounds():
-    """Neither 0 over an angle that is 0 everywhere, nor the remainder by a logarithm that is no number."""
-    for text in ("0/atan2(0, 0)", "0 % ln(-1.5)"):
+    """Neither 0 over what is 0 everywhere, up to round-off too, nor the remainder by a logarithm that is no number."""
+    for text in ("0/atan2(0, 0)", "0/(r - r)", "0 % ln(-1.5)"):
         assert not enclosed(text, [[(0, 0), (0, 1), (1, 0)]]).finite.any(), text
 
 

@@ -195,7 +195,9 @@ def divide(a: Enclosure, b: Enclosure) -> Enclosure:
     found = multiply(a, _inverse(b))
     point = (a.lower == a.upper) & (b.lower == b.upper) & (b.lower != 0)
     lower = np.where(point, a.lower / b.lower, found.lower)  # as NumPy divides
-    return replace(found, lower=lower, upper=np.where(point, lower, found.upper))
+    upper = np.where(point, lower, found.upper)
+    no_number = (a.lower == 0) & (a.upper == 0) & (b.lower <= 0) & (b.upper >= 0)  # 0/0 is possible
+    return replace(found, lower=np.where(no_number, -np.inf, lower), upper=np.where(no_number, np.inf, upper))
 
 
 def power(a: Enclosure, n: int) -> Enclosure:
