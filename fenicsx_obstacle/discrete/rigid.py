@@ -94,6 +94,8 @@ class RigidMotions(Problem):
         # PETSc's default for the coarsest level keeps the size of the first active set
         "mg_coarse_pc_type": "lu",
         "mg_coarse_pc_factor_mat_solver_type": "mumps",
+        # an aggregate of few nodes has fewer independent motions than there are: a pivot that is 0
+        "mg_coarse_mat_mumps_icntl_24": "1",
     }
 
     @property

@@ -131,7 +131,9 @@ def _nodes(problem: VectorProblem) -> Nodes:
     level = problem.level
     bs, dim = level.components, level.mesh.topology.dim
     own = level.owned // bs
-    x = np.ascontiguousarray(level.nodes.T[:own])
+    x = np.empty((len(level.nodes.T), 3))
+    x[level.node_of] = level.scalar.points.T  # the same on all ranks to the last digit
+    x = x[:own].copy()
     kind = np.full(own, FREE, dtype=np.int8)
     boundary = fem.locate_dofs_topological(level.V, dim - 1, level.boundary_facets)
     kind[boundary[boundary < own]] = BOUNDARY
