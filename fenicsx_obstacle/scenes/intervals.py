@@ -92,7 +92,7 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
     """Rounded outward; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
-    below, above = np.subtract(lower, _room(lower)), np.add(upper, _room(upper))
+    below, above = np.subtract(lower, _rounding(lower)), np.add(upper, _rounding(upper))
     if point.any() or lower.shape != upper.shape:
         below, above = np.where(point, lower, below), np.where(point, upper, above)
     below, above = _known(below, -np.inf), _known(above, np.inf)
@@ -100,12 +100,12 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
     return Enclosure(below, above, np.asarray(degree), whole, known, slopes)
 
 
-def _room(values: np.ndarray) -> np.ndarray:
-    """For the round-off of one operation."""
-    room = np.asarray(np.abs(values))
-    room *= _ROUND_OFF
-    room += _TINY
-    return room
+def _rounding(values: np.ndarray) -> np.ndarray:
+    """A bound of the round-off of one operation."""
+    rounding = np.asarray(np.abs(values))
+    rounding *= _ROUND_OFF
+    rounding += _TINY
+    return rounding
 
 
 def _known(values: np.ndarray, otherwise: float) -> np.ndarray:
@@ -123,7 +123,7 @@ def _all(conditions: list[np.ndarray]) -> np.ndarray:
 
 
 def widened(a: Enclosure) -> Enclosure:
-    """With room for the round-off of one operation at single points too."""
+    """With rounding for the round-off of one operation at single points too."""
     return replace(a, lower=a.lower - _ROUND_OFF * np.abs(a.lower), upper=a.upper + _ROUND_OFF * np.abs(a.upper))
 
 
