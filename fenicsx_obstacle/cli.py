@@ -319,7 +319,7 @@ def hard(
 ) -> int:  # fmt: skip
     """Solve hard scenes, and check every result against the theory.
 
-    NAME is a scene or a family; without it all are solved. Verdicts: right, refused or FAILED; the last one means
+    NAME is a scene or a family; without it all are solved. Verdicts: right, rejected or FAILED; the last one means
     exit status 3.
     """
     from fenicsx_obstacle.show.progress import progress

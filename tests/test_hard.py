@@ -1,4 +1,4 @@
-"""Hard scenes in short: right or refused on 1, 2 and 3 ranks, and every invariant can be violated."""
+"""Hard scenes in short: right or rejected on 1, 2 and 3 ranks, and every invariant can be violated."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ from fenicsx_obstacle.verification.hard.cases import FOLDER, Case, case, cases, 
 from fenicsx_obstacle.verification.hard.invariants import beside_inequality, falling, of_one, same, violated
 from fenicsx_obstacle.verification.hard.judge import METHODS, judge, take
 from fenicsx_obstacle.verification.hard.ranks import agree_on, fields_of
-from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REFUSED, RIGHT
+from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REJECTED, RIGHT
 from fenicsx_obstacle.verification.hard.suite import rows_of
 from fenicsx_obstacle.verification.hard.units import Units, all_units
 
@@ -76,7 +76,7 @@ def test_scene_without_maximum_principle(name):
 def test_scene_without_solution(name):
     """Refused at once, in words, on all ranks."""
     rows = list(judge(case(name).on(0), COMM, FEW, refuse=case(name).refuse))
-    assert [row["verdict"] for row in rows] == [REFUSED]
+    assert [row["verdict"] for row in rows] == [REJECTED]
 
 
 @pytest.mark.slow
@@ -95,13 +95,13 @@ def test_floating_membranes():
 
 @pytest.mark.parametrize("name", slow_except(["ball", "gap_6"], "gap_6"))
 def test_floor_of_eps(name):
-    """Just above the floor answers are right; below it they are refused, with the floor in the message."""
+    """Just above the floor answers are right; below it they are rejected, with the floor in the message."""
     scene = case(name).on(0)
     with closing(SolverContext(scene, COMM)) as context:
         floor = smallest_eps(context.problem)
     above, below = list(judge(scene, COMM, (1.01 * floor,))), list(judge(scene, COMM, (0.5 * floor, 1e-300)))
     assert [row["verdict"] for row in above] == [RIGHT] * 3, messages(above)
-    assert [row["verdict"] for row in below] == [RIGHT] + [REFUSED] * 4
+    assert [row["verdict"] for row in below] == [RIGHT] + [REJECTED] * 4
     assert all(FLOOR in row["message"] and f"{floor:.2g}" in row["message"] for row in below[1:])
 
 
@@ -241,7 +241,7 @@ def test_not_a_number_is_no_answer(answers):
 
 
 def test_verdicts_of_what_goes_wrong():
-    """A scene that should be refused and is not, and a solver that gives up: FAILED, with the reason."""
+    """A scene that should be rejected and is not, and a solver that gives up: FAILED, with the reason."""
     rows = list(judge(case("lake").on(0), COMM, (1e-4,), refuse="no u satisfies both"))
     assert {row["verdict"] for row in rows} == {FAILED}
     with defaults("penalty_", {"snes_max_it": 1}), defaults("vi_", {"snes_max_it": 1}):
@@ -257,7 +257,7 @@ def test_command(tmp_path):
     command = [sys.executable, "-m", "fenicsx_obstacle", "hard", "torsion_3", "--output", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=180, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "1 scene, 62 answers: 62 right, 0 refused, 0 FAILED" in done.stdout
+    assert "1 scene, 62 answers: 62 right, 0 rejected, 0 FAILED" in done.stdout
     assert {path.name for path in tmp_path.iterdir()} == {"hard.jsonl", "tables.md", "steps.png", "digits.png"}
     assert (tmp_path / "hard.jsonl").read_text().count('"3 ranks"') == 3
     lost = rows_of(Case(name="nonsense", family="none", hard="not there"))

@@ -13,7 +13,7 @@ from fenicsx_obstacle.verification.hard.families.all_families import TRUTHS
 from fenicsx_obstacle.verification.hard.families.drifts import Strip
 from fenicsx_obstacle.verification.hard.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION, Family, Judgement
 from fenicsx_obstacle.verification.hard.families.films import Film
-from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT
+from fenicsx_obstacle.verification.hard.row import FAILED, REJECTED, RIGHT
 from fenicsx_obstacle.verification.show.random_scenes import HEADS, table
 
 COUNT = {1: 50, 2: 20}  # on three ranks 10
@@ -107,9 +107,9 @@ class Told(Family):
 
 @pytest.mark.parametrize(
     ("outcome", "verdict"),
-    [("a answer", RIGHT), ("a input", FAILED), ("a lost", FAILED), ("r answer", FAILED), ("r input", REFUSED),
-     ("r lost", REFUSED), ("i answer", FAILED), ("i input", REFUSED), ("i lost", FAILED), ("e answer", RIGHT),
-     ("e lost", REFUSED)],
+    [("a answer", RIGHT), ("a input", FAILED), ("a lost", FAILED), ("r answer", FAILED), ("r input", REJECTED),
+     ("r lost", REJECTED), ("i answer", FAILED), ("i input", REJECTED), ("i lost", FAILED), ("e answer", RIGHT),
+     ("e lost", REJECTED)],
 )  # fmt: skip
 def test_expectations(outcome, verdict):
     """Answers where there must be none are FAILED, and so are rejections where there must be an answer."""

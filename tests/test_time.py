@@ -313,7 +313,7 @@ def test_saved(folder):
     assert not (folder / "frames.h5").exists()
 
 
-REFUSED = {
+REJECTED = {
     "needs a table [time]": {"rate": 1},
     "the key 'start' is missing": {"rate": 1, "time": {"end": 1, "steps": 1}},
     "an equilibrium is computed at each time": {"time": {"end": 1, "steps": 1, "start": 0}},
@@ -339,11 +339,11 @@ REFUSED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("words", REFUSED)
+@pytest.mark.parametrize("words", REJECTED)
 def test_refused(words):
     """What contradicts itself is told, on all ranks, also where only a later moment shows it."""
     with pytest.raises(InputError, match=words.replace("[", r"\[")):
-        solve(Scene(**{"mesh": INTERVAL, "tension": 1, **REFUSED[words]}))
+        solve(Scene(**{"mesh": INTERVAL, "tension": 1, **REJECTED[words]}))
 
 
 def test_no_bound_and_no_restart():
@@ -359,7 +359,7 @@ def test_no_bound_and_no_restart():
 
 @pytest.mark.slow
 def test_states_are_of_one_mesh(folder):
-    """Another mesh, or an end that is reached already, is refused."""
+    """Another mesh, or an end that is reached already, is rejected."""
     scene = Scene(mesh=INTERVAL, tension=1, lower=-1, time={"end": 1, "steps": 2})
     solve(scene, keep=folder)
     with pytest.raises(InputError, match="set a later"):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError, ObstacleError
-from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT, Row
+from fenicsx_obstacle.verification.hard.row import FAILED, REJECTED, RIGHT, Row
 from fenicsx_obstacle.verification.processes import launch, records, tell
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def _draw(name: str, count: int, seed: int, use: Callable[[Family], None]) -> No
 
 
 def judged(scene: Family, comm: MPI.Comm) -> Row:
-    """One row: FAILED if anything has, refused if nothing was answered, and what was said (collective)."""
+    """One row: FAILED if anything has, rejected if nothing was answered, and what was said (collective)."""
     from fenicsx_obstacle.verification.hard.families.family import Judgement
 
     start, judgement = time.perf_counter(), Judgement(comm)
@@ -114,8 +114,8 @@ def judged(scene: Family, comm: MPI.Comm) -> Row:
         scene.judge(judgement)
     except ObstacleError as error:
         judgement.check(False, str(error))
-    verdict = FAILED if judgement.wrong else (RIGHT if judgement.answers else REFUSED)
-    return {**described(scene), "verdict": verdict, "answers": judgement.answers, "refused": judgement.refused,
+    verdict = FAILED if judgement.wrong else (RIGHT if judgement.answers else REJECTED)
+    return {**described(scene), "verdict": verdict, "answers": judgement.answers, "rejected": judgement.rejected,
             "message": "; ".join(judgement.wrong), "crashed": judgement.crashed, "bounds": judgement.bounds,
             "seconds": time.perf_counter() - start}  # fmt: skip
 
@@ -152,7 +152,7 @@ def _share(counts: Mapping[str, int], seed: int, environment: Mapping[str, str])
                 break
         if started is not None:
             left[started["family"]] -= 1
-            yield {**started, "verdict": FAILED, "answers": 0, "refused": 0, "seconds": PATIENCE, "seed": seed,
+            yield {**started, "verdict": FAILED, "answers": 0, "rejected": 0, "seconds": PATIENCE, "seed": seed,
                    "bounds": [], "message": "took the process down, or did not end", "crashed": True}  # fmt: skip
         if left.total() == before:
             raise InputError("no random scene could be drawn")

@@ -21,7 +21,7 @@ from fenicsx_obstacle.solvers.plausibility import NO_SOLUTION
 from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.verification.hard.invariants import Finding, beside_inequality, falling, of_one, same, violated
-from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, asked, row_of
+from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
 from fenicsx_obstacle.verification.hard.units import Units, all_units
 
 EPS: tuple[float | str, ...] = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, "auto")
@@ -56,7 +56,7 @@ def judge(
         comm: Communicator.
         epsilons: From large to small.
         methods: penalty, successive.
-        refuse: Part of the message with which the scene must be refused; empty where it has a solution.
+        refuse: Part of the message with which the scene must be rejected; empty where it has a solution.
         starts: Solve from other starting guesses as well.
         units: Solve in other units as well.
     """
@@ -70,7 +70,7 @@ def judge(
         context = SolverContext(scene, comm)
     except InputError as error:
         expected = bool(refuse) and refuse in str(error)
-        yield row_of(scene, "", None, REFUSED if expected else FAILED, start, message=str(error))
+        yield row_of(scene, "", None, REJECTED if expected else FAILED, start, message=str(error))
         return
     with closing(context), closing(ReferenceProblem(context.problem)) as ground:
         court = _Verifier(scene, context, ground, refuse)
@@ -153,12 +153,14 @@ class _Verifier:
         try:
             answer = self.context.answer(asked(self.scene, method, eps))
         except InputError as error:
-            yield row_of(self.scene, method, eps, REFUSED if FLOOR in str(error) else FAILED, start, message=str(error))
+            yield row_of(
+                self.scene, method, eps, REJECTED if FLOOR in str(error) else FAILED, start, message=str(error)
+            )
             return
         except NotConverged as error:
             # without a maximum principle for A an error of the size of the solution is the mesh's, and no answer
             coarse = NO_SOLUTION in str(error) and not self.ground.monotone
-            yield row_of(self.scene, method, eps, REFUSED if coarse else FAILED, start, message=str(error))
+            yield row_of(self.scene, method, eps, REJECTED if coarse else FAILED, start, message=str(error))
             return
         record = dict(answer.record)
         number = record["eps"]
@@ -183,7 +185,7 @@ class _Verifier:
         trial: str = "",
     ) -> Row:  # fmt: skip
         wrong = violated(findings)
-        message = f"should be refused: {self.refuse}" if self.refuse else "; ".join(map(str, wrong))
+        message = f"should be rejected: {self.refuse}" if self.refuse else "; ".join(map(str, wrong))
         verdict = FAILED if message else RIGHT
         record = {**record, "monotone": self.ground.monotone}
         return row_of(self.scene, method, eps, verdict, start, record, findings, message, trial)

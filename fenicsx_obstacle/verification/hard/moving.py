@@ -21,7 +21,7 @@ from fenicsx_obstacle.solvers.newton import penalty_pressure
 from fenicsx_obstacle.solvers.stopping import TOLERANCE
 from fenicsx_obstacle.solvers.vi import residual_pressure
 from fenicsx_obstacle.verification.hard.invariants import Finding, of_one, violated
-from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REFUSED, RIGHT, Row, asked, row_of
+from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
 
 
 def judge_moving(
@@ -36,7 +36,7 @@ def judge_moving(
             try:
                 answer = context.answer(asked(scene, method, eps))
             except (InputError, NotConverged) as error:
-                verdict = REFUSED if FLOOR in str(error) else FAILED
+                verdict = REJECTED if FLOOR in str(error) else FAILED
                 yield row_of(scene, method, eps, verdict, start, message=str(error))
                 continue
             problem = context.problem

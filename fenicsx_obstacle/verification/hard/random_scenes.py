@@ -65,7 +65,7 @@ class Drawn(Family):
             failed = row["verdict"] == FAILED
             judgement.check(not failed, f"{row['method']} {row['asked']}: {row['message']}")
             judgement.answers += row["verdict"] == RIGHT
-            judgement.refused += not failed and row["verdict"] != RIGHT
+            judgement.rejected += not failed and row["verdict"] != RIGHT
 
     def text(self) -> str:
         asked = f"SNES VI, penalty and (3.4)* with eps = {', '.join(self.epsilons())}"

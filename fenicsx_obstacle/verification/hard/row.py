@@ -10,7 +10,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.verification.hard.invariants import Finding
 
-RIGHT, REFUSED, FAILED = "right", "refused", "FAILED"
+RIGHT, REJECTED, FAILED = "right", "rejected", "FAILED"
 FLOOR = "limit of round-off"  # words of the refusal
 Row = dict[str, Any]
 

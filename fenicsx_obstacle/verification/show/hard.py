@@ -15,14 +15,14 @@ from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.text import counted
 from fenicsx_obstacle.verification.hard.cases import cases, named
 from fenicsx_obstacle.verification.hard.judge import METHODS
-from fenicsx_obstacle.verification.hard.row import FAILED, REFUSED, RIGHT, Row
+from fenicsx_obstacle.verification.hard.row import FAILED, REJECTED, RIGHT, Row
 from fenicsx_obstacle.verification.hard.suite import one_rank, run
 from fenicsx_obstacle.verification.hard.summary import RESOLVED, Summary, digits_panels, figures_of, panels
 from fenicsx_obstacle.verification.show.theory import drawing
 from fenicsx_obstacle.verification.theory.statement import Found, Panel
 
 LINES, TABLES, STEPS, DIGITS = "hard.jsonl", "tables.md", "steps.png", "digits.png"
-HEADS = ("scene", "family", "right", "refused", "FAILED", "VI", "penalty", "(3.4)*", "maximum", "meshes", "s")
+HEADS = ("scene", "family", "right", "rejected", "FAILED", "VI", "penalty", "(3.4)*", "maximum", "meshes", "s")
 LEGEND = (
     "VI, penalty, (3.4)*: most Newton steps on the finest level; maximum: whether its principle holds for the matrix;\n"
     "meshes: change of the contact force from the coarser mesh to the finer one; s: seconds of all its processes."
@@ -74,7 +74,7 @@ def summary(all_figures: Sequence[Summary], seconds: float) -> str:
     count: Counter[str] = Counter()
     for figures in all_figures:
         count += figures.verdicts
-    parts = ", ".join(f"{count[verdict]} {verdict}" for verdict in (RIGHT, REFUSED, FAILED))
+    parts = ", ".join(f"{count[verdict]} {verdict}" for verdict in (RIGHT, REJECTED, FAILED))
     lines = [
         f"{counted(len(all_figures), 'scene')}, {counted(count.total(), 'answer')}: {parts}; {seconds / 60:.1f} min"
     ]
@@ -108,9 +108,9 @@ def _described(figures: Summary) -> list[str]:
 def _verdicts(figures: Summary) -> str:
     """Whether all have the same result, or how many were rejected or have failed."""
     count = figures.verdicts
-    few = [f"{count[verdict]} {verdict}" for verdict in (REFUSED, FAILED) if count[verdict]]
+    few = [f"{count[verdict]} {verdict}" for verdict in (REJECTED, FAILED) if count[verdict]]
     if not count[RIGHT]:
-        return ", ".join(few) if count[FAILED] else REFUSED
+        return ", ".join(few) if count[FAILED] else REJECTED
     return ", ".join(["right", *few])
 
 
@@ -118,7 +118,7 @@ def _cells(figures: Summary) -> tuple[Any, ...]:
     one, count = figures.case, figures.verdicts
     steps = [figures.steps[method] or "" for method in ("vi", *METHODS)]
     maximum = {True: "yes", False: "no", None: ""}[figures.monotone]
-    counts = [count[verdict] for verdict in (RIGHT, REFUSED, FAILED)]
+    counts = [count[verdict] for verdict in (RIGHT, REJECTED, FAILED)]
     return one.name, one.family, *counts, *steps, maximum, _share(figures.moved), f"{figures.seconds:.1f}"
 
 

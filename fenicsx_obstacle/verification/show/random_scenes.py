@@ -61,8 +61,8 @@ def show_random(
                                for kind, number in kinds.most_common()))  # fmt: skip
     if truths:
         say(table(rows))
-    answers, refused = (sum(row[key] for row in rows) for key in ("answers", "refused"))
-    say(f"random scenes: {len(rows)} tried, {len(rows) - failed} held; {answers} answers, {refused} rejections; "
+    answers, rejected = (sum(row[key] for row in rows) for key in ("answers", "rejected"))
+    say(f"random scenes: {len(rows)} tried, {len(rows) - failed} held; {answers} answers, {rejected} rejections; "
         f"seed {seed}; {time.perf_counter() - start:.0f} s; scenes in {folder / LINES}")  # fmt: skip
     return rows
 

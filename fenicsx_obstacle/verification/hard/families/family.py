@@ -29,7 +29,7 @@ class Judgement:
         comm: Communicator.
         wrong: What is against the truth, in words.
         answers: How many solutions were returned.
-        refused: How many times data were rejected, or no solution was found.
+        rejected: How many times data were rejected, or no solution was found.
         bounds: Each bound that was compared with a true error: words, total, error, norm, whether it is claimed.
         said: Warnings of the last attempt.
         crashed: Whether an error was raised that is none of this package's.
@@ -38,7 +38,7 @@ class Judgement:
     def __init__(self, comm: MPI.Comm):
         self.comm = comm
         self.wrong: list[str] = []
-        self.answers = self.refused = 0
+        self.answers = self.rejected = 0
         self.bounds: list[dict[str, Any]] = []
         self.said: list[str] = []
         self.crashed = False
@@ -63,7 +63,7 @@ class Judgement:
             with _listening() as self.said:
                 found = action()
         except ObstacleError as error:
-            self.refused += 1
+            self.rejected += 1
             name = type(error).__name__
             self.check(expected != ANSWER, f"{what}: must be answered, not rejected: {name}: {error}")
             if expected == INPUT_ERROR:
