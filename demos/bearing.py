@@ -1,16 +1,16 @@
 # %% [markdown]
 # # A journal bearing
 #
-# A shaft turns in a bearing with the eccentricity $\epsilon$ (axis distance over clearance). The oil film has the
-# thickness $H = 1 + \epsilon \cos\theta$, and its pressure $u$ satisfies Reynolds' equation. Where the gap opens, the
-# film cavitates: pressure cannot fall below that of the air, $u \ge 0$. In dimensionless form, on the surface of a
+# A shaft turns in a bearing with the eccentricity $e$ (axis distance over clearance). The oil film has the
+# thickness $H = 1 + e \cos\theta$. The unknown $u$ is the pressure of the film and satisfies Reynolds' equation.
+# Where the gap opens, the film cavitates: its pressure cannot fall below that of the air, $u \ge 0$. The multiplier $p$
+# of this constraint is 0 in the film, and positive only where it cavitates. In dimensionless form, on the surface of a
 # cylinder,
 #
-# $$ -\nabla \cdot (H^3 \nabla u) = 6 \epsilon \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$
+# $$ -\nabla \cdot (H^3 \nabla u) = 6 e \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$
 #
-# The file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`) for a bearing as long as
-# its
-# diameter. It reports the *Sommerfeld number* $S$, which is small if the load is large, and the *attitude*, the angle
+# The file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`) for a bearing as long
+# as its diameter. It reports the *Sommerfeld number* $S$, which is small if the load is large, and the *attitude*, the angle
 # between the load and the narrowest gap.
 #
 # Run it in the clone with `.venv/bin/python demos/bearing.py`.
@@ -29,8 +29,8 @@ bearing = Scene.read("demos/bearing.toml")
 # %% [markdown]
 # ## A sweep
 #
-# `study` solves for several values of a number of the scene and returns a list of dictionaries. The known values are
-# those of Raimondi and Boyd (1958).
+# `study` solves the scene for several values of a parameter, here `ecc` of `[define]`, and returns a list of
+# dictionaries. The known values are those of Raimondi and Boyd (1958).
 
 # %%
 known = {0.1: (1.33, 79.5), 0.2: (0.631, 74.02), 0.4: (0.264, 63.10), 0.6: (0.121, 50.58), 0.8: (0.0446, 36.24)}
@@ -38,16 +38,17 @@ rows = study(bearing, vary={"define.ecc": list(known)})
 found = [(row["report.sommerfeld"], row["report.attitude"]) for row in rows]
 if comm.rank == 0:
     print("eccentricity  S       known   attitude  known")
-    for eccentricity, one, other in zip(known, found, known.values(), strict=True):
-        print(f"{eccentricity:12.1f}  {one[0]:.4f}  {other[0]:.4f}  {one[1]:8.2f}  {other[1]:.2f}")
+    for eccentricity, computed, reference in zip(known, found, known.values(), strict=True):
+        print(f"{eccentricity:12.1f}  {computed[0]:.4f}  {reference[0]:.4f}  {computed[1]:8.2f}  {reference[1]:.2f}")
 assert np.allclose([S for S, _ in found], [S for S, _ in known.values()], rtol=0.013)
 assert np.allclose([angle for _, angle in found], [angle for _, angle in known.values()], atol=0.6)
 
 # %% [markdown]
 # ## A target
 #
-# Load, speed and viscosity of a machine give the Sommerfeld number; the eccentricity follows. Here $S = 0.2$: a root of
-# one equation in one unknown, found by SciPy. Every rank calls `solve`, and all have the same values.
+# In practice load, speed and viscosity are given, and with them $S$; the eccentricity is wanted. For $S = 0.2$ SciPy's
+# `brentq` solves $S(e) = 0.2$. All ranks must call `solve`, and all get the same value, so that they take the same
+# steps.
 
 
 # %%
@@ -69,8 +70,9 @@ assert np.isclose(eccentricity, 0.475, atol=0.01)
 # Left: the pressure on the unrolled cylinder at $S = 0.2$, with the boundary of the cavity. Right: the sweep.
 
 # %%
-own = solution.level.V.dofmap.index_map.size_local
-points = solution.level.V.tabulate_dof_coordinates()[:own]
+V = solution.u.function_space
+own = V.dofmap.index_map.size_local
+points = V.tabulate_dof_coordinates()[:own]
 everywhere = comm.gather(np.column_stack([points, solution.u.x.array[:own], solution.contact.x.array[:own]]))
 if comm.rank == 0:
     x, y, z, u, contact = np.concatenate(everywhere).T
@@ -83,6 +85,6 @@ if comm.rank == 0:
     right.semilogy(list(known), [S for S, _ in found], "-", color="#0072B2", label="computed")
     right.semilogy(list(known), [S for S, _ in known.values()], "o", color="#D55E00", label="Raimondi and Boyd")
     right.semilogy(eccentricity, 0.2, "k*", markersize=11, label="S = 0.2")
-    right.set(xlabel=r"eccentricity $\epsilon$", ylabel="Sommerfeld number S")
+    right.set(xlabel="eccentricity $e$", ylabel="Sommerfeld number S")
     right.legend(frameon=False)
     page.savefig("bearing.png", dpi=120)

@@ -12,8 +12,9 @@
 # $$ \|u - v_h\|_a \le \frac S2 + \sqrt{\frac{S^2}4 + \int \lambda\,(v_h - \psi)}, \qquad
 #    S = \|\mu^{1/2} \nabla v_h - \mu^{-1/2} \sigma\|_0 . $$
 #
-# The page *Error bound* of the documentation has the proof, and the further terms where the load is not a polynomial.
-# The right side is computable. Where it is large, triangles are refined.
+# The bound of the computed solution $u_h$ adds $\|v_h - u_h\|_a$, which is computed. The page *Error bound* of the
+# documentation has the proof, and further terms for a load that varies within triangles. All terms can be computed and
+# are sums over triangles; triangles with large contributions are refined.
 #
 # Run it in the clone with `.venv/bin/python demos/certified.py`.
 
@@ -48,12 +49,13 @@ for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
     assert error <= bound.total <= 3 * error
 
 # %% [markdown]
-# The bound is larger than the error, as it must be, and at most three times as large. What it consists of is in
-# `solution.bound`: `discretisation`, `penalty`, `algebraic` (the linear solver) and `data`.
+# The bound is larger than the error, as it must be, and at most three times as large. Its parts are
+# attributes of `solution.bound`: `discretisation`, `penalty`, `algebraic` (the linear solver) and `data`.
 #
-# If a part of the data is known by samples only, such as a Python callable, `words` says so: *certified for the sampled
-# load*. `guaranteed` is true for `certified` alone. If the tolerance cannot be reached with the memory or the time that
-# `budget="60s"` allows, the best solution is returned and `solution.adaptive.reached` is false.
+# If a part of the data is known by samples only, such as a Python callable, `bound.words` says so: *certified for the
+# sampled load*. `bound.guaranteed` is true only if `bound.words` is exactly *certified*. If the tolerance cannot be
+# reached with the memory of the machine, or within a budget such as `solve(..., budget="60s")`, the best solution is
+# returned and `solution.adaptive.reached` is false.
 #
 # ## Picture
 #

@@ -94,9 +94,8 @@ def against(rows: Rows) -> str:
         kind = "at most" if bound["words"].startswith("certified") else "about"
         how = f"Its own energy error is {kind} {bound['total']:.2e} ({bound['words']})."
     return (
-        "No exact solution is known: errors are measured against the finest solution within the budget, "
-        f"{first['dofs']} "
-        f"unknowns. {how} Its last refinement changed it by: {changed}. Errors within {price.TRUSTED:g} times that, or "
+        "No exact solution is known: errors are measured against a reference solution with "
+        f"{first['dofs']} unknowns. {how} Its last refinement changed it by: {changed}. Errors within {price.TRUSTED:g} times that, or "
         "in the energy norm within the bound, are not included in curves and tables."
     )
 

@@ -115,7 +115,7 @@ class CostStudy:
                 except InputError:  # the file was removed
                     row = None
             if row is None:
-                _log.info("the reference solution, on a finer mesh than all others")
+                _log.info("the reference solution, on the finest mesh")
                 limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
                 found = make_reference(coarse, uniform_meshes, *limits, self.comm)
                 found.cloud.save(self.folder / REFERENCE, self.comm)
