@@ -10,8 +10,8 @@
 # $$ -\nabla \cdot (H^3 \nabla u) = 6 e \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$
 #
 # The file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`) for a bearing as long
-# as its diameter. It reports the *Sommerfeld number* $S$, which is small if the load is large, and the *attitude*, the angle
-# between the load and the narrowest gap.
+# as its diameter. It reports the *Sommerfeld number* $S$, which is small if the load is large, and the *attitude*, the
+# angle between the load and the narrowest gap.
 #
 # Run it in the clone with `.venv/bin/python demos/bearing.py`.
 

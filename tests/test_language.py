@@ -71,15 +71,7 @@ IN_PAGES = [
     ),
     Word(r"\b[Cc]omplaints?\b", "check"),
     Word(r"\b[Yy]ardsticks?\b(?<!--yardstick)", "Poisson baseline, Poisson solves"),
-    Word(
-        r"\b[Rr]efus(e|es|ed|al|als|ing)\b",
-        "rejected; no solution exists",
-        {
-            "stability.md": "refused is a verdict of the command hard",
-            "hard_scenes.md": "the same",
-            "hard --help": "the same",
-        },
-    ),
+    Word(r"\b[Rr]efus(e|es|ed|al|als|ing)\b", "rejected; no solution exists"),
     Word(r"\b[Ll]ikewise\b", "the type and meaning again"),
     Word(r"\bleft out\b|\bleaves? out\b", "not included"),
     Word(r"\bspells? of\b|\bfor ever\b|\bwithout a word\b", "plain words"),

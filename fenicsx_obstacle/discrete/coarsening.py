@@ -18,8 +18,9 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.kernels import Kernels
 from fenicsx_obstacle.discrete.transfer import Transfer
-from fenicsx_obstacle.parallel import before, total
+from fenicsx_obstacle.parallel import before, largest, smallest, total
 
+GRID = 2.0**40  # parts of the longest side of a mesh, to which coordinates are rounded
 FREE, BOUNDARY, FIXED = 0, 1, 2  # kinds of nodes, in the order in which they are preferred
 
 
@@ -102,7 +103,8 @@ class Ghosts:
 def first_keys(A: PETSc.Mat, x: np.ndarray) -> np.ndarray:
     """Keys of the nodes of a mesh (collective).
 
-    Nodes at one place, such as the two sides of a slit, have the same coordinates but other neighbours.
+    They do not depend on the unit of length, or on where the mesh is. Nodes at one place, such as the two sides of a
+    slit, have the same coordinates but other neighbours.
 
     Args:
         A: Stiffness matrix.
@@ -110,7 +112,10 @@ def first_keys(A: PETSc.Mat, x: np.ndarray) -> np.ndarray:
     """
     starts, columns, _ = A.getValuesCSR()
     ghosts = Ghosts(A, columns, of_rows=True)
-    own = hashed(*np.ascontiguousarray(x.T))
+    comm = A.comm.tompi4py()
+    low = np.array([smallest(comm, column) for column in x.T])
+    size = max(largest(comm, column - start) for column, start in zip(x.T, low, strict=True))
+    own = hashed(*np.ascontiguousarray(np.round((x - low).T * (GRID / size))))
     around = ghosts.extended(own)[ghosts.local(columns)]
     ghosts.free()
     return hashed(own, np.maximum.reduceat(around, starts[:-1]) if len(own) else own)

@@ -191,6 +191,8 @@ def snap_to_cad(
         to_cad: As `Level.to_cad`.
     """
     mesh, comm = V.mesh, V.mesh.comm
+    for dim in {dim for dim, _ in parts}:
+        mesh.topology.create_connectivity(dim, mesh.topology.dim)  # of cells to themselves too: newer DOLFINx wants it
     nodes = {key: releases.dof_nodes(V)[fem.locate_dofs_topological(V, key[0], some.astype(np.int32))]
              for key, some in parts.items()}  # fmt: skip
     mine = np.unique(np.concatenate([np.empty(0, np.int64), *nodes.values()])).astype(np.int64)

@@ -95,8 +95,9 @@ def against(rows: Rows) -> str:
         how = f"Its own energy error is {kind} {bound['total']:.2e} ({bound['words']})."
     return (
         "No exact solution is known: errors are measured against a reference solution with "
-        f"{first['dofs']} unknowns. {how} Its last refinement changed it by: {changed}. Errors within {price.TRUSTED:g} times that, or "
-        "in the energy norm within the bound, are not included in curves and tables."
+        f"{first['dofs']} unknowns. {how} Its last refinement changed it by: {changed}. "
+        f"Errors within {price.TRUSTED:g} times that, or in the energy norm within the bound, are not included in "
+        "curves and tables."
     )
 
 
