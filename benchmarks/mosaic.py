@@ -19,8 +19,8 @@ from fenicsx_obstacle.verification.hard.cases import Case, cases
 
 COLUMNS = 12
 BANDS = 10  # of heights
-INKS = {"right": "#0072B2", "refused": "#7A7A7A", "FAILED": "#D55E00"}
-MARKS = {"right": "\N{CHECK MARK}", "refused": "\N{MULTIPLICATION X}", "FAILED": ""}
+INKS = {"right": "#0072B2", "rejected": "#7A7A7A", "FAILED": "#D55E00"}
+MARKS = {"right": "\N{CHECK MARK}", "rejected": "\N{MULTIPLICATION X}", "FAILED": ""}
 
 
 def mosaic(rows: Sequence[Mapping[str, Any]]) -> Any:
@@ -38,10 +38,10 @@ def mosaic(rows: Sequence[Mapping[str, Any]]) -> Any:
     panels = np.atleast_1d(grid).ravel()
     for axes, (one, patch) in zip(panels, shown, strict=False):
         verdict = verdict_of(judged[one.name])
-        if (patch is None) != (verdict == "refused"):
+        if (patch is None) != (verdict == "rejected"):
             raise RuntimeError(f"{one.name}: {verdict} in the file, but not so here: a file of another version?")
         if patch is None:
-            axes.text(0.5, 0.5, "no solution:\nrefused", ha="center", va="center", fontsize=8, color=INKS[verdict])
+            axes.text(0.5, 0.5, "no solution:\nrejected", ha="center", va="center", fontsize=8, color=INKS[verdict])
             axes.set_box_aspect(1)
         else:
             draw(axes, patch)
@@ -57,11 +57,11 @@ def mosaic(rows: Sequence[Mapping[str, Any]]) -> Any:
 
 def verdict_of(found: set[str]) -> str:
     """Of all rows of a scene."""
-    return next(verdict for verdict in ("FAILED", "right", "refused") if verdict in found)
+    return next(verdict for verdict in ("FAILED", "right", "rejected") if verdict in found)
 
 
 def drawn(one: Case) -> Any:
-    """The answer on the coarse mesh as a patch; None where the scene is refused, False where it is of no plane."""
+    """The answer on the coarse mesh as a patch; None where the scene is rejected, False where it is of no plane."""
     scene = one.on(0)
     try:
         with closing(SolverContext(scene)) as context:
