@@ -2,7 +2,8 @@
 # # An irreversible phase field: fracture in antiplane shear
 #
 # A phase-field model of fracture has two unknowns: the displacement $w$, here out of the plane, and the damage
-# $d \in [0, 1]$, which is 1 in a crack of width $\ell$. Damage never heals, $d \ge d_{\text{old}}$: at each load the
+# $d \in [0, 1]$, which is 1 on a crack and decreases to 0
+# over a distance of $2\ell$. Damage never heals, $d \ge d_{\text{old}}$: at each load the
 # damage solves an obstacle problem whose lower obstacle is the damage of the previous load.
 #
 # With shear modulus $\mu$ and fracture energy $G_c$, the energy of the model AT1 is
@@ -12,19 +13,22 @@
 #    d_{\text{old}} \le d \le 1 . $$
 #
 # It is quadratic in $w$ for a given $d$ and quadratic in $d$ for a given $w$. The staggered scheme minimises in turn:
-# a linear problem for $w$, an obstacle problem for $d$, until neither changes.
+# a linear problem for $w$, an obstacle problem for $d$, until $d$ no longer changes.
 #
 # ## A crack that grows in proportion to the load
 #
 # The body is a strip of height $2H$. A crack of length $a_0$ in its middle line starts at the left side, where the two
-# arms above and below it are displaced by $w = \pm t$. Above a crack of length $a$ the arm carries $w = t\,(1 - x/a)$
-# if $a \gg H$, so that elastic energy and energy release rate of both arms are
+# arms above and below it are displaced by $w = \pm t$. If the crack has the length $a \gg H$, the displacement of the
+# upper arm is $w = t\,(1 - x/a)$ along it and that of the lower arm its negative, so that elastic energy and energy
+# release rate of both arms are
 #
 # $$ E = \mu H\,\frac{t^2}{a}, \qquad G = -\frac{\partial E}{\partial a} = \mu H\,\frac{t^2}{a^2} . $$
 #
-# $G$ decreases with $a$, so the crack grows stably, with $G = G_c$:
+# $G$ decreases with $a$, so the crack grows stably, with $G = G_c$. Here $a$ is the length that the stiffness of the
+# arms shows. The damaged line is shorter by a constant, because the strip ahead of the tip deforms too. Both lengths
+# grow with the slope $\sqrt{\mu H/G_c}$ in $t$:
 #
-# $$ a = t\,\sqrt{\mu H/G_c} + \text{const.} $$
+# $$ a = t\,\sqrt{\mu H/G_c} . $$
 #
 # The tutorial loads up to $t = 3.25$ and then unloads: the crack must grow along this line and must not heal. $w$ is
 # odd and $d$ is even in $y$, so the upper half is enough, with $w = 0$ at $y = 0$.
@@ -101,8 +105,8 @@ def displace():
 # ## Loading and unloading
 #
 # The crack length is measured by the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy
-# of the upper half. The strip ahead of the tip deforms elastically too, so that this length exceeds that of the damaged
-# line by a constant of about $H$.
+# of the upper half. The strip ahead of the tip deforms elastically too, so that this length
+# exceeds the length of the damaged line by a constant, a fraction of $H$.
 
 
 # %%
@@ -133,8 +137,8 @@ for t in loads:
         print(f"t = {t:4.2f}  {steps:3d} steps  crack length {lengths[-1]:.3f}  surface energy {surfaces[-1]:.3f}")
 
 # %% [markdown]
-# While the crack grows, from $t = 2.5$ on, its length follows $a = t\sqrt{\mu H/G_c}$ with the slope 1, and each unit
-# of length costs $G_c = 1$. When the load is removed, the length stays.
+# While the crack grows, from $t = 2.5$ on, its length follows $a = t\sqrt{\mu H/G_c}$ with a slope of 1 to
+# within 5 %, and each unit of length costs $G_c = 1$ to within 5 %. When the load is removed, the length stays.
 
 # %%
 growing = slice(loads.index(2.5), loads.index(3.25) + 1)

@@ -45,7 +45,8 @@ f, c = 8.0, 0.3
 a = np.sqrt(2 * c / f)
 string = Scene(title="string", mesh={"shape": "interval", "cells": 32}, tension=1, load=f, upper=c)
 
-# a radial membrane, f = 4, below the same obstacle: contact for r <= A; the square has the exact boundary values
+# a radially symmetric membrane on the unit disk, f = 4, below the same obstacle: contact for r <= A. It is computed on
+# the square inscribed in the disk, with the exact solution as boundary value
 side = ["-sqrt(0.5)", "sqrt(0.5)"]
 disk = Scene(
     title="disk",
@@ -187,8 +188,7 @@ keep(page, "2_eps")
 # ## 3. h tends to 0, and eps with it
 #
 # Now errors against the exact solution. The discrete inequality has order 1 for u in $H^1$ (5.6) and order 1 for p in
-# $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With
-# $\varepsilon = h$ it does not; the penalty error dominates, about $\varepsilon^{3/4}$ for u, because the pressure
+# $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With $\varepsilon = h$ the orders are lower: the penalty error dominates, about $\varepsilon^{3/4}$ for u, because the pressure
 # jumps at the free boundary.
 #
 # **Exercise 3.1.** Which power $\varepsilon = h^k$ is the largest $\varepsilon$ that gives order 1 for u? Use section
@@ -311,7 +311,7 @@ keep(page, "5_chessboard")
 #
 # **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
 #
-# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$ on one criss-cross cell patch.
+# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$: at a node in the centre of a square, and at one at a corner.
 
 # %%
 curved = Scene(
@@ -388,8 +388,8 @@ keep(page, "6_stall")
 #
 # **Exercise 7.1.** Verify the two integrals, 4/e - 1 and 5/3 - 4/e.
 #
-# **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? Compare with `./obstacle theory 3.3`,
-# smooth_square.
+# **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? Compare with the rows of the scene `smooth_square`, which has such a pressure, in the output of `./obstacle theory
+# 3.3`.
 
 
 # %%

@@ -236,6 +236,26 @@ def grid(cells, slit):
     return points, np.vstack([squares[:, [0, 1, 3]], squares[:, [0, 3, 2]]])
 
 
+def test_levels_depend_on_neither_unit_nor_place():
+    """Coarse nodes of a mesh in other units, elsewhere, are the same points."""
+    factor = 2.0**-30
+    meshes = square(60), square(60)
+    meshes[1].geometry.x[:, :2] = factor * (meshes[1].geometry.x[:, :2] + 8)
+    found = []
+    for mesh in meshes:
+        problem, levels = levels_of(mesh, boundary=[{"value": 0}])
+        x = problem.level.points.T[: problem.level.owned, :2]
+        for coarse in levels:
+            x = np.stack([coarse.finer.transfer.inject(np.ascontiguousarray(axis)) for axis in x.T], axis=1)
+            points = np.concatenate(COMM.allgather(x))
+            found.append(points[np.lexsort(points.T)])
+    half = len(found) // 2
+    assert half > 1
+    for ours, theirs in zip(found[:half], found[half:], strict=True):
+        assert ours.shape == theirs.shape
+        assert np.allclose(theirs / factor - 8, ours, rtol=0, atol=1e-12)
+
+
 def test_ranks_without_cells():
     """They work along."""
     scene = Scene(mesh=by_hand(*grid(48, slit=False)), tension=1, load=-4, lower="-0.3 - 0.1*x")
