@@ -188,8 +188,9 @@ keep(page, "2_eps")
 # ## 3. h tends to 0, and eps with it
 #
 # Now errors against the exact solution. The discrete inequality has order 1 for u in $H^1$ (5.6) and order 1 for p in
-# $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With $\varepsilon = h$ the orders are lower: the penalty error dominates, about $\varepsilon^{3/4}$ for u, because the pressure
-# jumps at the free boundary.
+# $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With
+# $\varepsilon = h$ the orders are lower: the penalty error dominates, about $\varepsilon^{3/4}$ for u, because the
+# pressure jumps at the free boundary.
 #
 # **Exercise 3.1.** Which power $\varepsilon = h^k$ is the largest $\varepsilon$ that gives order 1 for u? Use section
 # 2, then test it.
@@ -311,7 +312,8 @@ keep(page, "5_chessboard")
 #
 # **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
 #
-# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$: at a node in the centre of a square, and at one at a corner.
+# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$: at a node in the centre of a
+# square, and at one at a corner.
 
 # %%
 curved = Scene(
@@ -383,13 +385,12 @@ keep(page, "6_stall")
 #    + \int_1^\infty e^{-2z} dz \right] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
 #
 # These are the orders 3/4 and 1/4 of section 2. There is such a layer wherever the pressure jumps; $\varepsilon = h^2$
-# makes it
-# as thin as an element.
+# makes it as thin as an element.
 #
 # **Exercise 7.1.** Verify the two integrals, 4/e - 1 and 5/3 - 4/e.
 #
-# **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? Compare with the rows of the scene `smooth_square`, which has such a pressure, in the output of `./obstacle theory
-# 3.3`.
+# **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? Compare with the
+# rows of the scene `smooth_square`, which has such a pressure, in the output of `./obstacle theory 3.3`.
 
 
 # %%
