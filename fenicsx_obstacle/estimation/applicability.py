@@ -29,10 +29,12 @@ def check_bound_exists(problem: Problem) -> None:
     for effect in sorted(model.effects, key=lambda effect: not effect.elastic):
         if effect.no_bound:
             raise InputError(f"{model.source}: {effect.no_bound}")
-        if effect.elastic and effect.isotropic_tension is None:
+        if effect.elastic and effect.isotropic_tension is None and effect.matrix_tension is None:
             raise InputError(f"{model.source}: the error bound does not cover {effect.key}")
     if problem.data.thin:
         raise InputError(f"{model.source}: the error bound is for obstacles in the domain, not on its boundary")
+    if pair.degree == 2 and model.elastic.matrix_tension is not None:
+        raise InputError(f"{model.source}: with P2 the error bound needs an isotropic tension")
     others = other_effects(problem.data)
     if pair.degree == 2 and others:
         raise InputError(f"{model.source}: with P2 the error bound is for tension and load, not for {others[0].key}")

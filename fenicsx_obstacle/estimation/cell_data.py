@@ -13,8 +13,9 @@ from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import array_of
 from fenicsx_obstacle.effects.effect import Effect
-from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
@@ -33,6 +34,11 @@ def tension_of(data: Data) -> Field:
     tension = data.model.elastic.isotropic_tension
     assert tension is not None
     return tension
+
+
+def matrix_of(data: Data) -> Rows | None:
+    """The rows of A where the tension is a matrix, otherwise None."""
+    return data.model.elastic.matrix_tension
 
 
 def load_of(data: Data) -> Field | None:
@@ -76,6 +82,19 @@ def of_solver(
     if dofs.shape[1] == 1:
         return made.x.array[dofs]
     return made.x.array[simplices.turned_nodes(dofs)] @ quadratics(points)
+
+
+def matrix_of_solver(simplices: Simplices, rows: Rows) -> np.ndarray:
+    """A matrix in each owned cell as the solver has it, shape (cells, d, d) (collective on first use)."""
+    from fenicsx_obstacle.discrete.tensors import matrices_of  # only where there is one
+
+    data, count = simplices.data, len(simplices.area)
+    made = matrices_of(data, rows)
+    if len(made) == 1:
+        made = np.broadcast_to(made, (count, *made.shape[1:]))
+    else:
+        made = made[releases.cell_dofs(data.level.W)[:count, 0]]
+    return (made + made.transpose(0, 2, 1)) / 2
 
 
 def in_cells(simplices: Simplices, value: Field, division: Division, cells: np.ndarray | None = None) -> Pieces:
@@ -223,9 +242,12 @@ class Tension:
         most: An upper bound.
         least_mean: A lower bound of its mean.
         most_mean: An upper bound.
-        varies: Whether it varies within a cell.
+        varies: Whether it varies within a cell, or is a matrix.
+        poincare: C with ||v||_T <= C ||A^(1/2) grad v||_T for functions of mean zero, where it is a matrix A.
         pieces: What is known of it; None of a number, or of a number for each material.
     """
+
+    poincare: np.ndarray | None = None
 
     def __init__(self, simplices: Simplices, mu: np.ndarray):
         """Enclose it (collective).
@@ -272,6 +294,23 @@ class Tension:
                 for block in _blocks(group, np.count_nonzero(varies))
             ]
         self.least_mean, self.most_mean = np.maximum(mean - spread, self.least), np.minimum(mean + spread, self.most)
+
+    def known(self) -> CellDatum:
+        """What is known of it, for `certification.Hypotheses`."""
+        return CellDatum("tension", self.pieces, "tension may be 0, negative, infinite or undefined", None, True)
+
+    def energy_above(self, gradient: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Upper bounds of ||mu^(1/2) g||_T^2 of one vector per cell, shape (d, cells) (local).
+
+        Args:
+            gradient: The vectors g.
+            cells: Which.
+        """
+        return self._area[cells] * self.most_mean[cells] * np.einsum("xc,xc->c", gradient, gradient)
+
+    def energy_below(self, gradient: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Lower bounds of the same."""
+        return self._area[cells] * self.least_mean[cells] * np.einsum("xc,xc->c", gradient, gradient)
 
     def integrate_distances(self, squares: np.ndarray, fields: Fields, degree: int) -> None:
         """Set squares to a bound of ||mu^(1/2) g - mu^(-1/2) s||_T^2 in the cells where the tension mu varies (local).
