@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import array_of
+from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.errors import InputError
@@ -29,27 +31,33 @@ SEEN = 100.0  # times the largest load that the solver has: a bound beyond that 
 Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def tension_of(data: Data) -> Field:
-    """mu of a problem that `check_bound_exists` accepts."""
-    tension = data.model.elastic.isotropic_tension
-    assert tension is not None
-    return tension
+def tension_of(data: Data) -> Field | None:
+    """mu; None where the tension is a matrix, depends on u, or has the weight of axial symmetry."""
+    return None if data.axial else data.model.elastic.isotropic_tension
 
 
 def matrix_of(data: Data) -> Rows | None:
     """The rows of A where the tension is a matrix, otherwise None."""
-    return data.model.elastic.matrix_tension
+    return None if data.axial else data.model.elastic.matrix_tension
+
+
+def proved(data: Data) -> bool:
+    """Whether the bound is proved for the operator -div(mu grad u); otherwise the error is estimated with the tension
+    of the solver."""
+    return data.model.elastic.affine and not data.axial
 
 
 def load_of(data: Data) -> Field | None:
-    """f, if there is a load per area; of several the first."""
+    """f, if there is a load per area; of several the first. With the weight of axial symmetry it is no such load."""
+    if data.axial:
+        return None
     return next((load for effect in data.model.effects if (load := effect.area_load) is not None), None)
 
 
 def other_effects(data: Data) -> list[Effect]:
     """The effects besides that tension and load."""
     effects = data.model.effects
-    load = next((effect for effect in effects if effect.area_load is not None), None)
+    load = None if data.axial else next((effect for effect in effects if effect.area_load is not None), None)
     return [effect for effect in effects if effect is not data.model.elastic and effect is not load]
 
 
@@ -95,6 +103,23 @@ def matrix_of_solver(simplices: Simplices, rows: Rows) -> np.ndarray:
     else:
         made = made[releases.cell_dofs(data.level.W)[:count, 0]]
     return (made + made.transpose(0, 2, 1)) / 2
+
+
+def tension_of_state(problem: Problem, simplices: Simplices) -> np.ndarray | None:
+    """The tension in each owned cell for the state of the problem where the bound is not `proved`, with the weight of
+    axial symmetry; otherwise None (collective)."""
+    elastic, level = problem.model.elastic, problem.level
+    if proved(problem.data):
+        return None
+    u, W = fem.Function(level.V), releases.functionspace(level.mesh, "DG", 0)
+    u.x.array[:] = problem.w.x.array + problem.reference.x.array
+    mean = elastic.tension_at(u, problem.data) * ufl.TestFunction(W) / ufl.CellVolume(level.mesh)
+    found = fem.Function(W)
+    vector = releases.vec(found)
+    with vector.localForm() as local:
+        local.set(0.0)
+    fem.petsc.assemble_vector(vector, releases.form(mean * problem.data.dx))
+    return found.x.array[releases.cell_dofs(W)[: len(simplices.area), 0]]
 
 
 def in_cells(simplices: Simplices, value: Field, division: Division, cells: np.ndarray | None = None) -> Pieces:
@@ -235,7 +260,7 @@ def _near_seen(group: Group, mean: np.ndarray, limit: float) -> Group:
 
 
 class Tension:
-    """The tension in the cells.
+    """The tension in the cells; one that depends on u is that of the state.
 
     Attributes:
         least: A lower bound in each cell.
@@ -265,6 +290,8 @@ class Tension:
         self._parts: list[Group] = []
         self.pieces: Pieces | None = None
         value = tension_of(simplices.data)
+        if value is None:
+            return
         parts = [value] if value.parts is None else list(value.parts.values())
         if all(part.uniform for part in parts):
             return

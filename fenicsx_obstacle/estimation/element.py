@@ -11,7 +11,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
-from fenicsx_obstacle.estimation.cell_data import Tension, load_of, matrix_of, obstacles_of, other_effects
+from fenicsx_obstacle.estimation.cell_data import Tension, load_of, matrix_of, obstacles_of, other_effects, proved
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_boundary import dirichlet_boundary
@@ -132,7 +132,7 @@ class Element(ABC):
         comm, pieces, load = data.level.comm, equilibration.load.pieces, load_of(data)
         limits = {1.0: -np.inf, -1.0: np.inf}
         others = other_effects(data)
-        if any(effect.reaction is None and effect.part_reaction is None for effect in others):
+        if not proved(data) or any(effect.reaction is None and effect.part_reaction is None for effect in others):
             return limits[1], limits[-1]
         if load is None:
             push = pull = 0.0

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.cell_data import other_effects
+from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
 from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
@@ -31,7 +31,8 @@ class ElementP1(Element):
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
-        super().__init__(TriangleEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
+        equilibration = TriangleEquilibration if simplices.dim == 2 else TreeEquilibration
+        super().__init__(equilibration(simplices, tension_of_state(problem, simplices)))
         patches, dim, cells = self.equilibration.patches, simplices.dim, len(simplices.area)
         self.obstacles = [
             ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
@@ -85,7 +86,8 @@ class ElementP1(Element):
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
         """See `Element.energy_of`; with tension and load (collective)."""
-        if other_effects(self.simplices.data):
+        data = self.simplices.data
+        if other_effects(data) or not proved(data):
             return None
         comm, area, load = self.simplices.data.level.comm, self.simplices.area, self.equilibration.load
         values = v[self.simplices.dofs]

@@ -87,21 +87,24 @@ class EquilibrationP1(ABC):
         unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
-    def __init__(self, simplices: Simplices, patches: Patches):
+    def __init__(self, simplices: Simplices, patches: Patches, of_state: np.ndarray | None):
         """Sample the load (collective).
 
         Args:
             simplices: The owned cells.
             patches: Their corners around the vertices.
+            of_state: Tension in each cell where it depends on u.
         """
         self.simplices, self.patches, data = simplices, patches, simplices.data
         self.level, corners = data.level, simplices.dim + 1
         middle = np.full((1, corners), 1 / corners)
-        rows = matrix_of(data)
+        rows, tension = matrix_of(data), tension_of(data)
         self.matrix = None if rows is None else matrix_of_solver(simplices, rows)
-        if self.matrix is None:
-            self.mu = of_solver(simplices, data, tension_of(data), middle, positive=True)[:, 0]
-        else:
+        if of_state is not None:
+            self.mu = of_state
+        elif tension is not None:
+            self.mu = of_solver(simplices, data, tension, middle, positive=True)[:, 0]
+        elif self.matrix is not None:
             self.mu = np.linalg.det(self.matrix) ** (1 / simplices.dim)
             self._inverse = np.linalg.inv(self.matrix)
         share = simplices.area / (corners * self.mu)

@@ -62,9 +62,10 @@ class TreeEquilibration(EquilibrationP1):
 
     patches: TreePatches
 
-    def __init__(self, simplices: Simplices):
-        """Find the trees, and on tetrahedra the matrices of stream functions (collective)."""
-        super().__init__(simplices, TreePatches(simplices))
+    def __init__(self, simplices: Simplices, of_state: np.ndarray | None = None):
+        """Find the trees, and on tetrahedra the matrices of stream functions (collective); the arguments are those of
+        `EquilibrationP1`."""
+        super().__init__(simplices, TreePatches(simplices), of_state)
         self._streams: _Streams | None = None
         if simplices.dim == 3:
             x = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0)

@@ -15,9 +15,9 @@ class TriangleEquilibration(EquilibrationP1):
 
     patches: VertexPatches
 
-    def __init__(self, simplices: Simplices):
-        """Sort the corners (collective)."""
-        super().__init__(simplices, VertexPatches(simplices))
+    def __init__(self, simplices: Simplices, of_state: np.ndarray | None = None):
+        """Sort the corners (collective); the arguments are those of `EquilibrationP1`."""
+        super().__init__(simplices, VertexPatches(simplices), of_state)
         self._A, self._B, G = (np.empty(simplices.dofs.shape) for _ in range(3))
         for block in blocks(len(G)):
             # the edge opposite to a vertex, and from each vertex to the middle of the cell
