@@ -305,7 +305,7 @@ def test_point_loads_that_mean_nothing():
     load = [{"at": [0.5, 0.5], "force": 1}]
     with pytest.raises(InputError, match="is for element P1"):
         solve(membrane(point_load=load), element="P2")
-    with pytest.raises(InputError, match="energy of a point load is infinite"):
+    with pytest.raises(InputError, match="does not cover point loads, whose energy is infinite"):
         solve(membrane(point_load=load), bound=True)
 
 
