@@ -262,7 +262,7 @@ def test_matrices_that_are_no_tension():
         with pytest.raises(InputError, match=message):
             solve(membrane(tension=matrix))
     with pytest.raises(InputError, match="isotropic tension"):
-        solve(membrane(tension=CLOTH), bound=True)
+        solve(membrane(tension=CLOTH), element="P2", bound=True)
     with pytest.raises(InputError, match="flux needs an isotropic tension"):
         solve(membrane(tension=CLOTH, report={"F": "integral(normal_flux, 'left')"}))
 
@@ -305,7 +305,7 @@ def test_point_loads_that_mean_nothing():
     load = [{"at": [0.5, 0.5], "force": 1}]
     with pytest.raises(InputError, match="is for element P1"):
         solve(membrane(point_load=load), element="P2")
-    with pytest.raises(InputError, match="energy of a point load is infinite"):
+    with pytest.raises(InputError, match="does not cover point loads, whose energy is infinite"):
         solve(membrane(point_load=load), bound=True)
 
 
@@ -580,12 +580,8 @@ def test_slopes_that_mean_nothing():
     ):
         with pytest.raises(InputError, match=message):
             solve(Scene(mesh={"shape": "rectangle", "cells": 4}, **effects))
-    for effects, message in (
-        ({"large_slope": 1}, "the error bound needs the effect 'tension'"),
-        ({"tension": 1, "axial_symmetry": True}, "the error bound is for plane problems"),
-    ):
-        with pytest.raises(InputError, match=message):
-            solve(Scene(mesh={"shape": "rectangle", "cells": 4}, **effects), bound=True)
+    with pytest.raises(InputError, match="the error bound needs the effect 'tension'"):
+        solve(Scene(mesh={"shape": "rectangle", "cells": 4}, large_slope=1), element="P2", bound=True)
 
 
 def test_demo_soap():

@@ -11,6 +11,7 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.adapt import solve
+from fenicsx_obstacle.verification.hard.families.anisotropic import Anisotropic
 from fenicsx_obstacle.verification.hard.families.conditions import KINDS as TERMS
 from fenicsx_obstacle.verification.hard.families.conditions import Conditions, Term
 from fenicsx_obstacle.verification.hard.families.curves import CIRCLES, Inclusion, Pole
@@ -101,6 +102,7 @@ CORNER = {"shape": "l-shape", "x": [-1.0, 1.0], "y": [-1.0, 1.0]}
 TERM = Term("", 2.0, (0.3, 1.87), (0.1, -0.2), 0)
 DISC = Term("", -3.0, (0.12, -0.2), (0.43, 0.0), 0)
 BASE = Touching(WIDE, {}, 1, "", (0.3, 1.6), 0.07, 0.31, 4.0, "-x**2", "1 + x**2", "none", False, "7.3")
+TURNED = Anisotropic(**{**vars(BASE), "kind": "strip", "stiff": "1"}, angle="x - y", ratio=30.0, beyond=None)
 CLOSED = [  # a scene, the share of its error that is left with cells four times smaller, what is wrong otherwise
     (Varying(WIDE, {}, 0, "exp(x)*sin(2*y)", "2 + sin(5*x)*cos(3*y)", 3.0), 0.3, {"formula": "exp(x)*sin(2.5*y)"}),
     (Varying(WIDE, {}, 0, "x**3*y - y**2", "exp(x - y)", 3.0), 0.3, {"formula": "x**3*y - 1.3*y**2"}),
@@ -119,6 +121,8 @@ CLOSED = [  # a scene, the share of its error that is left with cells four times
     *((replace(BASE, kind=kind, angles=(0.1, -0.2), upper=k % 2 == 0, change="jump away" if kind == "disc" else "none"),
        0.4, {"size": 20.0}) for k, kind in enumerate(("disc", "hole", "cone"))),
     (replace(BASE, kind="half", change="jump", stiff="exp(x - y)"), 0.4, {"size": 20.0}),
+    (TURNED, 0.4, {"size": 20.0}),
+    (replace(TURNED, kind="half", obstacle="0", beyond=("0.4", 0.2)), 0.4, {"size": 20.0}),
 ]  # fmt: skip
 
 

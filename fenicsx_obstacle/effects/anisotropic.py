@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field
+    from fenicsx_obstacle.effects.field import Field, Rows
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,6 @@ class Anisotropic(Effect):
     unit = "force/length"
     elastic = True
     dimension = (0, 0, 1)
-    no_bound = "the error bound needs an isotropic tension"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Anisotropic:
@@ -51,6 +50,10 @@ class Anisotropic(Effect):
     @property
     def text(self) -> str:
         return "[" + ", ".join("[" + ", ".join(entry.text for entry in row) + "]" for row in self.value) + "]"
+
+    @property
+    def matrix_tension(self) -> Rows:
+        return self.value
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0

@@ -14,7 +14,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from fenicsx_obstacle.effects.field import Field, fields_in
+from fenicsx_obstacle.effects.field import Field, Rows, fields_in
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
@@ -217,6 +217,11 @@ class Effect:
     @property
     def isotropic_tension(self) -> Field | None:
         """mu if its part of a(u, v) is int mu grad u . grad v, otherwise None."""
+        return None
+
+    @property
+    def matrix_tension(self) -> Rows | None:
+        """The rows of A if its part of a(u, v) is int (A grad u) . grad v with a matrix A, otherwise None."""
         return None
 
     @property

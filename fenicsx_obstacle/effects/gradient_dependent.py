@@ -20,7 +20,6 @@ class GradientDependent(Effect):
     unit = "force/length"
     elastic = True
     affine = False
-    no_bound = "the error bound needs the effect 'tension'"
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0

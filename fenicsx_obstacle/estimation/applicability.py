@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.cell_data import other_effects
 from fenicsx_obstacle.forms.pairs import SIMPLICES
@@ -29,10 +30,22 @@ def check_bound_exists(problem: Problem) -> None:
     for effect in sorted(model.effects, key=lambda effect: not effect.elastic):
         if effect.no_bound:
             raise InputError(f"{model.source}: {effect.no_bound}")
-        if effect.elastic and effect.isotropic_tension is None:
+        if effect.elastic and not _has_tension(effect):
             raise InputError(f"{model.source}: the error bound does not cover {effect.key}")
     if problem.data.thin:
         raise InputError(f"{model.source}: the error bound is for obstacles in the domain, not on its boundary")
+    if problem.data.axial and model.elastic.matrix_tension is not None:
+        raise InputError(f"{model.source}: with axial symmetry the error estimate needs an isotropic tension")
+    if pair.degree == 2 and model.elastic.isotropic_tension is None:
+        raise InputError(
+            f"{model.source}: with P2 the error bound needs the effect 'tension', with an isotropic tension"
+        )
     others = other_effects(problem.data)
     if pair.degree == 2 and others:
         raise InputError(f"{model.source}: with P2 the error bound is for tension and load, not for {others[0].key}")
+
+
+def _has_tension(effect: Effect) -> bool:
+    """Whether the tension is known: a number, a matrix, or one that depends on u."""
+    linear = effect.isotropic_tension is not None or effect.matrix_tension is not None
+    return linear or (not effect.affine and type(effect).tension_at is not Effect.tension_at)

@@ -110,7 +110,13 @@ class Estimator:
             InputError: If there is no bound for the elements, the effects or the tension.
         """
         check_bound_exists(problem)
-        self.problem, comm = problem, problem.level.comm
+        self.problem = problem
+        if problem.model.elastic.affine:  # otherwise the tension is that of the state
+            self._prepare()
+
+    def _prepare(self) -> None:
+        """Everything that depends on mesh and data (collective)."""
+        problem, comm = self.problem, self.problem.level.comm
         self.element: Element = (ElementP2 if problem.level.pair.has_p1_coarse_space else ElementP1)(problem)
         simplices, load = self.element.simplices, self.element.equilibration.load
         held = self.element.equilibration.patches.held
@@ -130,6 +136,8 @@ class Estimator:
     def bound(self) -> Bound:
         """The error bound of the problem's present state (collective)."""
         problem, comm = self.problem, self.problem.level.comm
+        if not problem.model.elastic.affine:
+            self._prepare()
         terms = self.element.terms(
             problem.w.x.array + problem.reference.x.array, *touching(problem, self.element.reach)
         )
@@ -180,8 +188,17 @@ class Estimator:
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
-        known = "tension, load, foundation, flux and spring"
-        reasons = [f"it covers {known}, not {effect.key}" for effect in unknown_effects(self.problem.data)]
+        known, elastic, data = (
+            "tension, load, foundation, flux and spring",
+            self.problem.model.elastic,
+            self.problem.data,
+        )
+        unknown = [] if data.axial else unknown_effects(data)
+        reasons = [f"estimated, no bound, as its proof covers {known}, not {effect.key}" for effect in unknown]
+        if data.axial:
+            reasons.append("estimated, no bound, as its proof does not cover the weight of axial symmetry")
+        if not elastic.affine:
+            reasons.append(f"estimated with the tension of the solution, no bound, as {elastic.key} is not linear")
         if not (self._held_somewhere or self._exact_constant):
             reasons.append("u is given nowhere")
         if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:

@@ -7,14 +7,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import array_of
+from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
-from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
@@ -28,22 +31,33 @@ SEEN = 100.0  # times the largest load that the solver has: a bound beyond that 
 Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def tension_of(data: Data) -> Field:
-    """mu of a problem that `check_bound_exists` accepts."""
-    tension = data.model.elastic.isotropic_tension
-    assert tension is not None
-    return tension
+def tension_of(data: Data) -> Field | None:
+    """mu; None where the tension is a matrix, depends on u, or has the weight of axial symmetry."""
+    return None if data.axial else data.model.elastic.isotropic_tension
+
+
+def matrix_of(data: Data) -> Rows | None:
+    """The rows of A where the tension is a matrix, otherwise None."""
+    return None if data.axial else data.model.elastic.matrix_tension
+
+
+def proved(data: Data) -> bool:
+    """Whether the bound is proved for the operator -div(mu grad u); otherwise the error is estimated with the tension
+    of the solver."""
+    return data.model.elastic.affine and not data.axial
 
 
 def load_of(data: Data) -> Field | None:
-    """f, if there is a load per area; of several the first."""
+    """f, if there is a load per area; of several the first. With the weight of axial symmetry it is no such load."""
+    if data.axial:
+        return None
     return next((load for effect in data.model.effects if (load := effect.area_load) is not None), None)
 
 
 def other_effects(data: Data) -> list[Effect]:
     """The effects besides that tension and load."""
     effects = data.model.effects
-    load = next((effect for effect in effects if effect.area_load is not None), None)
+    load = None if data.axial else next((effect for effect in effects if effect.area_load is not None), None)
     return [effect for effect in effects if effect is not data.model.elastic and effect is not load]
 
 
@@ -76,6 +90,36 @@ def of_solver(
     if dofs.shape[1] == 1:
         return made.x.array[dofs]
     return made.x.array[simplices.turned_nodes(dofs)] @ quadratics(points)
+
+
+def matrix_of_solver(simplices: Simplices, rows: Rows) -> np.ndarray:
+    """A matrix in each owned cell as the solver has it, shape (cells, d, d) (collective on first use)."""
+    from fenicsx_obstacle.discrete.tensors import matrices_of  # only where there is one
+
+    data, count = simplices.data, len(simplices.area)
+    made = matrices_of(data, rows)
+    if len(made) == 1:
+        made = np.broadcast_to(made, (count, *made.shape[1:]))
+    else:
+        made = made[releases.cell_dofs(data.level.W)[:count, 0]]
+    return (made + made.transpose(0, 2, 1)) / 2
+
+
+def tension_of_state(problem: Problem, simplices: Simplices) -> np.ndarray | None:
+    """The tension in each owned cell for the state of the problem where the bound is not `proved`, with the weight of
+    axial symmetry; otherwise None (collective)."""
+    elastic, level = problem.model.elastic, problem.level
+    if proved(problem.data):
+        return None
+    u, W = fem.Function(level.V), releases.functionspace(level.mesh, "DG", 0)
+    u.x.array[:] = problem.w.x.array + problem.reference.x.array
+    mean = elastic.tension_at(u, problem.data) * ufl.TestFunction(W) / ufl.CellVolume(level.mesh)
+    found = fem.Function(W)
+    vector = releases.vec(found)
+    with vector.localForm() as local:
+        local.set(0.0)
+    fem.petsc.assemble_vector(vector, releases.form(mean * problem.data.dx))
+    return found.x.array[releases.cell_dofs(W)[: len(simplices.area), 0]]
 
 
 def in_cells(simplices: Simplices, value: Field, division: Division, cells: np.ndarray | None = None) -> Pieces:
@@ -216,16 +260,19 @@ def _near_seen(group: Group, mean: np.ndarray, limit: float) -> Group:
 
 
 class Tension:
-    """The tension in the cells.
+    """The tension in the cells; one that depends on u is that of the state.
 
     Attributes:
         least: A lower bound in each cell.
         most: An upper bound.
         least_mean: A lower bound of its mean.
         most_mean: An upper bound.
-        varies: Whether it varies within a cell.
+        varies: Whether it varies within a cell, or is a matrix.
+        poincare: C with ||v||_T <= C ||A^(1/2) grad v||_T for functions of mean zero, where it is a matrix A.
         pieces: What is known of it; None of a number, or of a number for each material.
     """
+
+    poincare: np.ndarray | None = None
 
     def __init__(self, simplices: Simplices, mu: np.ndarray):
         """Enclose it (collective).
@@ -243,6 +290,8 @@ class Tension:
         self._parts: list[Group] = []
         self.pieces: Pieces | None = None
         value = tension_of(simplices.data)
+        if value is None:
+            return
         parts = [value] if value.parts is None else list(value.parts.values())
         if all(part.uniform for part in parts):
             return
@@ -272,6 +321,23 @@ class Tension:
                 for block in _blocks(group, np.count_nonzero(varies))
             ]
         self.least_mean, self.most_mean = np.maximum(mean - spread, self.least), np.minimum(mean + spread, self.most)
+
+    def known(self) -> CellDatum:
+        """What is known of it, for `certification.Hypotheses`."""
+        return CellDatum("tension", self.pieces, "tension may be 0, negative, infinite or undefined", None, True)
+
+    def energy_above(self, gradient: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Upper bounds of ||mu^(1/2) g||_T^2 of one vector per cell, shape (d, cells) (local).
+
+        Args:
+            gradient: The vectors g.
+            cells: Which.
+        """
+        return self._area[cells] * self.most_mean[cells] * np.einsum("xc,xc->c", gradient, gradient)
+
+    def energy_below(self, gradient: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Lower bounds of the same."""
+        return self._area[cells] * self.least_mean[cells] * np.einsum("xc,xc->c", gradient, gradient)
 
     def integrate_distances(self, squares: np.ndarray, fields: Fields, degree: int) -> None:
         """Set squares to a bound of ||mu^(1/2) g - mu^(-1/2) s||_T^2 in the cells where the tension mu varies (local).

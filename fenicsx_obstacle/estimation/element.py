@@ -11,7 +11,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
-from fenicsx_obstacle.estimation.cell_data import Tension, load_of, obstacles_of, other_effects
+from fenicsx_obstacle.estimation.cell_data import Tension, load_of, matrix_of, obstacles_of, other_effects, proved
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_boundary import dirichlet_boundary
@@ -97,7 +97,7 @@ class Element(ABC):
             middles: See `DirichletData`.
         """
         self.equilibration, self.simplices = equilibration, equilibration.simplices
-        self.tension = Tension(self.simplices, equilibration.mu)
+        self.tension = tension_in_cells(equilibration)
         self.dirichlet = _boundary_values(self.simplices, middles)
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
@@ -132,7 +132,7 @@ class Element(ABC):
         comm, pieces, load = data.level.comm, equilibration.load.pieces, load_of(data)
         limits = {1.0: -np.inf, -1.0: np.inf}
         others = other_effects(data)
-        if any(effect.reaction is None and effect.part_reaction is None for effect in others):
+        if not proved(data) or any(effect.reaction is None and effect.part_reaction is None for effect in others):
             return limits[1], limits[-1]
         if load is None:
             push = pull = 0.0
@@ -172,7 +172,7 @@ class Element(ABC):
     def data_in_cells(self) -> list[CellDatum]:
         """What is known of the data in the cells, those in facets among them."""
         return [
-            CellDatum("tension", self.tension.pieces, "tension may be 0, negative, infinite or undefined", None, True),
+            self.tension.known(),
             CellDatum("load", self.equilibration.load.pieces, "load may be infinite or undefined"),
         ]
 
@@ -198,6 +198,18 @@ class Element(ABC):
             touches_lower: Whether u is at the lower obstacle or beyond it, at owned dofs.
             touches_upper: Whether it is at the upper one or beyond it.
         """
+
+
+def tension_in_cells(equilibration: EquilibrationP1 | EquilibrationP2) -> Tension:
+    """The tension of a problem (collective)."""
+    simplices = equilibration.simplices
+    rows = matrix_of(simplices.data)
+    if rows is None:
+        return Tension(simplices, equilibration.mu)
+    from fenicsx_obstacle.estimation.matrix_tension import MatrixTension  # only where there is one
+
+    assert isinstance(equilibration, EquilibrationP1) and equilibration.matrix is not None
+    return MatrixTension(simplices, rows, equilibration.matrix)
 
 
 def _boundary_values(simplices: Simplices, middles: np.ndarray | None) -> BoundaryValues:

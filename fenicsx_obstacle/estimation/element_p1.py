@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.cell_data import other_effects
+from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
 from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
@@ -31,7 +31,8 @@ class ElementP1(Element):
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
-        super().__init__(TriangleEquilibration(simplices) if simplices.dim == 2 else TreeEquilibration(simplices))
+        equilibration = TriangleEquilibration if simplices.dim == 2 else TreeEquilibration
+        super().__init__(equilibration(simplices, tension_of_state(problem, simplices)))
         patches, dim, cells = self.equilibration.patches, simplices.dim, len(simplices.area)
         self.obstacles = [
             ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
@@ -73,25 +74,28 @@ class ElementP1(Element):
             balanced=np.minimum(np.sqrt(balanced) + inside, np.sqrt(distance) + with_load) ** 2,
             admissible_balanced=np.minimum(
                 np.sqrt(of_v[1] + moved) + inside, np.sqrt(of_v[0] + moved) + with_load) ** 2,
-            oscillation=np.minimum(self.oscillation.norm / np.sqrt(self.tension.least) + inside, with_load),
+            oscillation=np.minimum(self._far + inside, with_load),
             contact=contact,
             moved=self._energy(v - u) + moved, cover=self.tension.most * cover + self._reaction_energy_of(height),
             raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
-            energy=self._energy(u, self.tension.least_mean), admissible=v, crossing=crossing,
+            energy=self.tension.energy_below(self.simplices.gradient(u)), admissible=v, crossing=crossing,
             lacking=outside**2,
         )  # fmt: skip
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
         """See `Element.energy_of`; with tension and load (collective)."""
-        if other_effects(self.simplices.data):
+        data = self.simplices.data
+        if other_effects(data) or not proved(data):
             return None
         comm, area, load = self.simplices.data.level.comm, self.simplices.area, self.equilibration.load
         values = v[self.simplices.dofs]
         work = total(comm, sums(load.moments * values))
         rest = total(comm, load.rest * area * np.abs(values).max(axis=1, initial=0.0))
-        least, most = (total(comm, self._energy(v, mu)) / 2 for mu in (self.tension.least_mean, self.tension.most_mean))
+        gradient = self.simplices.gradient(v)
+        bounds = self.tension.energy_below(gradient), self.tension.energy_above(gradient)
+        least, most = (total(comm, energy) / 2 for energy in bounds)
         return least - work - rest, most - work + rest
 
     def data_in_cells(self) -> list[CellDatum]:
@@ -121,7 +125,7 @@ class ElementP1(Element):
         reaction, load = equilibration.reaction, self.oscillation
         inside, outside = equilibration.parts.lacking(u, flux.force, least, friedrichs)
         if not reaction.given:
-            return inside, outside, inside + load.norm / np.sqrt(least)
+            return inside, outside, inside + self._far
         k = reaction.least
         by_reaction = np.divide(1, np.sqrt(k), out=np.full(len(k), np.inf), where=k > 0)
         weight, local = np.minimum(load.poincare / np.sqrt(least), by_reaction), by_reaction <= friedrichs
@@ -131,6 +135,17 @@ class ElementP1(Element):
         inside[local] += by_reaction[local] * rest[local]
         outside += np.where(local, 0.0, rest)
         return inside + weight * alone, outside, inside + weight * together
+
+    @cached_property
+    def _far(self) -> np.ndarray:
+        """Bound of ||mu^(-1/2) tau||_T, tau in balance with what the load is beyond its mean in the cell."""
+        found = self.oscillation.norm / np.sqrt(self.tension.least)
+        if self.tension.poincare is None:
+            return found
+        known = np.isfinite(self.tension.poincare)
+        local = self.tension.poincare[known] * self.equilibration.load.oscillation[known]
+        found[known] = np.minimum(found[known], local)
+        return found
 
     @cached_property
     def _linear_load(self) -> np.ndarray:
@@ -185,9 +200,10 @@ class ElementP1(Element):
         """
         simplices, mu, dim = self.simplices, self.equilibration.mu, self.simplices.dim
         gradient = simplices.gradient(v)
+        pulled = self.equilibration.pulled(gradient)
         across, gathered, squares = np.empty(gradient.shape), np.empty(len(mu)), np.empty(len(mu))
         for block in blocks(len(mu)):
-            outward = flux.normal[block] + simplices.along_normals(gradient[:, block] * mu[block], block)
+            outward = flux.normal[block] + simplices.along_normals(pulled[:, block], block)
             gathered[block] = sums(outward)
             found = gathered[block] ** 2 * self._spread[block]
             for along, part in zip(across, self._from_middle(block), strict=True):
@@ -206,17 +222,15 @@ class ElementP1(Element):
             return squares, squares
         load = self.oscillation
         product = np.einsum("xc,xc->c", across, load.first) - gathered * load.second / 2
-        near, far = np.sqrt(squares), load.norm / np.sqrt(self.tension.least)
+        near, far = np.sqrt(squares), self._far
         balanced = squares - 2 * product / (dim * simplices.area * mu) + 2 * near * load.rest / np.sqrt(mu) + far**2
         return squares, np.where(self.tension.varies, (near + far) ** 2, np.maximum(balanced, 0.0))
 
-    def _energy(self, e: np.ndarray, mu: np.ndarray | None = None) -> np.ndarray:
-        """||mu^(1/2) grad e||_T^2, by an upper bound of the mean tension if no other is given."""
+    def _energy(self, e: np.ndarray) -> np.ndarray:
+        """Upper bound of ||mu^(1/2) grad e||_T^2."""
         simplices, squares = self.simplices, np.zeros(len(self.simplices.area))
-        mu = self.tension.most_mean if mu is None else mu
         cells = np.flatnonzero(reduce(np.logical_or, (e != 0)[simplices.dofs].T))
-        gradient = simplices.gradient(e, cells)
-        squares[cells] = (mu * simplices.area)[cells] * np.einsum("xc,xc->c", gradient, gradient)
+        squares[cells] = self.tension.energy_above(simplices.gradient(e, cells), cells)
         return squares
 
     def _means_squared(self, rest: np.ndarray) -> np.ndarray:

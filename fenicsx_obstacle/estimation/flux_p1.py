@@ -27,7 +27,14 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
-from fenicsx_obstacle.estimation.cell_data import Load, of_solver, other_effects, tension_of
+from fenicsx_obstacle.estimation.cell_data import (
+    Load,
+    matrix_of,
+    matrix_of_solver,
+    of_solver,
+    other_effects,
+    tension_of,
+)
 from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.reactions import Reaction
@@ -71,7 +78,8 @@ class EquilibrationP1(ABC):
     Attributes:
         simplices: The owned cells.
         patches: Their corners around the vertices.
-        mu: Tension of each cell, as the solver has it.
+        mu: Tension of each cell, as the solver has it; of a matrix the geometric mean of its eigenvalues.
+        matrix: The tension of each cell, where it is a matrix, shape (cells, d, d).
         load: Its moments are int_T f phi_l, shape (cells, d + 1), its oscillation ||f - f_0||_T.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
         reaction: Foundation.
@@ -79,17 +87,26 @@ class EquilibrationP1(ABC):
         unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
-    def __init__(self, simplices: Simplices, patches: Patches):
+    def __init__(self, simplices: Simplices, patches: Patches, of_state: np.ndarray | None):
         """Sample the load (collective).
 
         Args:
             simplices: The owned cells.
             patches: Their corners around the vertices.
+            of_state: Tension in each cell where it depends on u.
         """
         self.simplices, self.patches, data = simplices, patches, simplices.data
         self.level, corners = data.level, simplices.dim + 1
         middle = np.full((1, corners), 1 / corners)
-        self.mu = of_solver(simplices, data, tension_of(data), middle, positive=True)[:, 0]
+        rows, tension = matrix_of(data), tension_of(data)
+        self.matrix = None if rows is None else matrix_of_solver(simplices, rows)
+        if of_state is not None:
+            self.mu = of_state
+        elif tension is not None:
+            self.mu = of_solver(simplices, data, tension, middle, positive=True)[:, 0]
+        elif self.matrix is not None:
+            self.mu = np.linalg.det(self.matrix) ** (1 / simplices.dim)
+            self._inverse = np.linalg.inv(self.matrix)
         share = simplices.area / (corners * self.mu)
         area = self.patches.gather(np.repeat(share[:, None], corners, axis=1))[0]
         self._softness = self.patches.at_vertices(area)  # int phi_i/mu
@@ -131,6 +148,16 @@ class EquilibrationP1(ABC):
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
         return self.load.moments - self._moments_of_others.x.array[self.simplices.turned(dofs)]
 
+    def pulled(self, gradient: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
+        """The solver's tension times one vector per cell, shape (d, cells)."""
+        return gradient * self.mu[cells] if self.matrix is None else _times(self.matrix[cells], gradient)
+
+    def weighted(self, vectors: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
+        """Vectors of shape (d, cells, ...) divided by the tension, in which norm fluxes are near their targets."""
+        if self.matrix is None:
+            return vectors / self.mu[cells].reshape(-1, *(1,) * (vectors.ndim - 2))
+        return _times(self._inverse[cells], vectors)
+
     def flux(
         self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
         gaps: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
@@ -144,7 +171,7 @@ class EquilibrationP1(ABC):
             gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
         simplices, patches, V = self.simplices, self.patches, self.level.V
-        beta = simplices.along_normals(simplices.gradient(u) * (-self.mu / simplices.dim))
+        beta = simplices.along_normals(self.pulled(simplices.gradient(u)) / -simplices.dim)
         force, outside = self.parts.forces(u), beta.copy()
         np.add.at(outside, self.parts.cells, force)
         drops, averaged = self._drops(outside, self._all_moments(u))
@@ -248,6 +275,11 @@ class EquilibrationP1(ABC):
         along *= patches.along(share[patches.vertex])
         along[far] = 0.0
         return patches.scatter(along)[0], along
+
+
+def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Matrices of cells, shape (cells, d, d), times vectors of shape (d, cells, ...)."""
+    return np.einsum("cxy,yc...->xc...", matrices, vectors)
 
 
 def unknown_effects(data: Data) -> list[Effect]:

@@ -86,7 +86,9 @@ class EquilibrationP2:
     def _sample_tension(self, data: Data) -> None:
         """The mean of mu, and int mu psi_j psi_k."""
         points, weights = rule(2)
-        mu = of_solver(self.simplices, data, tension_of(data), points, positive=True)
+        tension = tension_of(data)
+        assert tension is not None  # by `check_bound_exists`
+        mu = of_solver(self.simplices, data, tension, points, positive=True)
         mu = np.broadcast_to(mu, (len(mu), len(points)))
         self.mu = mu @ weights
         products = np.einsum("pj,pk->pjk", points, points)

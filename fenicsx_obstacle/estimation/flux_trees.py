@@ -62,14 +62,15 @@ class TreeEquilibration(EquilibrationP1):
 
     patches: TreePatches
 
-    def __init__(self, simplices: Simplices):
-        """Find the trees, and on tetrahedra the matrices of stream functions (collective)."""
-        super().__init__(simplices, TreePatches(simplices))
+    def __init__(self, simplices: Simplices, of_state: np.ndarray | None = None):
+        """Find the trees, and on tetrahedra the matrices of stream functions (collective); the arguments are those of
+        `EquilibrationP1`."""
+        super().__init__(simplices, TreePatches(simplices), of_state)
         self._streams: _Streams | None = None
         if simplices.dim == 3:
             x = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0)
             self._from_middle = [[np.ascontiguousarray(x[axis, :, k]) for axis in range(3)] for k in range(4)]
-            self._scale = 1 / (9 * self.mu * simplices.area)
+            self._scale = 1 / (9 * simplices.area)
             self._streams = self._matrices()
 
     def _on_patches(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
@@ -104,7 +105,8 @@ class TreeEquilibration(EquilibrationP1):
             for flux, k in zip(fluxes, others, strict=True):
                 for axis in range(3):
                     mean[axis] -= flux[:, a] * y[k][axis]
-            along = [y[k][0] * mean[0] + y[k][1] * mean[1] + y[k][2] * mean[2] for k in others]
+            weighted = self.weighted(np.stack(mean))
+            along = [y[k][0] * weighted[0] + y[k][1] * weighted[1] + y[k][2] * weighted[2] for k in others]
             for j in range(3):
                 found[j][:, a] = (along[(j + 1) % 3] - along[(j + 2) % 3]) * self._scale
         return found
@@ -132,8 +134,8 @@ class TreeEquilibration(EquilibrationP1):
             # C_k . C_m, e_k = y_j - y_m and e_m = y_k - y_j
             part = np.empty((len(self.mu), 4))
             for a, others in enumerate(OTHERS[3]):
-                one, other, third = (y[others[n]] for n in (j, k, m))
-                part[:, a] = np.sum([(p - r) * (q - p) for p, q, r in zip(one, other, third, strict=True)], axis=0)
+                one, other, third = (np.stack(y[others[n]]) for n in (j, k, m))
+                part[:, a] = np.sum((one - third) * self.weighted(other - one), axis=0)
             products.append(part * self._scale[:, None])
         values = np.zeros(blocks[-1])
         for j, gathered in enumerate(patches.gather(*products)):

@@ -15,19 +15,20 @@ class TriangleEquilibration(EquilibrationP1):
 
     patches: VertexPatches
 
-    def __init__(self, simplices: Simplices):
-        """Sort the corners (collective)."""
-        super().__init__(simplices, VertexPatches(simplices))
+    def __init__(self, simplices: Simplices, of_state: np.ndarray | None = None):
+        """Sort the corners (collective); the arguments are those of `EquilibrationP1`."""
+        super().__init__(simplices, VertexPatches(simplices), of_state)
         self._A, self._B, G = (np.empty(simplices.dofs.shape) for _ in range(3))
         for block in blocks(len(G)):
             # the edge opposite to a vertex, and from each vertex to the middle of the cell
-            scale = 1 / (4 * simplices.area[block] * self.mu[block])[:, None]
+            scale = 1 / (4 * simplices.area[block])[:, None]
             normal, middle, x = simplices.normal[:, block], simplices.middle[block], simplices.x[block]
             to_x, to_y = (middle[:, k : k + 1] - x[..., k] for k in range(2))
-            edge_x, edge_y = normal[1] * scale, -normal[0] * scale
+            edge = np.stack([normal[1], -normal[0]])
+            edge_x, edge_y = self.weighted(edge, block) * scale
             self._A[block] = edge_x * next_(to_x) + edge_y * next_(to_y)
             self._B[block] = edge_x * previous(to_x) + edge_y * previous(to_y)
-            G[block] = scale * (normal[0] ** 2 + normal[1] ** 2)
+            G[block] = edge[0] * edge_x + edge[1] * edge_y
         self._patch_A, self._patch_B = self.patches.gather(self._A, self._B)
         self._patch_G = self.patches.sums(self.patches.gather(G)[0])
 

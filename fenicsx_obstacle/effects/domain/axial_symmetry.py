@@ -25,7 +25,6 @@ class AxialSymmetry(Effect):
     radial = True
     vector_valued = None
     dimension = (0, 0, 0)
-    no_bound = "the error bound is for plane problems, not for axial symmetry"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> AxialSymmetry:

@@ -33,7 +33,7 @@ class PointLoad(Effect):
     term = "- sum point_load v(point)"
     unit = "force"
     dimension = (0, 1, 1)  # of the force, on a plane mesh
-    no_bound = "the energy of a point load is infinite: there is no bound of its error"
+    no_bound = "the error bound does not cover point loads, whose energy is infinite but on intervals"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PointLoad:

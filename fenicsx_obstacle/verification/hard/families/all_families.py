@@ -5,6 +5,7 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.verification.hard.families import (
+    anisotropic,
     boundary_values,
     conditions,
     curves,
@@ -38,6 +39,7 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "corner": sectors.corners(),
     "touching": touching.touching(),
     "supported": supported.supported(),
+    "anisotropic": anisotropic.anisotropic(),
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
     **TRUTHS,

@@ -258,7 +258,7 @@ def energy_error(
     Args:
         field: u_h.
         pieces: Inside of each tension and gradient are smooth; or points of a quadrature.
-        tension: Of x and y.
+        tension: Of x and y, shape (n,), or matrices of shape (n, d, d).
         gradient: Of u.
         count: Gauss points in each direction of a piece.
     """
@@ -266,9 +266,10 @@ def energy_error(
     for part in np.array_split(np.arange(len(pieces.cells)), max(1, len(pieces.cells) // BLOCK)):
         nodes = pieces[part] if isinstance(pieces, Nodes) else pieces[part].nodes(count)
         x, y = nodes.points.T
-        weight = nodes.weights * tension(x, y)
+        stiff = tension(x, y)
+        stiff = stiff if stiff.ndim == 3 else stiff[:, None, None] * np.eye(2)
         true = np.stack(np.broadcast_arrays(*gradient(x, y)), axis=1)
         off = field.gradient(nodes.cells, nodes.points[:, None])[:, 0] - true
-        found += weight @ (off**2).sum(axis=1), weight @ (true**2).sum(axis=1)
+        found += [nodes.weights @ np.einsum("ni,nij,nj->n", one, stiff, one) for one in (off, true)]
     error, norm = np.sqrt(field.comm.allreduce(found))
     return float(error), float(norm)

@@ -124,6 +124,10 @@ class Touching(ClosedForm):
     def tension(self) -> Piecewise:
         return everywhere(expression(self.stiff))
 
+    def forces(self, u: Piecewise) -> Piecewise:
+        """The load that a function in the parts of w is in balance with."""
+        return u.map(lambda one: load_of(one, expression(self.stiff)))
+
     def u(self) -> list[Piecewise]:
         return [self._psi()[0].map(lambda psi, w: self._turned(psi + w), self.above()[0])]
 
@@ -145,7 +149,7 @@ class Touching(ClosedForm):
     def data(self) -> dict[str, Any]:
         tension, (w, gap), (psi, text) = expression(self.stiff), self.above(), self._psi()
         by, pressure = self.lowered()
-        own = psi.map(lambda psi, w: load_of(psi + w, tension), w)
+        own = self.forces(psi.map(lambda psi, w: psi + w, w))
         if self.kind == "cone":  # no more than 1/r in the contact set, which the obstacle bears
             inside, outside = own.parts
             tip = load_of(expression(self.obstacle), tension)
