@@ -17,6 +17,7 @@ from fenicsx_obstacle.verification.hard.families import (
     residuals,
     sectors,
     smooth,
+    solids,
     supported,
     touching,
     varying,
@@ -38,6 +39,7 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "corner": sectors.corners(),
     "touching": touching.touching(),
     "supported": supported.supported(),
+    "tetrahedra": solids.tetrahedra(),
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
     **TRUTHS,
