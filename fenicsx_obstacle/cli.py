@@ -319,8 +319,9 @@ def hard(
 ) -> int:  # fmt: skip
     """Solve hard scenes, and check every result against the theory.
 
-    NAME is a scene or a family; without it all are solved. Verdicts: right, rejected or FAILED; the last one means
-    exit status 3.
+    NAME is a scene or a family; without it all are solved. With --random it is a family of random scenes. Verdicts:
+    right, rejected or FAILED; the last one means exit status 3. Random scenes that are finished are kept: the same
+    command continues.
     """
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.verification.show.broken import show_broken
@@ -328,11 +329,11 @@ def hard(
     from fenicsx_obstacle.verification.show.hard import show_hard
     from fenicsx_obstacle.verification.show.random_scenes import show_random
 
-    if (name is not None) + broken + faults + (count is not None) > 1 or (
+    if (name is not None or count is not None) + broken + faults > 1 or (
         count is None and (truths or seed is not None)
     ):
-        raise InputError("hard: NAME, --random, --broken and --faults exclude each other; --seed and --truths go with "
-                         "--random")  # fmt: skip
+        raise InputError("hard: --broken and --faults exclude NAME, --random and each other; --seed and --truths go "
+                         "with --random")  # fmt: skip
     check_places(output, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else tell
     with progress("hard", quiet=quiet):
@@ -341,7 +342,7 @@ def hard(
         elif faults:
             rows = show_faults(output, say)
         elif count is not None:
-            rows = show_random(count, output, say, seed, truths=truths)
+            rows = show_random(count, output, say, seed, truths=truths, family=name)
         else:
             rows = show_hard(name, output, say)
     if json_file is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import unicodedata
 from collections.abc import Sequence
 from typing import Any
@@ -11,6 +12,7 @@ LISTED = 40  # known names in a message
 SHOWN = 60  # characters of a value
 LONGEST = 160  # characters of a title or name where it is shown
 ROUND_OFF = 1e-12  # of the largest component of a vector
+LEAST_ERROR = 1e-14  # of a value: smaller ones are below its last digit
 
 
 def counted(number: int, noun: str) -> str:
@@ -43,6 +45,30 @@ def plain(value: Any) -> str:
 def short(value: Any) -> str:
     """A number or formula in few characters."""
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def with_error(value: float, error: float, form: str = ".10g") -> str:
+    """A value with its error: the error with two digits, the value with no more decimals than the error has.
+
+    Args:
+        value: Finite.
+        error: Not negative.
+        form: Of the value where the error is 0, below round-off or not finite.
+    """
+    if not LEAST_ERROR * abs(value) < error < math.inf:
+        return f"{value:{form}} +- {error:.2g}"
+    last = _exponent(error) - 1  # the power of ten of the last digit
+    first = max(_exponent(value), last + 1) if value else last + 1
+    if -5 < first < 7:
+        numbers = (round(number, -last) if last > 0 else number for number in (value, float(f"{error:.1e}")))
+        return " +- ".join(f"{number:.{max(0, -last)}f}" for number in numbers)
+    both = " +- ".join(f"{number / 10.0**first:.{first - last}f}" for number in (value, error))
+    return f"({both})e{first:+03d}"
+
+
+def _exponent(value: float) -> int:
+    """The power of ten of the first of two rounded digits."""
+    return int(f"{value:.1e}".partition("e")[2])
 
 
 def vector_in_words(values: Sequence[float]) -> str:

@@ -1,12 +1,11 @@
 """Adaptive meshes of tetrahedra: errors fall with the order of the best meshes, tolerances are reached."""
 
-from itertools import permutations, product
-
 import numpy as np
 import pytest
 from conftest import COMM
 
-from fenicsx_obstacle import Scene, releases, solve
+from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.verification.hard.families.solid_meshes import octants, tetrahedra
 
 BALL = "r^2/6 + 0.6^3/(3*r) - 0.6^2/2"
 SIDES = [-1, 1]
@@ -14,17 +13,7 @@ SIDES = [-1, 1]
 
 def fichera(half):
     """A cube of side 2 without the eighth where all coordinates are positive, `half` cells along each half side."""
-    count = 2 * half + 1
-    points = np.array(list(product(range(count), repeat=3))) / half - 1
-    cells = []
-    for corner in product(range(2 * half), repeat=3):
-        if min(corner) < half:
-            for axes in permutations(np.eye(3, dtype=int)):
-                cells.append(np.cumsum([np.array(corner), *axes], axis=0) @ [count**2, count, 1])
-    used, cells = np.unique(cells, return_inverse=True)
-    cells = cells.reshape(-1, 4)
-    return releases.create_mesh(COMM, cells if COMM.rank == 0 else cells[:0],
-                                points[used] if COMM.rank == 0 else points[:0], "tetrahedron")  # fmt: skip
+    return tetrahedra(COMM, *octants("fichera", half))
 
 
 def order(path, key="total"):

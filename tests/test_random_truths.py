@@ -25,6 +25,9 @@ from fenicsx_obstacle.verification.hard.families.integrals import Circle, Pieces
 from fenicsx_obstacle.verification.hard.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
 from fenicsx_obstacle.verification.hard.families.sectors import Corner, Sectors
 from fenicsx_obstacle.verification.hard.families.smooth import Polynomial
+from fenicsx_obstacle.verification.hard.families.solid_meshes import inscribed_ball, solid
+from fenicsx_obstacle.verification.hard.families.solids import KINDS as SOLIDS
+from fenicsx_obstacle.verification.hard.families.solids import Solid
 from fenicsx_obstacle.verification.hard.families.touching import KINDS as CONTACTS
 from fenicsx_obstacle.verification.hard.families.touching import Touching
 from fenicsx_obstacle.verification.hard.families.varying import Varying
@@ -138,6 +141,51 @@ def test_closed_forms(one, left, wrong):
         errors.append(given.error(field)[0])
     assert errors[1] < left * errors[0]
     assert replace(given, **wrong).error(field)[0] > 2 * errors[1]
+
+
+CUBE = {"shape": "box", "x": [-1.0, 1.0], "y": [-1.0, 1.0], "z": [-1.0, 1.0], "perturb": 0.1}
+BODY = Solid(CUBE, {}, "half", (0.6, 0.0, 0.8), (0.1, -0.05, 0.0), 0.45, "0", 2.0, "4 + x*y - z", 3.0, 1.0, 0.7, False,
+             0.5, "flux", 2.0)  # fmt: skip
+CHANGES = {"layers": {"obstacle": "1 + x", "inside": 3.0}, "inclusion": {"obstacle": "exp(y - z)", "inside": 3.0},
+           "free": {"obstacle": "x**2 - y*z"}, "ball": {"inside": 10.0, "stiff": "1", "upper": True},
+           "tube": {"stiff": "1", "end": "spring"}, "point": {"obstacle": "x**3*z - y**2", "upper": True}}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "half")) for kind in SOLIDS])
+def test_closed_forms_on_tetrahedra(kind):
+    """Discrete solutions tend to the closed form with order 1 in h, and to no other one."""
+    one, errors = replace(BODY, kind=kind, **CHANGES.get(kind, {})), []
+    for cells in (4, 8):
+        given = replace(one, mesh={**one.mesh, "cells": cells})
+        field = Field(solve(given.scene(COMM), comm=COMM).u)
+        errors.append(given.error(field)[0])
+    assert errors[1] < (0.7 if kind in ("layers", "inclusion") else 0.6) * errors[0]
+    other = {"obstacle": "2*(x**2 - y*z)"} if kind == "free" else {"size": 4.0}
+    assert replace(given, **other).error(field)[0] > 2 * errors[1]
+
+
+@pytest.mark.parametrize("shape", ["cube", "fichera", "prism", "random points"])
+def test_solids_are_filled(shape):
+    """Meshes have the volume of their domain, and so have the pieces of their cells up to those that are omitted."""
+    table = {"shape": shape, "cells": 3, "seed": 5, "slope": 0.7, "flat": 0.3, "scatter": 0.2}
+    one = replace(BODY, mesh=table, kind="ball", obstacle="0", stiff="1", scale=1.0, foundation=0.0, end="", radius=0.2)
+    mesh = solid(table, COMM)
+    volume = 0.3 * {"fichera": 7.0, "prism": 6.0}.get(shape, 8.0)
+    corners = Field(fem.Function(releases.functionspace(mesh, "Lagrange", 1))).vertices
+    own = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / 6
+    assert COMM.allreduce(own) == pytest.approx(volume, rel=1e-12)
+    centre, radius = inscribed_ball(table)
+    straight = np.array([centre[0] - 0.7 * centre[1], centre[1], centre[2] / 0.3])
+    assert (np.abs(straight) + radius <= 1 + 1e-12).all()
+    # int |grad u|^2 outside of the ball, u = size (R^2/6 + ...), by Monte Carlo with 1e6 points of the domain
+    points = np.random.default_rng(1).uniform(-1, 1, (1000000, 3))
+    if shape in ("fichera", "prism"):
+        points = points[~(points[:, : {"fichera": 3, "prism": 2}[shape]] > 0).all(axis=1)]
+    points = points * [1, 1, 0.3] + np.outer(points[:, 1], [0.7, 0, 0])
+    far = np.linalg.norm(points - np.array(one.middle), axis=1)
+    density = np.where(far < 0.2, 0.0, (one.size * (far / 3 - 0.2**3 / (3 * far**2))) ** 2)
+    norm = one.error(Field(fem.Function(releases.functionspace(mesh, "Lagrange", 1))))[1]
+    assert norm**2 == pytest.approx(volume * density.mean(), rel=0.01)
 
 
 @pytest.mark.parametrize("spelling", range(10))

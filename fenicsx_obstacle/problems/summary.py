@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fenicsx_obstacle.text import counted, vector_in_words
+from fenicsx_obstacle.text import counted, vector_in_words, with_error
 
 PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
 LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
@@ -59,7 +59,7 @@ def summary(record: Mapping[str, Any], title: str) -> str:
         times = _effectivity(r["bound"])
         lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
     if (goal := r.get("goal")) is not None:
-        lines.append(f"  {goal['name']} = {goal['value']:.10g} +- {goal['error']:.2g} ({goal['words']})")
+        lines.append(f"  {goal['name']} = {with_error(goal['value'], goal['error'])} ({goal['words']})")
     lines += _enclosure(r) + _tolerance(r)
     if r.get("report"):
         lines.append("  report: " + ", ".join(f"{name} = {words}" for name, words in report_in_words(r).items()))
@@ -142,33 +142,41 @@ def main_values(r: Mapping[str, Any]) -> list[str]:
     """Energy and contact, in words."""
     contact = r["contact"]
     sides = [side for side in ("lower", "upper") if side in contact]
-    figures = ["no energy" if r["energy"] is None else f"energy {r['energy']:.10g}{uncertain(r, 'energy')}"]
+    figures = ["no energy" if r["energy"] is None else f"energy {with_uncertainty(r, r['energy'], '.10g', 'energy')}"]
     if sides:
-        figures.append(f"contact area {contact['area']:.6g}{uncertain(r, 'contact', 'area')}")
+        figures.append(f"contact area {with_uncertainty(r, contact['area'], '.6g', 'contact', 'area')}")
         if "resultant" in contact:
             figures.append(f"contact force {vector_in_words(contact['resultant'])}")
         else:
-            figures += [f"force on {side} obstacle {contact[side]['force']:.6g}{uncertain(r, 'contact', side, 'force')}"
-                        for side in sides]  # fmt: skip
-        figures.append(f"penetration {r['penetration']:.3g}{uncertain(r, 'penetration')}")
+            for side in sides:
+                force = with_uncertainty(r, contact[side]["force"], ".6g", "contact", side, "force")
+                figures.append(f"force on {side} obstacle {force}")
+        figures.append(f"penetration {with_uncertainty(r, r['penetration'], '.3g', 'penetration')}")
     known = {key: contact.get(key) for key in ("half_width", "peak", "approach")}  # of an elastic body
     return figures + [f"{key.replace('_', '-')} {value:.6g}" for key, value in known.items() if value is not None]
 
 
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
     """The values of [report], by name; extremes with their places."""
-    places, found = record.get("report_places", {}), {}
+    places, found, goal = record.get("report_places", {}), {}, record.get("goal", {})
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
-        found[name] = "not finite" if value is None else f"{value:.6g}{uncertain(record, 'report', name)}{where}"
+        if value is None:
+            found[name] = "not finite"
+        elif name == goal.get("name"):
+            found[name] = with_error(value, goal["error"])
+        else:
+            found[name] = f"{with_uncertainty(record, value, '.6g', 'report', name)}{where}"
     return found
 
 
-def uncertain(record: Mapping[str, Any], *keys: str, short: bool = False) -> str:
-    """What follows the value of a field: its uncertainty, in words; nothing where none was asked for.
+def with_uncertainty(record: Mapping[str, Any], value: float, form: str, *keys: str, short: bool = False) -> str:
+    """The value of a field with its uncertainty, in words; the value alone where no uncertainty was asked for.
 
     Args:
         record: Of a solution, or a row of a study.
+        value: Of the field.
+        form: Of the value where its error is not known.
         keys: The field, and the fields in it.
         short: Without the order and the last change.
     """
@@ -176,8 +184,9 @@ def uncertain(record: Mapping[str, Any], *keys: str, short: bool = False) -> str
     for key in keys:
         found = found.get(key, {})
     if not found:
-        return ""
+        return f"{value:{form}}"
     if found["error"] is None:
-        return f" ({found['verdict']}{'' if short else ': the last change is {:.2g}'.format(found['change'])})"
+        change = "" if short else f": the last change is {found['change']:.2g}"
+        return f"{value:{form}} ({found['verdict']}{change})"
     order = "no order" if found["order"] is None else f"order {found['order']:.1f}"
-    return f" +- {found['error']:.2g}{'' if short else f' ({order})'}"
+    return f"{with_error(value, found['error'], form)}{'' if short else f' ({order})'}"

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle.parallel import write_text
-from fenicsx_obstacle.problems.summary import report_in_words, uncertain
+from fenicsx_obstacle.problems.summary import report_in_words, with_uncertainty
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.text import counted, title_of, vector_in_words
+from fenicsx_obstacle.text import counted, title_of, vector_in_words, with_error
 
 NAME = "report.html"
 _PARTS = {  # of the bound: what makes each smaller
@@ -240,17 +240,17 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("h, longest edge", f"{record['h']:.4g}, {record['h_max']:.4g}"),
         ("eps", "none" if record["eps"] is None else f"{record['eps']:.4g}"),
         ("iterations", f"{newton}, {krylov}, on the finest mesh"),
-        ("energy", "none" if record["energy"] is None else f"{record['energy']:.10g}{uncertain(record, 'energy')}"),
-        ("contact area", f"{contact['area']:.6g}{uncertain(record, 'contact', 'area')}"),
+        ("energy", "none" if (J := record["energy"]) is None else with_uncertainty(record, J, ".10g", "energy")),
+        ("contact area", with_uncertainty(record, contact["area"], ".6g", "contact", "area")),
     ]
     if "resultant" in contact:
         facts.append(("contact force", vector_in_words(contact["resultant"])))
         names = {"half_width": "half-width of the contact", "peak": "peak of p", "approach": "approach"}
         facts += [(name, f"{contact[key]:.6g}") for key, name in names.items() if contact.get(key) is not None]
     for side in [side for side in ("lower", "upper") if side in contact and "resultant" not in contact]:
-        error = uncertain(record, "contact", side, "force")
-        facts.append((f"force on {side} obstacle", f"{contact[side]['force']:.6g}{error}"))
-    facts.append(("penetration", f"{record['penetration']:.4g}{uncertain(record, 'penetration')}"))
+        force = with_uncertainty(record, contact[side]["force"], ".6g", "contact", side, "force")
+        facts.append((f"force on {side} obstacle", force))
+    facts.append(("penetration", with_uncertainty(record, record["penetration"], ".4g", "penetration")))
     if "reason" in record.get("uncertainty", {}):
         facts.append(("no uncertainty", record["uncertainty"]["reason"]))
     facts += [(f"error, {norm}", f"{value:.4g}") for norm, value in (record.get("errors") or {}).items()]
@@ -262,7 +262,7 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _goal(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The quantity that had a tolerance, with its error and how far it is guaranteed."""
     relative = "" if goal["relative"] is None else f", {goal['relative']:.3g} of the value"
-    known = [(goal["name"], f"{goal['value']:.10g} +- {goal['error']:.2g}{relative}"), ("the error is", goal["words"])]
+    known = [(goal["name"], f"{with_error(goal['value'], goal['error'])}{relative}"), ("the error is", goal["words"])]
     if goal["words"] == "estimated":
         on = f"estimated on a mesh with {goal['dofs']} unknowns"
         known += [("part: mesh", f"{goal['mesh']:.3g}: a finer mesh reduces it; {on}")]

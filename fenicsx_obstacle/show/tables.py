@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from fenicsx_obstacle.problems.summary import uncertain
+from fenicsx_obstacle.problems.summary import with_uncertainty
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
 from fenicsx_obstacle.studies.orders import lookup, order, parameter, quantities
 from fenicsx_obstacle.text import counted, short
@@ -80,9 +80,10 @@ class StudyTable:
         if self.by != "eps" and self.penalised:
             yield Cell("eps", "", "" if row["eps"] is None else f"{row['eps']:.1e}", 7)
         for key, name in (figures_of(row) if not self.by or row.get("report") else {}).items():
-            value, error = lookup(row, key), uncertain(row, *key.split("."), short=True)
+            value = lookup(row, key)
+            words = "" if value is None else with_uncertainty(row, value, ".6g", *key.split("."), short=True)
             width = 22 if "uncertainty" in row else 11
-            yield Cell(name.removesuffix(" obstacle"), "", "" if value is None else f"{value:.6g}{error}", width)
+            yield Cell(name.removesuffix(" obstacle"), "", words, width)
         for quantity in self._measured:
             value = lookup(row, quantity.key)
             yield Cell(quantity.label, self._source(quantity), "" if value is None else f"{value:.3e}", 9)

@@ -74,6 +74,10 @@ class RowStore:
         """The row of this key, if it was ever finished here."""
         return self._rows.get(key)
 
+    def keys(self) -> list[str]:
+        """Of all rows."""
+        return list(self._rows)
+
     def add(self, key: str, row: Mapping[str, Any]) -> dict[str, Any]:
         """Write a row; when this returns it is on the disk.
 

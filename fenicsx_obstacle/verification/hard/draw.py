@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 import time
@@ -15,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError, ObstacleError
+from fenicsx_obstacle.io.origin import versions
+from fenicsx_obstacle.studies.rows import RowStore
+from fenicsx_obstacle.text import nearest
 from fenicsx_obstacle.verification.hard.row import FAILED, REJECTED, RIGHT, Row
 from fenicsx_obstacle.verification.processes import launch, records, tell
 
@@ -27,15 +31,16 @@ SEED = 1  # the same scenes every time
 STRIDE = 10000  # between the seeds of processes for two seeds of the user
 
 
-def shares(count: int, *, truths: bool = False) -> dict[str, int]:
+def shares(count: int, *, truths: bool = False, family: str | None = None) -> dict[str, int]:
     """How many scenes of each family to draw: half of them admissible ones, the others in equal parts.
 
     Args:
         count: Of all.
         truths: Whether only families whose true error is known, in equal parts.
+        family: The only one.
 
     Raises:
-        InputError: Without Hypothesis or SymPy.
+        InputError: Without Hypothesis or SymPy, or for an unknown family.
     """
     for module, name in (("hypothesis", "Hypothesis"), ("sympy", "SymPy")):
         if find_spec(module) is None:
@@ -43,6 +48,11 @@ def shares(count: int, *, truths: bool = False) -> dict[str, int]:
     from fenicsx_obstacle.verification.hard.families.all_families import TRUTHS
     from fenicsx_obstacle.verification.hard.random_scenes import FAMILIES
 
+    if family is not None:
+        known = TRUTHS if truths else FAMILIES
+        if family not in known:
+            raise InputError(f"hard --random: no family '{family}'" + nearest(family, known))
+        return {family: count}
     if truths:
         return _alike(count, list(TRUTHS))
     first, *others = FAMILIES
@@ -55,7 +65,7 @@ def _alike(count: int, names: Sequence[str]) -> dict[str, int]:
 
 def try_all(
     counts: Mapping[str, int], seed: int, comm: MPI.Comm, done: Callable[[Row], None],
-    begins: Callable[[Family], None] | None = None,
+    begins: Callable[[Family], bool] | None = None,
 ) -> None:  # fmt: skip
     """Draw scenes and judge them (collective).
 
@@ -64,7 +74,7 @@ def try_all(
         seed: Of the drawing.
         comm: Communicator.
         done: Called with a row for each scene.
-        begins: Called with each scene before it is solved, on rank 0.
+        begins: Called with each scene before it is solved, on rank 0; it is solved if this returns true.
     """
     if comm.rank != 0:
         while (scene := comm.bcast(None)) is not None:
@@ -72,9 +82,8 @@ def try_all(
         return
 
     def one(scene: Family) -> None:
-        if begins is not None:
-            begins(scene)
-        done(judged(comm.bcast(scene), comm))
+        if begins is None or begins(scene):
+            done(judged(comm.bcast(scene), comm))
 
     # one rank draws: what Hypothesis draws depends on the modules that are loaded, and not all ranks load the same
     try:
@@ -122,32 +131,58 @@ def judged(scene: Family, comm: MPI.Comm) -> Row:
 
 def described(scene: Family) -> Row:
     """What a scene is, and how to show it to the program again."""
-    return {"family": scene.name, "scene": asdict(scene), "text": scene.text()}
+    return {"key": key_of(scene), "family": scene.name, "scene": asdict(scene), "text": scene.text()}
 
 
-def run(counts: Mapping[str, int], environment: Mapping[str, str], seed: int = SEED) -> Iterator[Row]:
-    """A row for each of so many scenes of each family, in processes (one rank)."""
+def key_of(scene: Family) -> str:
+    """Of a scene and the versions that its row depends on."""
+    return hashlib.sha256(json.dumps([repr(scene), versions()], sort_keys=True).encode()).hexdigest()[:16]
+
+
+def run(
+    counts: Mapping[str, int], environment: Mapping[str, str], seed: int = SEED, store: RowStore | None = None
+) -> Iterator[Row]:
+    """A row for each of so many scenes of each family, in processes (one rank).
+
+    Args:
+        counts: How many of each family.
+        environment: Of the processes.
+        seed: Of the drawing.
+        store: Rows of an earlier run, which are not judged again unless they have failed; new rows are added.
+    """
     parts = [{name: n // AT_ONCE + (k < n % AT_ONCE) for name, n in counts.items()} for k in range(AT_ONCE)]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        for rows in pool.map(lambda k: list(_share(parts[k], STRIDE * seed + k, environment)), range(AT_ONCE)):
+        for rows in pool.map(lambda k: list(_share(parts[k], STRIDE * seed + k, environment, store)), range(AT_ONCE)):
             yield from rows
 
 
-def _share(counts: Mapping[str, int], seed: int, environment: Mapping[str, str]) -> Iterator[Row]:
+def _share(
+    counts: Mapping[str, int], seed: int, environment: Mapping[str, str], store: RowStore | None
+) -> Iterator[Row]:
     """The rows of one process; should it be lost with a scene, or shaken by one, another goes on with others."""
+    known = "" if store is None else json.dumps(store.keys())
     left = Counter(counts)
     while left.total() > 0:
         given = json.dumps({name: count for name, count in left.items() if count})
         command = launch(1, "-m", "fenicsx_obstacle.verification.hard.draw", given, str(seed))
         started: Any = None
         before = left.total()
-        for record in records(command, environment, PATIENCE):
+        for record in records(command, environment, PATIENCE, known):
+            if "known" in record:
+                row = None if store is None else store.find(record["known"])
+                assert row is not None
+                left[row["family"]] -= 1
+                yield row
+                continue
             if "begins" in record:
                 started = record["begins"]
                 continue
             started = None
             left[record["family"]] -= 1
-            yield {**record, "seed": seed}
+            record["seed"] = seed
+            if store is not None and record["verdict"] != FAILED:
+                record = store.add(record.pop("key"), record)
+            yield record
             if record["crashed"]:  # libraries remember errors, and later scenes might suffer from them
                 break
         if started is not None:
@@ -160,9 +195,18 @@ def _share(counts: Mapping[str, int], seed: int, environment: Mapping[str, str])
 
 
 def main() -> None:
-    """Scenes and rows, a line each."""
+    """Scenes and rows, a line each; keys of rows that are known come from standard input."""
     counts, seed = json.loads(sys.argv[1]), int(sys.argv[2])
-    try_all(counts, seed, MPI.COMM_WORLD, tell, lambda scene: tell({"begins": described(scene)}))
+    known = set(json.loads(sys.stdin.read() or "[]"))
+
+    def begins(scene: Family) -> bool:
+        if (key := key_of(scene)) in known:
+            tell({"known": key})
+            return False
+        tell({"begins": described(scene)})
+        return True
+
+    try_all(counts, seed, MPI.COMM_WORLD, tell, begins)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from statistics import median
 
 from mpi4py import MPI
 
 from fenicsx_obstacle.parallel import on_root, write_lines
+from fenicsx_obstacle.studies.rows import RowStore
 from fenicsx_obstacle.verification.hard.draw import SEED, run, shares
 from fenicsx_obstacle.verification.hard.row import FAILED, Row
 from fenicsx_obstacle.verification.hard.suite import one_rank
@@ -28,8 +30,9 @@ LEGEND = (
 
 
 def show_random(
-    count: int, folder: Path, say: Callable[[str], None], seed: int | None = None, *, truths: bool = False
-) -> list[Row]:
+    count: int, folder: Path, say: Callable[[str], None], seed: int | None = None, *, truths: bool = False,
+    family: str | None = None,
+) -> list[Row]:  # fmt: skip
     """Judge so many random scenes, on one rank.
 
     Args:
@@ -38,6 +41,7 @@ def show_random(
         say: Takes text.
         seed: Of the drawing; by default the same scenes every time.
         truths: Whether only scenes whose true error is known; then a table shows the bounds of each family.
+        family: Whether only scenes of this one.
 
     Returns:
         The rows.
@@ -48,11 +52,13 @@ def show_random(
     one_rank()
     seed = SEED if seed is None else seed
     start, rows = time.perf_counter(), []
-    for row in run(shares(count, truths=truths), clean(), seed):
-        rows.append(row)
-        if row["verdict"] == FAILED:
-            again = row["text"].strip().replace("\n", "\n    ")
-            say(f"  FAILED: {row['family']}: {row['message']}\n    {again}")
+    counts = shares(count, truths=truths, family=family)
+    with closing(RowStore(folder)) as store:
+        for row in run(counts, clean(), seed, store):
+            rows.append(row)
+            if row["verdict"] == FAILED:
+                again = row["text"].strip().replace("\n", "\n    ")
+                say(f"  FAILED: {row['family']}: {row['message']}\n    {again}")
     on_root(MPI.COMM_WORLD, write_lines, folder / LINES, rows)
     failed = sum(row["verdict"] == FAILED for row in rows)
     kinds = Counter(row["family"] for row in rows)

@@ -18,6 +18,7 @@ from fenicsx_obstacle.verification.hard.families import (
     residuals,
     sectors,
     smooth,
+    solids,
     supported,
     touching,
     varying,
@@ -40,6 +41,7 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "touching": touching.touching(),
     "supported": supported.supported(),
     "anisotropic": anisotropic.anisotropic(),
+    "tetrahedra": solids.tetrahedra(),
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
     **TRUTHS,
