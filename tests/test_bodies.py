@@ -173,6 +173,8 @@ def test_explain_a_body():
     for words in ("-div(sigma(u)) = 0", "plane = [0, 1]", "sigma(u) n = - pressure n on top", "u_x = 0 on left",
                   "rigid body motions", "slopes above 0.2"):  # fmt: skip
         assert words in text, words
+    text = " ".join(explain(Scene.read(DEMOS / "hertz_sphere.toml")).split())
+    assert "contact: from [0, 0] to [1.5, 0], p over p0*sqrt(max(1 - (x/a)^2, 0))" in text
 
 
 def obstacle(**keys):

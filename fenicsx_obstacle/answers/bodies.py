@@ -13,6 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.profiles import points_of
 from fenicsx_obstacle.io.folder import NODES
 from fenicsx_obstacle.problems.solution import Files
 from fenicsx_obstacle.problems.vector_valued import VectorSolution
@@ -75,6 +76,7 @@ class BodyContext:
         self.body = Body(scene, level)
         self._report = BodyReport(self.body)
         self._report.check()
+        points_of(scene, self.body.level)  # rejects points outside before anything is solved
         self.setup_seconds = time.perf_counter() - started - self.mesh_seconds
 
     def renewed(self, scene: Scene) -> BodyContext:

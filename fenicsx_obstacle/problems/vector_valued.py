@@ -165,7 +165,7 @@ class VectorSolution(Solution):
             InputError: As `at`.
         """
         names = ("u", "pressure", "gap", *(("von_mises",) if self.von_mises is not None else ()))
-        values = {name: self.at(points, name) for name in names}
+        values: dict[str, Any] = {name: self.at(points, name) for name in names}
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return Profile(points, s, **values)
 

@@ -26,6 +26,7 @@ from fenicsx_obstacle.scenes.data_files import DataFiles
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, field_of, plain, stands_for_an_object
+from fenicsx_obstacle.scenes.profile_table import check_profiles
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.scenes.tables import DataTable
@@ -221,6 +222,7 @@ class Scene(Vocabulary):
         solve, place = typed.solve, f"{source}: [solve]"
         set_("options", SolverOptions(solve.method, self._eps(solve.eps), solve.start, place))
         check_parts(self)
+        check_profiles(self)
         set_("model", replace(self.model, time=moments(self)))
 
     @property
@@ -442,7 +444,6 @@ class Scene(Vocabulary):
         for name, given, why in (
             ("time", own.time, "one equilibrium is solved; study --vary solves several"),
             ("exact", own.exact, "is for scalar u; compare output quantities under [report]"),
-            ("profile", own.profile, "is for scalar u; nodes.csv has pressure and gap at the contact nodes"),
             ("obstacle", own.obstacle != tables.ObstacleTable(), "bounds a scalar u; give [[boundary]] an obstacle"),
         ):
             if given:

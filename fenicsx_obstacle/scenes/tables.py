@@ -163,12 +163,14 @@ class ProfileTable(Struct, frozen=True, forbid_unknown_fields=True, omit_default
         to: Last point.
         on: A named curve instead.
         n: Number of points, at equal distances.
+        compare: Formulas by the quantity over which they are drawn: {p = "p0*sqrt(1 - (x/a)^2)"}.
     """
 
     from_: Value | Numbers | None = None
     to: Value | Numbers | None = None
     on: str | None = None
     n: Annotated[int, Meta(ge=2, le=100_000)] = 200
+    compare: dict[str, Value] = {}
 
 
 class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

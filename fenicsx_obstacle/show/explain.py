@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 from fenicsx_obstacle.discrete.galerkin import SMALLEST
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
@@ -57,6 +58,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
+        ("profile", _profiles(scene)),
         ("not included", [_not_included(scene)]),
     ]
 
@@ -74,8 +76,22 @@ def _explained_body(scene: Scene) -> list[tuple[str, list[str]]]:
         ("mesh", [_mesh(scene)]),
         ("solver", _body_solver(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
+        ("profile", _profiles(scene)),
         ("not included", ["friction; large displacements; contact of two elastic bodies"]),
     ]
+
+
+def _profiles(scene: Scene) -> list[str]:
+    lines = []
+    for name, table in scene.tables.profile.items():
+        where = f"along {table.on}" if table.on else f"from {_point(table.from_)} to {_point(table.to)}"
+        over = [f"{key} over {plain(formula)}" for key, formula in table.compare.items()]
+        lines.append(f"{name}: {', '.join([where, *over])}")
+    return lines
+
+
+def _point(given: Any) -> str:
+    return f"[{', '.join(map(plain, given))}]" if isinstance(given, tuple) else plain(given)
 
 
 def _body_obstacles(scene: Scene) -> list[str]:
