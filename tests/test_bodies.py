@@ -19,6 +19,7 @@ from fenicsx_obstacle import (
     InputError,
     ObstacleProblem,
     Scene,
+    Table,
     ball_gap,
     compare,
     find,
@@ -138,6 +139,89 @@ def test_a_force_that_is_given():
     assert "approach" in answer.summary()
 
 
+def resultant(kind, obstacle, **more):
+    """Of the contact forces on a square, or on a cube, below an obstacle."""
+    if kind == "plane":
+        return solve(block(8, [*ROLLERS, {"on": "top", "obstacle": obstacle}], **more)).nodes.resultant
+    parts = [*CORNER, {"on": "back", "value": ["free", "free", 0]}, {"on": "front", "obstacle": obstacle}]
+    return solve(Scene(**CUBE, boundary=parts, **more)).nodes.resultant
+
+
+@pytest.mark.parametrize("kind", slow_except(["plane", "space"], "plane"))
+def test_boxes(kind):
+    """A wide box is a half-space, a narrow one the gap of its face alone, and it moves until its force is reached."""
+    down, up, no = ([0, -1], 2, 1) if kind == "plane" else ([0, 0, -1], 3, 2)
+    place = [0] * no + [1.49]
+    half_space = resultant(kind, {"plane": down, "at": [0] * no + [0.99]})
+    assert np.allclose(resultant(kind, {"box": [4] * no + [1], "centre": place}), half_space, rtol=1e-9)
+    narrow = "where(x <= 0.7, where(y <= 2, -0.01, 1), 1)"
+    stamp = {"box": [1.4, *[4] * (up - 2), 1], "centre": place}
+    force = resultant(kind, stamp)
+    assert np.allclose(force, resultant(kind, {"gap": narrow}), rtol=1e-9) and 0 < -force[-1] < -half_space[-1]
+    if kind == "plane":
+        pressed = resultant(kind, {**stamp, "centre": [0, 1.6], "moves": down, "force": -force[-1]})
+        assert np.allclose(pressed, force, atol=1e-7 * abs(force[-1]))
+
+
+def test_nodes_without_an_obstacle(folder):
+    """Beside a box gaps are infinite: at nodes, along the boundary, and in a saved answer."""
+    answer = solve(block(8, [*ROLLERS, {"on": "top", "obstacle": {"box": [1, 1], "centre": [0, 1.49]}}]))
+    beside = answer.nodes.points[:, 0] > 0.51
+    assert np.isinf(answer.nodes.gap[beside]).all() and np.isfinite(answer.nodes.gap[~beside]).all()
+    answer.save(folder)
+    for one in (answer, Answer.read(folder)):
+        assert np.isinf(one.at([0.8, 1.0], "gap")) and abs(one.at([0.25, 1.0], "gap")) < 1e-4
+        assert np.isnan(one.at([0.5, 0.5], "gap"))
+
+
+@pytest.mark.parametrize("along", [[], [0.1, 1]])
+def test_a_table_of_heights(along, folder):
+    """A cylinder as a table: its force, exactly if the data are at the nodes, else up to the distance of the data."""
+    given, x = {"along": along} if along else {}, np.linspace(-0.5, 1.5, 2001 if along else 17)
+    z = 2.99 - np.sqrt(4 - x**2)
+    exact = resultant("plane", {"cylinder": 2, "centre": [0, 2.99], **given})
+    found = resultant("plane", {"table": Table(x=x, z=z), **given})
+    assert np.allclose(found, exact, atol=(1e-4 if along else 1e-8) * abs(exact[1]))
+    if COMM.rank == 0:
+        folder.mkdir(exist_ok=True)
+        np.savetxt(folder / "cylinder.csv", np.column_stack([x, z]))
+    COMM.Barrier()
+    of_file = {"file": str(folder / "cylinder.csv"), "shift": [0, 0.1]}
+    moved = resultant("plane", {"table": of_file, "moves": [0, -1], "force": -found[1], **given})
+    assert np.allclose(moved, found, atol=1e-6 * abs(found[1]))
+
+
+def stl(path, low, high):
+    """A box as a text file of facets whose normals point outwards."""
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True), indexing="ij")).reshape(3, 2, 2, 2)
+    facets = []
+    for k in range(3):
+        for end in (0, 1):
+            face = np.moveaxis(np.take(corners, end, axis=k + 1), 0, -1)
+            face = face if (end == 1) == (k != 1) else face.transpose(1, 0, 2)
+            facets += [face[[0, 1, 1], [0, 0, 1]], face[[0, 1, 0], [0, 1, 1]]]
+    lines = [f"outer loop {' '.join('vertex ' + ' '.join(map(str, x)) for x in one)} endloop" for one in facets]
+    path.write_text("solid a\n" + "\n".join(f"facet normal 0 0 0\n{one}\nendfacet" for one in lines) + "\nendsolid a\n")
+
+
+@pytest.mark.slow
+def test_a_surface_of_facets(folder):
+    """A box as an STL surface is the box, also scaled, shifted and moved; a body behind it is told so."""
+    if COMM.rank == 0:
+        folder.mkdir(exist_ok=True)
+        stl(folder / "box.stl", [-1.0, -1.0, 0.99], [0.7, 3.0, 2.0])
+        stl(folder / "inside_out.stl", [0.7, 3.0, 2.0], [-1.0, -1.0, 0.99])
+    COMM.Barrier()
+    file = str(folder / "box.stl")
+    exact = resultant("space", {"box": [1.7, 4, 1.01], "centre": [-0.15, 1, 1.495]})
+    assert np.allclose(resultant("space", {"stl": {"file": file}}), exact, rtol=1e-7)
+    moved = {"stl": {"file": file, "scale": 2, "shift": [0, 0, "-0.99 + 0.1"]}, "moves": [0, 0, -1]}
+    wide = resultant("space", {"plane": [0, 0, -1], "at": [0, 0, 0.99]})
+    assert np.allclose(resultant("space", {**moved, "force": -wide[2]}), wide, atol=1e-6 * abs(wide[2]))
+    with pytest.raises(InputError, match="normals of an STL surface must point out of the obstacle"):
+        resultant("space", {"stl": {"file": str(folder / "inside_out.stl")}})
+
+
 def test_saved_and_read(folder):
     """A saved answer is the same when it is read, with its scene; nodes.csv has the contact nodes."""
     scene = block(4, report={"pushed": "integral(p, 'top')", "up": "min(u_y)", "most": "max(von_mises)"})
@@ -207,7 +291,16 @@ MISTAKES = {
     "one component": (part(traction=[1]), "traction = .*: expected a list of two or three"),
     "no contact": ({"boundary": ROLLERS}, "an elastic body without contact"),
     "nothing": (part(), "the key 'value' is missing, or obstacle, pressure, traction"),
-    "no shape": (obstacle(centre=[0, 2]), "needs sphere or cylinder or plane or gap"),
+    "no shape": (obstacle(centre=[0, 2]), "needs sphere or cylinder or box or plane or table or stl or gap"),
+    "sizes": (obstacle(box=[1, 0], centre=[0, 2]), r"box = \[1, 0\]: lengths along the axes must be positive"),
+    "beside": (obstacle(box=[1, 1], centre=[3, 2]), "no line along n from a node of its part meets it"),
+    "no table": (obstacle(table="x^2"), r"table = x\^2: expected {file = ...} of measured data"),
+    "short table": (
+        obstacle(table=Table(x=[0, 0.5], z=[1.1, 1.2])),
+        "in one point; the data reach over x = 0 .. 0.5",
+    ),
+    "steep": (obstacle(table=Table(x=[-5, 5], z=[-49, 51]), along=[1, 0.5]), "or 'along' for a steeper n"),
+    "plane surface": (obstacle(stl=Table(x=[0, 1], z=[1, 1])), r"stl = .*: expected {file = \"surface.stl\"}"),
     "two shapes": (obstacle(cylinder=1, plane=[0, 1]), "cylinder and plane exclude each other"),
     "no centre": (obstacle(cylinder=1), "cylinder needs the key 'centre'"),
     "not of a plane": (obstacle(plane=[0, -1], at=[0, 1], centre=[0, 1]), "'centre' does not belong to a plane"),

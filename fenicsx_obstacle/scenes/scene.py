@@ -19,7 +19,7 @@ from fenicsx_obstacle.effects.effect import Effect, find, known
 from fenicsx_obstacle.effects.field import ByCells, Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
-from fenicsx_obstacle.measured.table import Table
+from fenicsx_obstacle.measured.table import MeasuredField, Table
 from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.boundary_table import check_parts, part_place
 from fenicsx_obstacle.scenes.data_files import DataFiles
@@ -448,6 +448,14 @@ class Scene(Vocabulary):
         ):
             if given:
                 raise InputError(f"{self.source}: [{name}] with elasticity: {why}")
+        from fenicsx_obstacle.effects.boundary.obstacle import FROM_FILES, Obstacle  # no scalar scene needs it
+
+        for effect in self.effects:
+            if isinstance(effect, Obstacle) and effect.kind in FROM_FILES:
+                data, of_facets = effect.value, effect.kind == "stl"
+                if not isinstance(data, MeasuredField) or (of_facets and data.facets is None):
+                    wanted = '{file = "surface.stl"}' if of_facets else "{file = ...} of measured data"
+                    raise InputError(f"{effect.source}.{effect.kind} = {getattr(data, 'text', '')}: expected {wanted}")
         if self.pair.name not in ("P1", "P2", "Q1", "Q2"):
             raise InputError(f"{self.source}: [solve] element = '{self.pair.name}': elastic bodies take P1, P2, Q1, Q2")
 

@@ -172,8 +172,8 @@ def _drawn_of_body(
 ) -> Any:
     """Components of u, and on the contact boundary gap and pressure, elsewhere the von Mises stress."""
     first, several = next(iter(curves.values())), len(curves) > 1
-    known, left_out = np.isfinite(np.array(first["gap"], dtype=float)), {"gap", "p"}
-    left_out = {"von_mises"} if known.any() else left_out
+    on_boundary = not np.isnan(np.array(first["gap"], dtype=float)).all()
+    left_out = {"von_mises"} if on_boundary else {"gap", "p"}
     keys = [key for key in DRAWN_OF_BODIES if key in first and key not in left_out]
     page, panels = figure(6.4, 0.8 + 1.6 * len(keys), rows=len(keys), sharex=True)
     words = {"gap": "gap", "p": "contact pressure", "von_mises": "von Mises stress"}
@@ -182,13 +182,13 @@ def _drawn_of_body(
             s, gap = (np.array(columns[one], dtype=float) for one in ("s", "gap"))
             values = steady(np.array(columns[key], dtype=float), sizes[key == "p"] if key != "von_mises" else 0.0)
             look = _look(number, len(curves), label)
-            values = np.where(np.isfinite(gap), values, np.nan) if key == "p" else values
+            values = np.where(np.isnan(gap), np.nan, values) if key == "p" else values
             axes.plot(s, values, **({**look, "color": VERMILION} if key == "p" and not several else look))
             _formula(axes, columns, key, look if several else None)
-            if not several and "von_mises" in left_out:
+            if not several and on_boundary:
                 _shade((axes,), s, np.maximum(np.nan_to_num(np.array(columns["p"], dtype=float)), 0.0), sizes[1])
         axes.set_ylabel(words.get(key, f"{key}\n{fill(plain(u), 24)}"))
-    return _finished(page, panels, title, several=several, shaded=not several and "p" in keys)
+    return _finished(page, panels, title, several=several, shaded=not several and on_boundary)
 
 
 def _formula(axes: Any, columns: Mapping[str, Sequence[float]], key: str, look: Mapping[str, Any] | None) -> None:
