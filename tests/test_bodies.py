@@ -139,6 +139,36 @@ def test_a_force_that_is_given():
     assert "approach" in answer.summary()
 
 
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1", "Q2"])
+@pytest.mark.parametrize("spring", [5, [5, 0]])
+def test_a_rod_on_a_spring(element, spring):
+    """A rod pulled by q on springs k: u_x = q/k + q x/E, u_y = -nu q y/E, to 1e-10; springs hold it."""
+    q, far = 0.01, {"plane": [0, -1], "at": [0, 1.5]}
+    parts = [{"on": "left", "spring": spring}, ROLLERS[1], {"on": "right", "traction": [q, 0]},
+             {"on": "top", "obstacle": far}]  # fmt: skip
+    scene = block(3, parts, {"young": 2, "poisson": 0.3, "plane": "stress"})
+    scene = scene.change({"mesh.cell": "triangle" if element[0] == "P" else "quadrilateral", "solve.element": element})
+    x = np.array([[0.0, 0.0], [0.4, 0.7], [1.0, 1.0]])
+    exact = np.column_stack([q / 5 + q * x[:, 0] / 2, -0.3 * q * x[:, 1] / 2])
+    assert np.allclose(solve(scene).at(x), exact, atol=1e-10 * q)
+
+
+@pytest.mark.parametrize(
+    ("cell", "element"), slow_except([("triangle", "P2"), ("tetrahedron", "P1")], ("triangle", "P2"))
+)
+def test_contact_on_springs(cell, element):
+    """A block on springs k below a plane that is too low by d: p = d/(1/k + 1/E) with Poisson's ratio 0, to 1e-9."""
+    up = 1 if cell == "triangle" else 2
+    down, law = [0] * up + [-1], {"young": 1, "poisson": 0, **({"plane": "strain"} if up == 1 else {})}
+    bottom, top = (("bottom", "top"), ("back", "front"))[up - 1]
+    obstacle = {"plane": down, "at": [0] * up + [0.99]}
+    parts = [{"on": bottom, "spring": 4}, {"on": top, "obstacle": obstacle}, ROLLERS[0] if up == 1 else CORNER[0]]
+    parts += [] if up == 1 else [CORNER[1]]
+    scene = Scene(mesh={"shape": "rectangle" if up == 1 else "box", "cells": 3}, elasticity=law, boundary=parts)
+    nodes = solve(scene.change({"mesh.cell": cell, "solve.element": element}), method="vi").nodes
+    assert np.allclose(nodes.pressure, 0.01 / (1 / 4 + 1), rtol=1e-9)
+
+
 def resultant(kind, obstacle, **more):
     """Of the contact forces on a square, or on a cube, below an obstacle."""
     if kind == "plane":
@@ -257,6 +287,10 @@ def test_explain_a_body():
     for words in ("-div(sigma(u)) = 0", "plane = [0, 1]", "sigma(u) n = - pressure n on top", "u_x = 0 on left",
                   "rigid body motions", "slopes above 0.2"):  # fmt: skip
         assert words in text, words
+    scene = block(boundary=[*ROLLERS, ABOVE, {"on": "right", "spring": [1, 2]}, {"where": "x + y > 3", "spring": 7}])
+    text = " ".join(explain(scene).split())
+    for words in ("sigma(u) n = - diag(spring) u on right", "= - spring (u . n) n where", "[force/length^3]"):
+        assert words in text, words
     text = " ".join(explain(Scene.read(DEMOS / "hertz_sphere.toml")).split())
     assert "contact: from [0, 0] to [1.5, 0], p over p0*sqrt(max(1 - (x/a)^2, 0))" in text
 
@@ -290,7 +324,9 @@ MISTAKES = {
     "three components": (part(traction=[1, 2, 3]), "traction: has 3 components, but u has 2 components"),
     "one component": (part(traction=[1]), "traction = .*: expected a list of two or three"),
     "no contact": ({"boundary": ROLLERS}, "an elastic body without contact"),
-    "nothing": (part(), "the key 'value' is missing, or obstacle, pressure, traction"),
+    "nothing": (part(), "the key 'value' is missing, or obstacle, pressure, spring, traction"),
+    "three springs": (part(spring=[1, 2, 3]), "spring: has 3 components, but u has 2 components"),
+    "spring pulls": (part(spring=[1, -1]), r"\(no. 4\) spring\[1\] = -1: must be at least 0"),
     "no shape": (obstacle(centre=[0, 2]), "needs sphere or cylinder or box or plane or table or stl or gap"),
     "sizes": (obstacle(box=[1, 0], centre=[0, 2]), r"box = \[1, 0\]: lengths along the axes must be positive"),
     "beside": (obstacle(box=[1, 1], centre=[3, 2]), "no line along n from a node of its part meets it"),
@@ -336,6 +372,7 @@ def test_what_is_rejected(name):
     [
         ({"boundary": [{"value": [0, 0]}]}, r"value = \[0, 0\]: a list is for elastic bodies"),
         ({"boundary": [{"value": 0}, {"on": "left", "pressure": 1}]}, "pressure: is for elastic bodies"),
+        ({"boundary": [{"on": "left", "spring": [1, 2]}]}, "spring: is for elastic bodies"),
         ({"load": [0, -1]}, r"load = \[0, -1\]: is for elastic bodies"),
     ],
 )

@@ -331,6 +331,11 @@ class Scene(Vocabulary):
                 raise InputError(f"{self.source}: {place} {why}")
         return tuple(effects)
 
+    @property
+    def of_body(self) -> bool:
+        """Whether u is the displacement of an elastic body."""
+        return any(find(key).elastic and bool(find(key).vector_valued) for key in self.tables.effects)
+
     def _check_kinds(self, effects: list[Effect]) -> None:
         """Reject effects of scalar u beside an elastic body, and the other way round."""
         wanted = next(effect.vector_valued for effect in effects if effect.elastic)

@@ -77,6 +77,7 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] other than `value`: effects, obstacles
 OF_BODIES: dict[str, Any] = {"obstacle": dict[str, Any], "pressure": Datum, "traction": Vector}  # of elastic bodies
+_TYPES = {**OF_BODIES, "spring": Datum | Vector}
 
 
 class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -96,7 +97,7 @@ if TYPE_CHECKING:
 
 else:
     BoundaryTable = msgspec.defstruct(
-        "BoundaryTable", [(key, OF_BODIES.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
+        "BoundaryTable", [(key, _TYPES.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
         module=__name__, frozen=True, forbid_unknown_fields=True, omit_defaults=True,
     )  # fmt: skip
 
