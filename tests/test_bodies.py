@@ -252,6 +252,45 @@ def test_a_surface_of_facets(folder):
         resultant("space", {"stl": {"file": str(folder / "inside_out.stl")}})
 
 
+def test_equilibria_in_time(folder):
+    """Poisson's ratio 0: under a plane that moves by d(t), beside a pull q(t) at the side and a value v(t), each row is
+    the exact equilibrium p = E (d + v)/(1 + eps E), u_x = q/E; it is saved and read."""
+    law, eps = {"young": 2, "poisson": 0, "plane": "strain"}, 1e-6
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.02*t"}
+    parts = [ROLLERS[0], {"on": "bottom", "value": ["free", "0.01*t^2"]}, {"on": "right", "traction": ["0.1*t", 0]},
+             {"on": "top", "obstacle": stamp}]  # fmt: skip
+    scene = block(
+        3, parts, law, time={"end": 2, "steps": 4}, report={"pull": "at(u_x, 1, 0.5)", "approach": "approach"}
+    )
+    answer = solve(scene, eps=eps)
+    answer.save(folder)
+    for history in (answer.time_history, Answer.read(folder).time_history):
+        t, peak = history.column("t"), history.column("peak")
+        assert np.allclose(t, [0, 0.5, 1, 1.5, 2]) and np.allclose(history.column("approach"), 0.02 * t)
+        assert np.allclose(peak, (0.02 * t + 0.01 * t**2) / (1 / 2 + eps), rtol=1e-8, atol=1e-12)
+        assert np.allclose(-history.column("force_y"), peak, rtol=1e-8, atol=1e-12)
+        assert np.allclose(history.column("pull"), 0.1 * t / 2, rtol=1e-8, atol=1e-12)
+    with pytest.raises(InputError, match=r"one equilibrium; solve\(\) takes \[time\]"):
+        scene.problem(COMM)
+    assert len(answer.time_history.frames) == 5 and "4 steps to t = 2, equilibria" in answer.summary()
+    rows = list(csv.DictReader((folder / "history.csv").open()))
+    assert len(rows) == 5 and np.isclose(float(rows[-1]["approach"]), 0.04)
+
+
+@pytest.mark.slow
+def test_force_over_travel_of_a_sphere():
+    """Hertz's law: the force grows like travel^(3/2), within 2 % of the order and of the force."""
+    scene = Scene.read(DEMOS / "hertz_sphere.toml")
+    raw = {"sphere": "R", "centre": [0, "R"], "travel": "0.05*t", "moves": [0, -1]}
+    boundary = [*({"on": on, "value": value} for on, value in (("axis", [0, "free"]), ("bottom", ["free", 0]))),
+                {"on": "contact", "obstacle": raw}]  # fmt: skip
+    history = solve(scene.change({"boundary": boundary, "time": {"end": 1, "steps": 4}})).time_history
+    force, travel = history.column("force")[1:], history.column("approach")[1:]
+    orders = np.diff(np.log(force)) / np.diff(np.log(travel))
+    assert np.allclose(travel, 0.05 * np.arange(1, 5) / 4) and np.allclose(orders, 1.5, rtol=0.02)
+    assert np.allclose(force, 4 / 3 * np.sqrt(20) * travel**1.5, rtol=0.02)
+
+
 def test_saved_and_read(folder):
     """A saved answer is the same when it is read, with its scene; nodes.csv has the contact nodes."""
     scene = block(4, report={"pushed": "integral(p, 'top')", "up": "min(u_y)", "most": "max(von_mises)"})
@@ -320,7 +359,18 @@ MISTAKES = {
     "three values": (part(value=[0, 0, 0]), r"\(no. 4\) value: has 3, but u has 2 components"),
     "lower": (part(lower=0), "lower: bounds a scalar u; of an elastic body take 'obstacle'"),
     "obstacle inside": ({"lower": 0}, r"\[obstacle\] with elasticity: bounds a scalar u"),
-    "time": ({"time": {"end": 1, "steps": 2}}, r"\[time\] with elasticity: one equilibrium"),
+    "time": ({"time": {"end": 1, "steps": 2, "start": 0}}, r"\[time\] start: without rate or inertia an equilibrium"),
+    "inertia": ({"inertia": 1, "time": {"end": 1, "steps": 2}}, "inertia: is for scalar u, not for elastic bodies"),
+    "travel": (obstacle(cylinder=1, centre=[0, 2], moves=[0, -1], travel="t"), "travel: unknown name 't'"),
+    "travel by place": (obstacle(cylinder=1, centre=[0, 2], moves=[0, -1], travel="x"), "must be the same everywhere"),
+    "force and travel": (
+        obstacle(cylinder=1, centre=[0, 2], moves=[0, -1], travel=1, force=1),
+        "'force' and 'travel' exclude each other",
+    ),
+    "too far": (
+        {**obstacle(cylinder=2, centre=[0, 3], moves=[0, -1], travel="t"), "time": {"end": 1, "steps": 2}},
+        "displacements with slopes up to .* at t = 0.5",
+    ),
     "three components": (part(traction=[1, 2, 3]), "traction: has 3 components, but u has 2 components"),
     "one component": (part(traction=[1]), "traction = .*: expected a list of two or three"),
     "no contact": ({"boundary": ROLLERS}, "an elastic body without contact"),
@@ -344,7 +394,7 @@ MISTAKES = {
     "sphere": (obstacle(sphere=1, centre=[0, 2]), "in the plane take a cylinder"),
     "centre in space": (obstacle(cylinder=1, centre=[0, 2, 0]), "has 3 components, but points have 2 coordinates"),
     "no direction": (obstacle(plane=[0, 0], at=[0, 1]), "has no direction"),
-    "force alone": (obstacle(cylinder=1, centre=[0, 2], force=1), "'force' and 'moves', .* go together"),
+    "force alone": (obstacle(cylinder=1, centre=[0, 2], force=1), "'force' or 'travel' and 'moves', .* go together"),
     "away": (obstacle(cylinder=1, centre=[0, 2.1], force=1e-3, moves=[0, 1]), "moves = .*: away from the body"),
     "edge": ({"boundary": [*ROLLERS, {"on": ["top", "right"], "obstacle": {"gap": 0.1}}]}, "has an edge at"),
     "two directions": (

@@ -287,7 +287,7 @@ class MeasuredField(Field):
 
     @property
     def facets(self) -> np.ndarray | None:
-        """Corners of the facets of an STL surface, shape (m, 3, 3), scaled, rotated and shifted; None of heights."""
+        """Corners of the facets of an STL surface, shape (m, 3, 3), scaled, rotated and shifted; None of a table."""
         heights = self._heights()
         if heights.triangles is None:
             return None

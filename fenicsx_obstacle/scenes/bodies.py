@@ -111,9 +111,10 @@ class Body:
             raise InputError(
                 f"{scene.source}: several obstacles with a force: one can be moved until its force is reached"
             )
+        self._values = list[tuple[fem.Function, Field, int]]()
         self._surfaces: dict[Facing, NodalGap] = {}
         self._distance = [None if one.obstacle.at_nodes else self._compiled(one) for one in self.facing]
-        self.place()
+        self._go_places()
         self.problem = _Problem(
             scene.source, F, self.u, bcs=self._conditions(), lower=self.gap, of=-ufl.dot(self.u, self._normals),
             measure=self._measure(), stress=self.law.stress,
@@ -123,6 +124,31 @@ class Body:
     def pressing(self) -> Facing | None:
         """The obstacle that moves until its force is reached, or None."""
         return next((one for one in self.facing if one.obstacle.force is not None), None)
+
+    def go_to(self, t: float) -> None:
+        """Take loads, given displacements and places of obstacles at a time (collective).
+
+        Raises:
+            InputError: If one is not finite, or out of bounds.
+        """
+        assert self.data.moment is not None
+        self.data.moment.t = t
+        self.data.move()
+        for given, field, part in self._values:
+            given.interpolate(self.data.on_part(field, part))
+        self._go_places()
+
+    def _go_places(self) -> None:
+        """Move the obstacles whose travel is given, and compute the gaps (collective)."""
+        for one in self.facing:
+            if one.obstacle.travel is not None:
+                one.travel.value = float(self.data.at(one.obstacle.travel, np.zeros((3, 1)))[0])
+        self.place()
+
+    @property
+    def moved(self) -> Facing | None:
+        """The first obstacle that moves, or None."""
+        return next((one for one in self.facing if one.obstacle.moves), None)
 
     def place(self) -> None:
         """Compute the gaps, with the obstacles where they are now (collective).
@@ -383,6 +409,7 @@ class Body:
         """A component of u on a part of the boundary (collective)."""
         given = fem.Function(self._component_space)
         given.interpolate(self.data.on_part(field, part))
+        self._values.append((given, field, part))
         return given
 
 

@@ -447,7 +447,6 @@ class Scene(Vocabulary):
         """Reject tables that elastic bodies do not have."""
         own = self.tables
         for name, given, why in (
-            ("time", own.time, "one equilibrium is solved; study --vary solves several"),
             ("exact", own.exact, "is for scalar u; compare output quantities under [report]"),
             ("obstacle", own.obstacle != tables.ObstacleTable(), "bounds a scalar u; give [[boundary]] an obstacle"),
         ):
@@ -482,6 +481,8 @@ class Scene(Vocabulary):
         if self.model.vector_valued:
             from fenicsx_obstacle.scenes.bodies import Body  # only where a scene names an elastic body
 
+            if self.time is not None:
+                raise InputError(f"{self.source}: an ObstacleProblem is one equilibrium; solve() takes [time]")
             return Body(self, meshes.build(self, ranks)).problem
         return ObstacleProblem.of_model(self.model, meshes.build(self, ranks))
 

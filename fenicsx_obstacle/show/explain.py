@@ -74,10 +74,11 @@ def _explained_body(scene: Scene) -> list[tuple[str, list[str]]]:
         ("boundary", _body_boundary(scene)),
         ("discrete", _body_discrete(scene)),
         ("mesh", [_mesh(scene)]),
+        ("time", _body_steps(scene)),
         ("solver", _body_solver(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
         ("profile", _profiles(scene)),
-        ("not included", ["friction; large displacements; contact of two elastic bodies"]),
+        ("not included", ["friction; large displacements; contact of two elastic bodies; inertia"]),
     ]
 
 
@@ -125,6 +126,15 @@ def _body_discrete(scene: Scene) -> list[str]:
         value = "auto: a thousandth of the median of D_i/A_ii, about 1e-3 h/E" if auto else scene.options.formula.text
         lines += ["p = (u . n - gap)^+ / eps at the nodes   (3.7), (3.8)", f"eps = {value}  [length^3/force]"]
     return lines
+
+
+def _body_steps(scene: Scene) -> list[str]:
+    if scene.time is None:
+        return []
+    time = scene.time
+    how = f"quasi-static: equilibria at t = 0 and {counted(time.steps, 'moment')} more, to t = {time.end:g}"
+    saved = "saved: output quantities of all times in history.csv" + ", fields in frames.xdmf" * (time.frames > 0)
+    return [f"{how}, each from the last one; without inertia", saved]
 
 
 def _body_solver(scene: Scene) -> list[str]:

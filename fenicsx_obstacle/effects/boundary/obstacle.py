@@ -37,7 +37,8 @@ class Obstacle(OnPart):
         direction: The axis of a cylinder in space; the normal of a half-space, towards the elastic body.
         measured: Direction of the gap, `along` in the scene, or empty.
         force: With which the obstacle presses; None if it stays where it is.
-        moves: The direction in which it then moves, a unit vector; empty without a force.
+        travel: How far it has moved, a formula of t; None if it stays where it is or moves until it presses.
+        moves: The direction in which it then moves, a unit vector; empty if it stays.
         words: As it stands in the scene.
         source: Where it stands, for messages.
     """
@@ -50,6 +51,7 @@ class Obstacle(OnPart):
     direction: tuple[float, ...]
     measured: tuple[float, ...]
     force: float | None
+    travel: Field | None
     moves: tuple[float, ...]
     words: str
     source: str
@@ -62,7 +64,7 @@ class Obstacle(OnPart):
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Obstacle:
-        others = ("centre", "at", "axis", "along", "force", "moves")
+        others = ("centre", "at", "axis", "along", "force", "travel", "moves")
         keys_of(raw, place, reader, (), (*KINDS, *others), one_of=tuple(KINDS))
         source, kinds = f"{reader.source}: {place}", [key for key in KINDS if key in raw]
         if len(kinds) > 1:
@@ -71,12 +73,18 @@ class Obstacle(OnPart):
         needed = KINDS[kind]
         if needed is not None and needed not in raw:
             raise InputError(f"{source}: {kind} needs the key '{needed}'")
-        allowed = {kind, needed, "along", "force", "moves", *(["axis"] if kind == "cylinder" else [])}
+        allowed = {kind, needed, "along", "force", "travel", "moves", *(["axis"] if kind == "cylinder" else [])}
         for key in raw:
             if key not in allowed:
                 raise InputError(f"{source}: '{key}' does not belong to a {kind}")
-        if ("force" in raw) != ("moves" in raw):
-            raise InputError(f"{source}: 'force' and 'moves', the direction in which the obstacle moves, go together")
+        if "force" in raw and "travel" in raw:
+            raise InputError(f"{source}: 'force' and 'travel' exclude each other")
+        if ("force" in raw or "travel" in raw) != ("moves" in raw):
+            together = "'force' or 'travel' and 'moves', the direction in which the obstacle moves, go together"
+            raise InputError(f"{source}: {together}")
+        travel = reader.field(raw["travel"], f"{place}.travel") if "travel" in raw else None
+        if travel is not None and not travel.uniform:
+            raise InputError(f"{source}.travel = {raw['travel']}: must be the same everywhere, at one time")
 
         def vector(key: str, *, unit: bool = False) -> tuple[float, ...]:
             if key not in raw:
@@ -110,7 +118,7 @@ class Obstacle(OnPart):
             direction=vector("plane" if kind == "plane" else "axis", unit=True),
             measured=vector("along", unit=True),
             force=positive("force") if "force" in raw else None,
-            moves=vector("moves", unit=True), words="{" + words + "}", source=source,
+            travel=travel, moves=vector("moves", unit=True), words="{" + words + "}", source=source,
         )  # fmt: skip
 
     @property
