@@ -246,8 +246,9 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 @click.argument("result", type=Place())
 @click.option("--output", type=Place(), metavar="FILE", help="Another file.  [RESULT/answer.png]")
 @click.option("--along", metavar="A:B", help="Instead: u and p along a line, such as 0,0.5:1,0.5; a table, too.")
+@click.option("--compare", multiple=True, metavar="NAME=FORMULA", help="With --along: a formula over this quantity.")
 @options("plugin")
-def plot(result: Path, output: Path | None, along: str | None) -> None:
+def plot(result: Path, output: Path | None, along: str | None, compare: tuple[str, ...]) -> None:
     """Draw a saved result: u, contact set and pressure.
 
     RESULT is a folder of 'solve'; its page then shows the picture, unless --output (.png, .pdf, .svg) is given. With
@@ -255,12 +256,14 @@ def plot(result: Path, output: Path | None, along: str | None) -> None:
     """
     if along is not None:
         from fenicsx_obstacle.answers.answer import Answer
-        from fenicsx_obstacle.answers.profiles import along_text
+        from fenicsx_obstacle.answers.profiles import along_text, compare_text
         from fenicsx_obstacle.show.profiles import draw_line
 
-        ends = along_text(along)
-        tell(draw_line(Answer.read(result), *ends, output or result / "along.png"))
+        ends, formulas = along_text(along), dict(compare_text(one) for one in compare)
+        tell(draw_line(Answer.read(result), *ends, output or result / "along.png", formulas))
         return
+    if compare:
+        raise InputError("--compare: needs --along")
     from fenicsx_obstacle.answers.answer import Answer
     from fenicsx_obstacle.show.report import report_answer
 

@@ -19,6 +19,7 @@ from fenicsx_obstacle import (
     InputError,
     ObstacleProblem,
     Scene,
+    Table,
     ball_gap,
     compare,
     find,
@@ -138,6 +139,158 @@ def test_a_force_that_is_given():
     assert "approach" in answer.summary()
 
 
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1", "Q2"])
+@pytest.mark.parametrize("spring", [5, [5, 0]])
+def test_a_rod_on_a_spring(element, spring):
+    """A rod pulled by q on springs k: u_x = q/k + q x/E, u_y = -nu q y/E, to 1e-10; springs hold it."""
+    q, far = 0.01, {"plane": [0, -1], "at": [0, 1.5]}
+    parts = [{"on": "left", "spring": spring}, ROLLERS[1], {"on": "right", "traction": [q, 0]},
+             {"on": "top", "obstacle": far}]  # fmt: skip
+    scene = block(3, parts, {"young": 2, "poisson": 0.3, "plane": "stress"})
+    scene = scene.change({"mesh.cell": "triangle" if element[0] == "P" else "quadrilateral", "solve.element": element})
+    x = np.array([[0.0, 0.0], [0.4, 0.7], [1.0, 1.0]])
+    exact = np.column_stack([q / 5 + q * x[:, 0] / 2, -0.3 * q * x[:, 1] / 2])
+    assert np.allclose(solve(scene).at(x), exact, atol=1e-10 * q)
+
+
+@pytest.mark.parametrize(
+    ("cell", "element"), slow_except([("triangle", "P2"), ("tetrahedron", "P1")], ("triangle", "P2"))
+)
+def test_contact_on_springs(cell, element):
+    """A block on springs k below a plane that is too low by d: p = d/(1/k + 1/E) with Poisson's ratio 0, to 1e-9."""
+    up = 1 if cell == "triangle" else 2
+    down, law = [0] * up + [-1], {"young": 1, "poisson": 0, **({"plane": "strain"} if up == 1 else {})}
+    bottom, top = (("bottom", "top"), ("back", "front"))[up - 1]
+    obstacle = {"plane": down, "at": [0] * up + [0.99]}
+    parts = [{"on": bottom, "spring": 4}, {"on": top, "obstacle": obstacle}, ROLLERS[0] if up == 1 else CORNER[0]]
+    parts += [] if up == 1 else [CORNER[1]]
+    scene = Scene(mesh={"shape": "rectangle" if up == 1 else "box", "cells": 3}, elasticity=law, boundary=parts)
+    nodes = solve(scene.change({"mesh.cell": cell, "solve.element": element}), method="vi").nodes
+    assert np.allclose(nodes.pressure, 0.01 / (1 / 4 + 1), rtol=1e-9)
+
+
+def resultant(kind, obstacle, **more):
+    """Of the contact forces on a square, or on a cube, below an obstacle."""
+    if kind == "plane":
+        return solve(block(8, [*ROLLERS, {"on": "top", "obstacle": obstacle}], **more)).nodes.resultant
+    parts = [*CORNER, {"on": "back", "value": ["free", "free", 0]}, {"on": "front", "obstacle": obstacle}]
+    return solve(Scene(**CUBE, boundary=parts, **more)).nodes.resultant
+
+
+@pytest.mark.parametrize("kind", slow_except(["plane", "space"], "plane"))
+def test_boxes(kind):
+    """A wide box is a half-space, a narrow one the gap of its face alone, and it moves until its force is reached."""
+    down, up, no = ([0, -1], 2, 1) if kind == "plane" else ([0, 0, -1], 3, 2)
+    place = [0] * no + [1.49]
+    half_space = resultant(kind, {"plane": down, "at": [0] * no + [0.99]})
+    assert np.allclose(resultant(kind, {"box": [4] * no + [1], "centre": place}), half_space, rtol=1e-9)
+    narrow = "where(x <= 0.7, where(y <= 2, -0.01, 1), 1)"
+    stamp = {"box": [1.4, *[4] * (up - 2), 1], "centre": place}
+    force = resultant(kind, stamp)
+    assert np.allclose(force, resultant(kind, {"gap": narrow}), rtol=1e-9) and 0 < -force[-1] < -half_space[-1]
+    if kind == "plane":
+        pressed = resultant(kind, {**stamp, "centre": [0, 1.6], "moves": down, "force": -force[-1]})
+        assert np.allclose(pressed, force, atol=1e-7 * abs(force[-1]))
+
+
+def test_nodes_without_an_obstacle(folder):
+    """Beside a box gaps are infinite: at nodes, along the boundary, and in a saved answer."""
+    answer = solve(block(8, [*ROLLERS, {"on": "top", "obstacle": {"box": [1, 1], "centre": [0, 1.49]}}]))
+    beside = answer.nodes.points[:, 0] > 0.51
+    assert np.isinf(answer.nodes.gap[beside]).all() and np.isfinite(answer.nodes.gap[~beside]).all()
+    answer.save(folder)
+    for one in (answer, Answer.read(folder)):
+        assert np.isinf(one.at([0.8, 1.0], "gap")) and abs(one.at([0.25, 1.0], "gap")) < 1e-4
+        assert np.isnan(one.at([0.5, 0.5], "gap"))
+
+
+@pytest.mark.parametrize("along", [[], [0.1, 1]])
+def test_a_table_of_heights(along, folder):
+    """A cylinder as a table: its force, exactly if the data are at the nodes, else up to the distance of the data."""
+    given, x = {"along": along} if along else {}, np.linspace(-0.5, 1.5, 2001 if along else 17)
+    z = 2.99 - np.sqrt(4 - x**2)
+    exact = resultant("plane", {"cylinder": 2, "centre": [0, 2.99], **given})
+    found = resultant("plane", {"table": Table(x=x, z=z), **given})
+    assert np.allclose(found, exact, atol=(1e-4 if along else 1e-8) * abs(exact[1]))
+    if COMM.rank == 0:
+        folder.mkdir(exist_ok=True)
+        np.savetxt(folder / "cylinder.csv", np.column_stack([x, z]))
+    COMM.Barrier()
+    of_file = {"file": str(folder / "cylinder.csv"), "shift": [0, 0.1]}
+    moved = resultant("plane", {"table": of_file, "moves": [0, -1], "force": -found[1], **given})
+    assert np.allclose(moved, found, atol=1e-6 * abs(found[1]))
+
+
+def stl(path, low, high):
+    """A box as a text file of facets whose normals point outwards."""
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True), indexing="ij")).reshape(3, 2, 2, 2)
+    facets = []
+    for k in range(3):
+        for end in (0, 1):
+            face = np.moveaxis(np.take(corners, end, axis=k + 1), 0, -1)
+            face = face if (end == 1) == (k != 1) else face.transpose(1, 0, 2)
+            facets += [face[[0, 1, 1], [0, 0, 1]], face[[0, 1, 0], [0, 1, 1]]]
+    lines = [f"outer loop {' '.join('vertex ' + ' '.join(map(str, x)) for x in one)} endloop" for one in facets]
+    path.write_text("solid a\n" + "\n".join(f"facet normal 0 0 0\n{one}\nendfacet" for one in lines) + "\nendsolid a\n")
+
+
+@pytest.mark.slow
+def test_a_surface_of_facets(folder):
+    """A box as an STL surface is the box, also scaled, shifted and moved; a body behind it is told so."""
+    if COMM.rank == 0:
+        folder.mkdir(exist_ok=True)
+        stl(folder / "box.stl", [-1.0, -1.0, 0.99], [0.7, 3.0, 2.0])
+        stl(folder / "inside_out.stl", [0.7, 3.0, 2.0], [-1.0, -1.0, 0.99])
+    COMM.Barrier()
+    file = str(folder / "box.stl")
+    exact = resultant("space", {"box": [1.7, 4, 1.01], "centre": [-0.15, 1, 1.495]})
+    assert np.allclose(resultant("space", {"stl": {"file": file}}), exact, rtol=1e-7)
+    moved = {"stl": {"file": file, "scale": 2, "shift": [0, 0, "-0.99 + 0.1"]}, "moves": [0, 0, -1]}
+    wide = resultant("space", {"plane": [0, 0, -1], "at": [0, 0, 0.99]})
+    assert np.allclose(resultant("space", {**moved, "force": -wide[2]}), wide, atol=1e-6 * abs(wide[2]))
+    with pytest.raises(InputError, match="normals of an STL surface must point out of the obstacle"):
+        resultant("space", {"stl": {"file": str(folder / "inside_out.stl")}})
+
+
+def test_equilibria_in_time(folder):
+    """Poisson's ratio 0: under a plane that moves by d(t), beside a pull q(t) at the side and a value v(t), each row is
+    the exact equilibrium p = E (d + v)/(1 + eps E), u_x = q/E; it is saved and read."""
+    law, eps = {"young": 2, "poisson": 0, "plane": "strain"}, 1e-6
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.02*t"}
+    parts = [ROLLERS[0], {"on": "bottom", "value": ["free", "0.01*t^2"]}, {"on": "right", "traction": ["0.1*t", 0]},
+             {"on": "top", "obstacle": stamp}]  # fmt: skip
+    scene = block(
+        3, parts, law, time={"end": 2, "steps": 4}, report={"pull": "at(u_x, 1, 0.5)", "approach": "approach"}
+    )
+    answer = solve(scene, eps=eps)
+    answer.save(folder)
+    for history in (answer.time_history, Answer.read(folder).time_history):
+        t, peak = history.column("t"), history.column("peak")
+        assert np.allclose(t, [0, 0.5, 1, 1.5, 2]) and np.allclose(history.column("approach"), 0.02 * t)
+        assert np.allclose(peak, (0.02 * t + 0.01 * t**2) / (1 / 2 + eps), rtol=1e-8, atol=1e-12)
+        assert np.allclose(-history.column("force_y"), peak, rtol=1e-8, atol=1e-12)
+        assert np.allclose(history.column("pull"), 0.1 * t / 2, rtol=1e-8, atol=1e-12)
+    with pytest.raises(InputError, match=r"one equilibrium; solve\(\) takes \[time\]"):
+        scene.problem(COMM)
+    assert len(answer.time_history.frames) == 5 and "4 steps to t = 2, equilibria" in answer.summary()
+    rows = list(csv.DictReader((folder / "history.csv").open()))
+    assert len(rows) == 5 and np.isclose(float(rows[-1]["approach"]), 0.04)
+
+
+@pytest.mark.slow
+def test_force_over_travel_of_a_sphere():
+    """Hertz's law: the force grows like travel^(3/2), within 2 % of the order and of the force."""
+    scene = Scene.read(DEMOS / "hertz_sphere.toml")
+    raw = {"sphere": "R", "centre": [0, "R"], "travel": "0.05*t", "moves": [0, -1]}
+    boundary = [*({"on": on, "value": value} for on, value in (("axis", [0, "free"]), ("bottom", ["free", 0]))),
+                {"on": "contact", "obstacle": raw}]  # fmt: skip
+    history = solve(scene.change({"boundary": boundary, "time": {"end": 1, "steps": 4}})).time_history
+    force, travel = history.column("force")[1:], history.column("approach")[1:]
+    orders = np.diff(np.log(force)) / np.diff(np.log(travel))
+    assert np.allclose(travel, 0.05 * np.arange(1, 5) / 4) and np.allclose(orders, 1.5, rtol=0.02)
+    assert np.allclose(force, 4 / 3 * np.sqrt(20) * travel**1.5, rtol=0.02)
+
+
 def test_saved_and_read(folder):
     """A saved answer is the same when it is read, with its scene; nodes.csv has the contact nodes."""
     scene = block(4, report={"pushed": "integral(p, 'top')", "up": "min(u_y)", "most": "max(von_mises)"})
@@ -173,6 +326,12 @@ def test_explain_a_body():
     for words in ("-div(sigma(u)) = 0", "plane = [0, 1]", "sigma(u) n = - pressure n on top", "u_x = 0 on left",
                   "rigid body motions", "slopes above 0.2"):  # fmt: skip
         assert words in text, words
+    scene = block(boundary=[*ROLLERS, ABOVE, {"on": "right", "spring": [1, 2]}, {"where": "x + y > 3", "spring": 7}])
+    text = " ".join(explain(scene).split())
+    for words in ("sigma(u) n = - diag(spring) u on right", "= - spring (u . n) n where", "[force/length^3]"):
+        assert words in text, words
+    text = " ".join(explain(Scene.read(DEMOS / "hertz_sphere.toml")).split())
+    assert "contact: from [0, 0] to [1.5, 0], p over p0*sqrt(max(1 - (x/a)^2, 0))" in text
 
 
 def obstacle(**keys):
@@ -200,12 +359,34 @@ MISTAKES = {
     "three values": (part(value=[0, 0, 0]), r"\(no. 4\) value: has 3, but u has 2 components"),
     "lower": (part(lower=0), "lower: bounds a scalar u; of an elastic body take 'obstacle'"),
     "obstacle inside": ({"lower": 0}, r"\[obstacle\] with elasticity: bounds a scalar u"),
-    "time": ({"time": {"end": 1, "steps": 2}}, r"\[time\] with elasticity: one equilibrium"),
+    "time": ({"time": {"end": 1, "steps": 2, "start": 0}}, r"\[time\] start: without rate or inertia an equilibrium"),
+    "inertia": ({"inertia": 1, "time": {"end": 1, "steps": 2}}, "inertia: is for scalar u, not for elastic bodies"),
+    "travel": (obstacle(cylinder=1, centre=[0, 2], moves=[0, -1], travel="t"), "travel: unknown name 't'"),
+    "travel by place": (obstacle(cylinder=1, centre=[0, 2], moves=[0, -1], travel="x"), "must be the same everywhere"),
+    "force and travel": (
+        obstacle(cylinder=1, centre=[0, 2], moves=[0, -1], travel=1, force=1),
+        "'force' and 'travel' exclude each other",
+    ),
+    "too far": (
+        {**obstacle(cylinder=2, centre=[0, 3], moves=[0, -1], travel="t"), "time": {"end": 1, "steps": 2}},
+        "displacements with slopes up to .* at t = 0.5",
+    ),
     "three components": (part(traction=[1, 2, 3]), "traction: has 3 components, but u has 2 components"),
     "one component": (part(traction=[1]), "traction = .*: expected a list of two or three"),
     "no contact": ({"boundary": ROLLERS}, "an elastic body without contact"),
-    "nothing": (part(), "the key 'value' is missing, or obstacle, pressure, traction"),
-    "no shape": (obstacle(centre=[0, 2]), "needs sphere or cylinder or plane or gap"),
+    "nothing": (part(), "the key 'value' is missing, or obstacle, pressure, spring, traction"),
+    "three springs": (part(spring=[1, 2, 3]), "spring: has 3 components, but u has 2 components"),
+    "spring pulls": (part(spring=[1, -1]), r"\(no. 4\) spring\[1\] = -1: must be at least 0"),
+    "no shape": (obstacle(centre=[0, 2]), "needs sphere or cylinder or box or plane or table or stl or gap"),
+    "sizes": (obstacle(box=[1, 0], centre=[0, 2]), r"box = \[1, 0\]: lengths along the axes must be positive"),
+    "beside": (obstacle(box=[1, 1], centre=[3, 2]), "no line along n from a node of its part meets it"),
+    "no table": (obstacle(table="x^2"), r"table = x\^2: expected {file = ...} of measured data"),
+    "short table": (
+        obstacle(table=Table(x=[0, 0.5], z=[1.1, 1.2])),
+        "in one point; the data reach over x = 0 .. 0.5",
+    ),
+    "steep": (obstacle(table=Table(x=[-5, 5], z=[-49, 51]), along=[1, 0.5]), "or 'along' for a steeper n"),
+    "plane surface": (obstacle(stl=Table(x=[0, 1], z=[1, 1])), r"stl = .*: expected {file = \"surface.stl\"}"),
     "two shapes": (obstacle(cylinder=1, plane=[0, 1]), "cylinder and plane exclude each other"),
     "no centre": (obstacle(cylinder=1), "cylinder needs the key 'centre'"),
     "not of a plane": (obstacle(plane=[0, -1], at=[0, 1], centre=[0, 1]), "'centre' does not belong to a plane"),
@@ -213,7 +394,7 @@ MISTAKES = {
     "sphere": (obstacle(sphere=1, centre=[0, 2]), "in the plane take a cylinder"),
     "centre in space": (obstacle(cylinder=1, centre=[0, 2, 0]), "has 3 components, but points have 2 coordinates"),
     "no direction": (obstacle(plane=[0, 0], at=[0, 1]), "has no direction"),
-    "force alone": (obstacle(cylinder=1, centre=[0, 2], force=1), "'force' and 'moves', .* go together"),
+    "force alone": (obstacle(cylinder=1, centre=[0, 2], force=1), "'force' or 'travel' and 'moves', .* go together"),
     "away": (obstacle(cylinder=1, centre=[0, 2.1], force=1e-3, moves=[0, 1]), "moves = .*: away from the body"),
     "edge": ({"boundary": [*ROLLERS, {"on": ["top", "right"], "obstacle": {"gap": 0.1}}]}, "has an edge at"),
     "two directions": (
@@ -241,6 +422,7 @@ def test_what_is_rejected(name):
     [
         ({"boundary": [{"value": [0, 0]}]}, r"value = \[0, 0\]: a list is for elastic bodies"),
         ({"boundary": [{"value": 0}, {"on": "left", "pressure": 1}]}, "pressure: is for elastic bodies"),
+        ({"boundary": [{"on": "left", "spring": [1, 2]}]}, "spring: is for elastic bodies"),
         ({"load": [0, -1]}, r"load = \[0, -1\]: is for elastic bodies"),
     ],
 )

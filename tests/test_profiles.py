@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.profiles import profiles_of
+from fenicsx_obstacle.answers.profiles import as_columns, profiles_of
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.profiles import _drawn, draw_rows
 from fenicsx_obstacle.show.report import report_answer
@@ -106,6 +106,12 @@ def test_plot_along(folder):
         ({"from": [0, 0], "to": [1, 0], "n": 1}, r"\[profile\] line.n = 1: expected a whole number >= 2"),
         ({"on": "tob"}, "no curve named 'tob'; did you mean 'top'"),
         ({"from": [0, 0], "to": [1, 1], "m": 3}, "unknown key 'm'"),
+        (
+            {"on": "top", "compare": {"gap": "x"}},
+            r"\[profile.line\] compare gap: no quantity of this name .known: p, u.",
+        ),
+        ({"on": "top", "compare": {"p": "q*x"}}, "compare p.*unknown name 'q'"),
+        ({"on": "top", "compare": {"p": [1]}}, "a number or a formula"),
     ],
 )
 def test_mistakes(table, message):
@@ -129,3 +135,60 @@ def test_journal_bearing_along_its_middle():
     )  # fmt: skip
     found = profiles_of(solve(scene))["middle"]
     assert np.abs(found.u - FILM).max() < 0.005 * 3.175
+
+
+def test_formulas_of_comparison(folder):
+    """Columns of the formulas in table and rows, drawn dotted; with time at each moment."""
+    table = {**LINE["line"], "compare": {"u": "-t*x", "p": "depth"}}
+    time = {"end": 1, "steps": 2}
+    scene = membrane(load="-8*t", lower=-0.05, define={"depth": 2}, profile={"line": table}, time=time)
+    answer = solve(scene)
+    report_answer(answer, folder, picture=False)
+    rows = list(csv.DictReader((folder / "profile-line.csv").open()))
+    assert all(np.isclose(float(row["u_formula"]), -float(row["t"]) * float(row["x"])) for row in rows)
+    assert {row["p_formula"] for row in rows} == {"2"}
+    columns = as_columns(profiles_of(answer)["line"])
+    above, _ = _drawn({"": columns}, "u", "line").axes
+    dotted = [line for line in above.lines if line.get_linestyle() == ":"]
+    assert len(dotted) == 1 and np.allclose(dotted[0].get_ydata(), -np.linspace(0, 1, 9))
+
+
+BLOCK = {"mesh": {"shape": "rectangle", "cells": 4}, "elasticity": {"young": 1, "poisson": 0, "plane": "strain"}}
+PRESSED = [{"on": "left", "value": [0, "free"]}, {"on": "bottom", "value": ["free", 0]},
+           {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 0.99]}}]  # fmt: skip
+
+
+def test_a_body_along_lines(folder):
+    """A block pressed by 0.01 with Poisson's ratio 0: u_y = -0.01 y, p = 0.01, von Mises stress 0.01; the formula."""
+    lines = {"top": {"on": "top", "n": 9, "compare": {"p": "0.01"}}, "inside": {"from": [0.5, 0], "to": [0.5, 1]}}
+    answer = solve(Scene(**BLOCK, boundary=PRESSED, profile=lines, load=[0, 0]), eps=1e-9)
+    found = profiles_of(answer)
+    top, inside = found["top"], as_columns(found["inside"])
+    assert np.allclose(top.pressure, 0.01) and np.allclose(top.gap, 0, atol=1e-8)
+    assert np.isnan(inside["gap"][1:-1]).all()
+    assert np.allclose(inside["u_y"], -0.01 * np.array(inside["y"])) and np.allclose(inside["u_x"], 0)
+    assert np.allclose(inside["von_mises"], 0.01)
+    assert len(_drawn({"": as_columns(top)}, "u", "top").axes) == 4  # u_x, u_y, gap, p
+    answer.save(folder)
+    report_answer(answer, folder, picture=False)
+    table = np.genfromtxt(folder / "profile-top.csv", delimiter=",", names=True)
+    assert np.allclose(table["p"], table["p_formula"]) and (folder / "profile-inside.png").exists()
+
+
+@pytest.mark.serial
+def test_plot_a_body_along(folder):
+    """`plot RESULT --along` of a saved body, with a formula; what `--compare` rejects."""
+    from fenicsx_obstacle.cli import commands
+
+    solve(Scene(**BLOCK, boundary=PRESSED)).save(folder)
+    arguments = ["plot", str(folder), "--along", "0,1:1,1", "--compare"]
+    CliRunner().invoke(commands, [*arguments, "p = 0.01"], catch_exceptions=False)
+    table = np.genfromtxt(folder / "along.csv", delimiter=",", names=True)
+    assert np.allclose(table["p"], table["p_formula"], rtol=1e-2) and (folder / "along.png").exists()
+    mistakes = {"p": "expected a quantity and a formula", "u = x": "--compare u: no quantity",
+                "p = q": "unknown name 'q'", "p = 1/(x - 1)": r"is not finite at \(1, 1\)"}  # fmt: skip
+    for compare, message in mistakes.items():
+        with pytest.raises(InputError, match=message):
+            CliRunner().invoke(commands, [*arguments, compare], catch_exceptions=False)
+    with pytest.raises(InputError, match="--compare: needs --along"):
+        CliRunner().invoke(commands, ["plot", str(folder), "--compare", "p = 1"], catch_exceptions=False)

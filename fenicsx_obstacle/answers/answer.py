@@ -116,8 +116,9 @@ class Answer(Solution):
             from fenicsx_obstacle.answers.bodies import BodyAnswer  # no scalar solution needs it
             from fenicsx_obstacle.problems.vector_valued import saved as body
 
-            return BodyAnswer.of(body(saved.fields), scene)
-        answer = cls(**saved.fields, scene=scene)
+            answer: Answer = BodyAnswer.of(body(saved.fields), scene)
+        else:
+            answer = cls(**saved.fields, scene=scene)
         if "time" not in answer.record:
             return answer
         from fenicsx_obstacle.answers.frames import load_course

@@ -13,7 +13,11 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.io.folder import NODES
+from fenicsx_obstacle.answers.profiles import points_of
+from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
+from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
+from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.io.folder import NODES, fields_of
 from fenicsx_obstacle.problems.solution import Files
 from fenicsx_obstacle.problems.vector_valued import VectorSolution
 from fenicsx_obstacle.scenes import meshes
@@ -22,6 +26,7 @@ from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.stopping import StepMonitor
+from fenicsx_obstacle.text import one_line
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,6 +80,7 @@ class BodyContext:
         self.body = Body(scene, level)
         self._report = BodyReport(self.body)
         self._report.check()
+        points_of(scene, self.body.level)  # rejects points outside before anything is solved
         self.setup_seconds = time.perf_counter() - started - self.mesh_seconds
 
     def renewed(self, scene: Scene) -> BodyContext:
@@ -110,7 +116,10 @@ class BodyContext:
         if uncertainty:
             scene.only_scalar("uncertainty")
         start = time.perf_counter()
-        solution = body.solve(options)
+        if scene.time is None:
+            solution, history, totals = body.solve(options), None, dict[str, Any]()
+        else:
+            solution, history, totals = self._equilibria(scene.time, options)
         known = contact_quantities(body, solution)
         record = dict(solution.record)
         numbers = {name: value if np.isfinite(value) else None for name, value in known.items()}
@@ -122,7 +131,7 @@ class BodyContext:
             "contact": {**record["contact"], **{key: numbers[key] for key in ("half_width", "peak", "approach")}},
             "newton_total": record["newton_iterations"], "krylov_total": record["krylov_iterations"],
             "seconds": {"total": self.mesh_seconds + solve, "mesh": self.mesh_seconds, "solve": solve},
-            "poisson_seconds": None, "poisson_units": None,
+            "poisson_seconds": None, "poisson_units": None, **totals,
         }  # fmt: skip
         if body.level.remarks:
             record["mesh_remarks"] = list(body.level.remarks)
@@ -134,7 +143,44 @@ class BodyContext:
                 record["report_places"] = self._report.places
         # clocks differ between ranks: rank 0 speaks for all
         return BodyAnswer.of(solution, scene.with_options(options), level=solution.level.with_parts(body.level),
-                             record=body.level.comm.bcast(record))  # fmt: skip
+                             record=body.level.comm.bcast(record), time_history=history)  # fmt: skip
+
+    def _equilibria(
+        self, moments: TimeDiscretization, options: SolverOptions
+    ) -> tuple[VectorSolution, TimeHistory, dict[str, Any]]:
+        """An equilibrium at each time, each from the last one; the solution at the end, all rows, counts (collective).
+
+        Raises:
+            InputError: If data are wrong at some time, with it.
+            NotConverged: The same.
+        """
+        rows, frames, name = list[dict[str, Any]](), list[Frame](), one_line(moments.name)
+        kept = {round(k * moments.steps / max(moments.frames, 1)) for k in range(moments.frames + 1)}
+        for step in range(moments.steps + 1):
+            t = moments.end * step / moments.steps
+            try:
+                self.body.go_to(t)
+                solution = self.body.solve(options)
+            except InputError as error:
+                raise InputError(f"{error}, at {name} = {t:g}") from None
+            except NotConverged as error:
+                raise error.changed(reason=f"{error.reason}, at {name} = {t:g}") from None
+            known, record = contact_quantities(self.body, solution), solution.record
+            reported = self._report.of(solution, known) if self.scene.report else {}
+            rows.append({  # no -0.0
+                "step": step, "t": t, "dt": moments.step if step else None, "newton": record["newton_iterations"],
+                "krylov": record["krylov_iterations"], "energy": record["energy"],
+                "penetration": record["penetration"],
+                **{key: float(value) + 0.0 for key, value in known.items() if np.isfinite(value)},
+                **{key: None if value is None else value + 0.0 for key, value in reported.items()},
+            })  # fmt: skip
+            if moments.frames and step in kept:
+                frames.append(Frame(t, fields_of(solution)))
+        times = {"t": t, "name": moments.name, "scheme": moments.scheme, "steps": moments.steps, "rejected": 0}
+        newton, krylov = (sum(row[key] for row in rows) for key in ("newton", "krylov"))
+        counts = {"time": times, "newton_total": newton, "krylov_total": krylov}
+        rows = self.body.level.comm.bcast(rows)
+        return solution, TimeHistory(tuple(rows), tuple(frames)), counts
 
 
 def solve_body(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, **asked: Any) -> BodyAnswer:

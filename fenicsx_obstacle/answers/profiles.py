@@ -15,9 +15,11 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.problems.values import Profile
+from fenicsx_obstacle.scenes.profile_table import compare_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import counted, nearest
 
+FORMULA = "_formula"  # after the name of a column: that of the formula of comparison
 _SAME = 1e-9  # of the extent of a curve: ends of facets so near are one point
 
 
@@ -43,7 +45,7 @@ def points_of(scene: Scene, level: Level) -> dict[str, np.ndarray]:
         if ends[0] == ends[1]:
             raise InputError(f"{place}: from and to are the same point")
         found[name] = np.linspace(np.array(ends[0]), np.array(ends[1]), table.n)
-        outside = np.isnan(values_of(fem.Function(level.V), _in_space(found[name])))
+        outside = np.isnan(values_of(fem.Function(level.Q), _in_space(found[name])))
         if outside.any():
             x = ", ".join(f"{x:.6g}" for x in found[name][np.argmax(outside)])
             raise InputError(f"{place}: the point ({x}) is outside the mesh")
@@ -51,32 +53,87 @@ def points_of(scene: Scene, level: Level) -> dict[str, np.ndarray]:
 
 
 def profiles_of(answer: Answer) -> dict[str, Profile]:
-    """The solution along all profiles of its scene (collective).
+    """The solution along all profiles of its scene, with their formulas of comparison (collective).
 
     Raises:
-        InputError: As `points_of`.
+        InputError: As `points_of`, or if a formula is not finite at a point.
     """
-    return {name: answer.on(points) for name, points in points_of(answer.scene, answer.level).items()}
+    scene, found = answer.scene, {}
+    t = answer.record["time"]["t"] if "time" in answer.record else None
+    for name, points in points_of(scene, answer.level).items():
+        given = scene.tables.profile[name].compare
+        found[name] = compared(scene, answer.on(points), given, compare_place(name), t)
+    return found
 
 
-def moments_of(answer: Answer, profile: Profile) -> list[tuple[float, Profile]]:
-    """u, pressure and gap along the same points at each moment that was kept (collective); none without time."""
-    if answer.time_history is None:
+def compared(
+    scene: Scene, profile: Profile, given: Mapping[str, float | str], place: str, t: float | None = None
+) -> Profile:
+    """A profile with the values of formulas of comparison.
+
+    Args:
+        scene: Whose definitions they may use.
+        profile: The solution along a line.
+        given: Formulas by the column over which they are drawn.
+        place: Where they stand, for messages.
+        t: The moment, of a scene with time.
+
+    Raises:
+        InputError: If a formula is not finite at a point.
+    """
+    x, values = _in_space(profile.points).T, {} if t is None else {"t": t}
+    formulas = {key: scene.at_points(scene.formula(one, f"{place} {key}"), x, values) for key, one in given.items()}
+    for key, one in formulas.items():
+        if not np.isfinite(one).all():
+            where = ", ".join(f"{x:.6g}" for x in profile.points[np.argmin(np.isfinite(one))])
+            raise InputError(f"{scene.source}: {place} {key} = {given[key]}: is not finite at ({where})")
+    return replace(profile, formulas=formulas)
+
+
+def moments_of(
+    answer: Answer, profile: Profile, given: Mapping[str, float | str], place: str
+) -> list[tuple[float, Profile]]:
+    """u, pressure, gap and formulas along the same points at each moment that was kept (collective); none without
+    time.
+
+    Args:
+        answer: Solution of a scene.
+        profile: It along a line, at the end.
+        given: Formulas of comparison.
+        place: Where they stand, for messages.
+
+    Raises:
+        InputError: As `compared`.
+    """
+    if answer.time_history is None or answer.scene.model.vector_valued:  # of a body at the end alone
         return []
     plain, points = answer.plain.level, _in_space(profile.points)
     comm, map_ = plain.comm, plain.V.dofmap.index_map
     first, found = map_.local_range[0], []
     for frame in answer.time_history.frames:
         fields = comm.bcast({name: frame.fields[name] for name in ("u", "pressure", "gap") if name in frame.fields})
-        values = {}
+        values = dict[str, Any]()
         for name, nodal in fields.items():
             function = fem.Function(plain.V)
             function.x.array[: plain.owned] = nodal[first : first + plain.owned]
             function.x.scatter_forward()
             values[name] = values_of(function, points)
         gap = values.pop("gap", np.full(len(points), np.inf))
-        found.append((frame.t, replace(profile, gap=gap, slope=None, flux=None, **values)))
+        at_moment = replace(profile, gap=gap, slope=None, flux=None, **values)
+        found.append((frame.t, compared(answer.scene, at_moment, given, place, frame.t)))
     return found
+
+
+def compare_text(text: str) -> tuple[str, str]:
+    """A quantity and its formula of comparison as the command `plot` takes them: "p = 1 - x^2".
+
+    Raises:
+        InputError: If the text is of another form.
+    """
+    name, sign, formula = (part.strip() for part in text.partition("="))
+    if not (name and sign and formula):
+        raise InputError(f"--compare {text}: expected a quantity and a formula, such as 'p = 1 - x^2'")
+    return name, formula
 
 
 def along_text(text: str) -> tuple[list[float], list[float]]:
@@ -93,7 +150,7 @@ def along_text(text: str) -> tuple[list[float], list[float]]:
 
 
 def as_columns(profile: Profile) -> dict[str, list[float]]:
-    """Its columns by their names: the coordinates, s, and the quantities that are known."""
+    """Its columns by their names: the coordinates, s, the quantities that are known, and formulas of comparison."""
     axes = "xyz"[: profile.points.shape[1]]
     columns = {axis: profile.points[:, k] for k, axis in enumerate(axes)} | {"s": profile.s}
     named = {"u": profile.u, "p": profile.pressure, "gap": profile.gap, "slope": profile.slope, "flux": profile.flux,
@@ -103,6 +160,7 @@ def as_columns(profile: Profile) -> dict[str, list[float]]:
             columns[name] = values
         elif values is not None:
             columns |= {f"{name}_{axis}": values[:, k] for k, axis in enumerate(axes)}
+    columns |= {name + FORMULA: values for name, values in profile.formulas.items()}
     return {name: values.tolist() for name, values in columns.items()}
 
 

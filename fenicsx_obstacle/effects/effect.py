@@ -40,6 +40,10 @@ class Reader(Protocol):
     def number(self, value: float | str, place: str) -> float:
         """One finite number."""
 
+    @property
+    def of_body(self) -> bool:
+        """Whether u is the displacement of an elastic body."""
+
 
 class Sampler(Protocol):
     """Samples the data of effects on a mesh: Functions and Constants, so that all models share compiled forms."""

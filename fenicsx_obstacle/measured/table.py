@@ -103,6 +103,7 @@ class MeasuredField(Field):
     Attributes:
         table: It.
         surface: Its heights, before they are rotated and shifted.
+        along_x: Whether it has values along one axis.
     """
 
     def __init__(self, table: Table, source: str):
@@ -110,15 +111,15 @@ class MeasuredField(Field):
         self.text = str(table) if table.file is not None else "heights in arrays"
         self._name = f"{source}: {'arrays' if table.path is None else table.path}"
         heights = self._heights()
-        self._along_x = heights.columns is not None and heights.columns.shape[1] == 2
+        self.along_x = heights.columns is not None and heights.columns.shape[1] == 2
         scale = table.scale
         factors = self._list("scale", scale) if np.iterable(scale) else [self._number("scale", scale)] * 3
-        self._scale = np.array([factors[0], 1.0, factors[2]] if self._along_x else factors)
+        self._scale = np.array([factors[0], 1.0, factors[2]] if self.along_x else factors)
         if np.any(self._scale[:2] <= 0) or self._scale[2] == 0:
             raise InputError(f"{self._name}: scale = {scale!r}: factors of x and y must be positive, that of z not 0")
         turn = radians(self._number("rotate", table.rotate))
         self._turn = np.array([[cos(turn), sin(turn)], [-sin(turn), cos(turn)]])  # of points, backwards
-        if self._along_x and turn:
+        if self.along_x and turn:
             raise InputError(f"{self._name}: rotate is for columns x, y, z")
         self._shift = np.array([0.0, 0.0, 0.0] if table.shift is None else self._list("shift", table.shift))
         self.surface = self._made(heights)
@@ -133,10 +134,10 @@ class MeasuredField(Field):
         self._check_extents(used=False)
         assert heights.columns is not None
         self._check_finite(heights.columns)
-        scaled = heights.columns * self._scale[[0, 2] if self._along_x else [0, 1, 2]]
+        scaled = heights.columns * self._scale[[0, 2] if self.along_x else [0, 1, 2]]
         if heights.triangles is not None:
             return self._triangulated(scaled[:, :2], scaled[:, 2], heights.triangles)
-        if self._along_x:
+        if self.along_x:
             order = np.argsort(scaled[:, 0], kind="stable")
             if len(scaled) < 2 or np.any(np.diff(scaled[order, 0]) <= 0):
                 raise InputError(f"{self._name}: needs two points or more, each x once")
@@ -262,12 +263,12 @@ class MeasuredField(Field):
 
     def _list(self, key: str, value: Any, count: int = 0) -> list[float]:
         """Numbers of a list; of x, y and z, or x and z along one axis, where no count is given: then three."""
-        wanted = count or (2 if self._along_x else 3)
+        wanted = count or (2 if self.along_x else 3)
         if not isinstance(value, list | tuple | np.ndarray) or len(value) != wanted:
-            names = f"{wanted} numbers" if count else "[x, z]" if self._along_x else "[x, y, z]"
+            names = f"{wanted} numbers" if count else "[x, z]" if self.along_x else "[x, y, z]"
             raise InputError(f"{self._name}: {key} = {value!r}: expected {names}")
         found = [self._number(key, one) for one in value]
-        return found if wanted == count or not self._along_x else [found[0], 0.0, found[1]]
+        return found if wanted == count or not self.along_x else [found[0], 0.0, found[1]]
 
     # the datum
 
@@ -284,6 +285,18 @@ class MeasuredField(Field):
         """Distance of neighbouring data."""
         return self.surface.spacing
 
+    @property
+    def facets(self) -> np.ndarray | None:
+        """Corners of the facets of an STL surface, shape (m, 3, 3), scaled, rotated and shifted; None of a table."""
+        heights = self._heights()
+        if heights.triangles is None:
+            return None
+        assert heights.columns is not None
+        points = heights.columns * self._scale
+        points[:, :2] = points[:, :2] @ self._turn
+        found: np.ndarray = (points + self._shift)[heights.triangles]
+        return found if self._scale[2] > 0 else found[:, ::-1]
+
     def _inward(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 2) in the coordinates of the surface."""
         there = points - self._shift[:2]
@@ -298,7 +311,7 @@ class MeasuredField(Field):
         return OnSurface(self.surface, self._inward(corners))
 
     def because(self, point: np.ndarray, names: Names) -> str:
-        axes = "x" if self._along_x else "xy"
+        axes = "x" if self.along_x else "xy"
         ends = zip(axes, self.surface.low + self._shift[:2], self.surface.high + self._shift[:2], strict=False)
         turned = ", turned," if self.table.rotate else ""
         return f"; the data{turned} reach over " + ", ".join(f"{a} = {low:.6g} .. {high:.6g}" for a, low, high in ends)

@@ -233,7 +233,7 @@ class Solution:
         Raises:
             InputError: As `at`.
         """
-        values = {name: self.at(points, name) for name in ("u", "pressure", "slope")}
+        values: dict[str, Any] = {name: self.at(points, name) for name in ("u", "pressure", "slope")}
         free = self.lower is None and self.upper is None
         values["gap"] = np.full(len(points), np.inf) if free else self.at(points, "gap")
         flux = None

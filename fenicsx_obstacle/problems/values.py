@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -134,6 +135,7 @@ class Profile:
         slope: Gradient of u, shape (n, gdim); None if u is vector-valued.
         flux: Tension times slope, in force per length, shape (n, gdim); None where the tension is not known.
         von_mises: Von Mises stress of the cell, shape (n,); None if no stress was given.
+        formulas: Values of formulas of comparison, shape (n,) each, by the column over which they are drawn.
     """
 
     points: np.ndarray
@@ -144,3 +146,4 @@ class Profile:
     slope: np.ndarray | None = None
     flux: np.ndarray | None = None
     von_mises: np.ndarray | None = None
+    formulas: Mapping[str, np.ndarray] = field(default_factory=dict)

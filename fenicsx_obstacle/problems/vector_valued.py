@@ -165,7 +165,7 @@ class VectorSolution(Solution):
             InputError: As `at`.
         """
         names = ("u", "pressure", "gap", *(("von_mises",) if self.von_mises is not None else ()))
-        values = {name: self.at(points, name) for name in names}
+        values: dict[str, Any] = {name: self.at(points, name) for name in names}
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return Profile(points, s, **values)
 
@@ -173,11 +173,12 @@ class VectorSolution(Solution):
         if of != "gap":
             return super().values(points, of)
         level = self.level.scalar
-        gap, known = fem.Function(level.V), fem.Function(level.V)
-        known.x.array[:] = np.isfinite(self.gap.x.array)
-        gap.x.array[:] = np.where(known.x.array > 0, self.gap.x.array, 0.0)
+        gap, known, none = fem.Function(level.V), fem.Function(level.V), fem.Function(level.V)
+        known.x.array[:], none.x.array[:] = ~np.isnan(self.gap.x.array), np.isinf(self.gap.x.array)
+        gap.x.array[:] = np.where(np.isfinite(self.gap.x.array), self.gap.x.array, 0.0)
         inside = self._evaluated(known, points) > 1 - ROUND_OFF  # all nodes that count there have a gap
-        return np.where(inside, self._evaluated(gap, points), np.nan)
+        found = np.where(np.abs(self._evaluated(none, points)) > ROUND_OFF, np.inf, self._evaluated(gap, points))
+        return np.where(inside, found, np.nan)
 
     def _shape(self, of: str) -> tuple[int, ...]:
         return (self.level.mesh.geometry.dim,) if of == "u" else ()

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
@@ -31,6 +31,9 @@ from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.scenes.rigid_surfaces import NodalGap
 
 MAX_SLOPE = 0.2  # norm of the gradient of u in the middle of a cell: strains and rotations are small
 MAX_SHARE = 0.2  # of the longest side of the body: displacements are small
@@ -108,8 +111,10 @@ class Body:
             raise InputError(
                 f"{scene.source}: several obstacles with a force: one can be moved until its force is reached"
             )
-        self._distance = [self._compiled(one) for one in self.facing]
-        self.place()
+        self._values = list[tuple[fem.Function, Field, int]]()
+        self._surfaces: dict[Facing, NodalGap] = {}
+        self._distance = [None if one.obstacle.at_nodes else self._compiled(one) for one in self.facing]
+        self._go_places()
         self.problem = _Problem(
             scene.source, F, self.u, bcs=self._conditions(), lower=self.gap, of=-ufl.dot(self.u, self._normals),
             measure=self._measure(), stress=self.law.stress,
@@ -120,6 +125,31 @@ class Body:
         """The obstacle that moves until its force is reached, or None."""
         return next((one for one in self.facing if one.obstacle.force is not None), None)
 
+    def go_to(self, t: float) -> None:
+        """Take loads, given displacements and places of obstacles at a time (collective).
+
+        Raises:
+            InputError: If one is not finite, or out of bounds.
+        """
+        assert self.data.moment is not None
+        self.data.moment.t = t
+        self.data.move()
+        for given, field, part in self._values:
+            given.interpolate(self.data.on_part(field, part))
+        self._go_places()
+
+    def _go_places(self) -> None:
+        """Move the obstacles whose travel is given, and compute the gaps (collective)."""
+        for one in self.facing:
+            if one.obstacle.travel is not None:
+                one.travel.value = float(self.data.at(one.obstacle.travel, np.zeros((3, 1)))[0])
+        self.place()
+
+    @property
+    def moved(self) -> Facing | None:
+        """The first obstacle that moves, or None."""
+        return next((one for one in self.facing if one.obstacle.moves), None)
+
     def place(self) -> None:
         """Compute the gaps, with the obstacles where they are now (collective).
 
@@ -127,14 +157,45 @@ class Body:
             InputError: If a gap is not finite.
         """
         for one, distance in zip(self.facing, self._distance, strict=True):
-            here = fem.Function(self.level.V)
-            here.interpolate(distance)
-            values = here.x.array[one.dofs]
-            if one.obstacle.value is not None:
-                values = values + self.data.on_part(one.obstacle.value, one.obstacle.part).x.array[one.dofs]
+            if distance is None:
+                values = self._at_nodes(one)
+            else:
+                here = fem.Function(self.level.V)
+                here.interpolate(distance)
+                values = here.x.array[one.dofs]
             self.gap.x.array[one.dofs] = -values  # -u . n >= -gap
         self.gap.x.scatter_forward()
         self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle")
+
+    def _at_nodes(self, one: Facing) -> np.ndarray:
+        """A gap that is given, or that to a box, a table or an STL surface, at the nodes that face it (collective)."""
+        gdim, obstacle, travel = self.level.mesh.geometry.dim, one.obstacle, float(one.travel.value)
+        normals = self._normals.x.array.reshape(-1, gdim)[self.vectors.node_of[one.dofs]]
+        if obstacle.kind == "gap":
+            assert obstacle.value is not None
+            given: np.ndarray = self.data.on_part(obstacle.value, obstacle.part).x.array[one.dofs]
+            return given + travel * normals @ np.array(obstacle.moves or (0.0,) * gdim)
+        if one not in self._surfaces:
+            from fenicsx_obstacle.scenes.rigid_surfaces import NodalGap  # only where a scene names one
+
+            points, near = self.level.points.T[one.dofs, :gdim], SAME * self.data.extent
+            self._surfaces[one] = NodalGap(obstacle, self.level.comm, points, normals, near)
+        found = self._surfaces[one].at(travel)
+        return np.where(found == np.inf, self._far, found)
+
+    @property
+    def _far(self) -> float:
+        """The gap where there is no obstacle, which small displacements never close."""
+        return 2 * self.data.extent
+
+    def _without_far(self, solution: VectorSolution) -> VectorSolution:
+        """The solution with infinite gaps where there is no obstacle (local)."""
+        if not self._surfaces:
+            return solution
+        least = self._far * (1 - MAX_SHARE)
+        nodes = replace(solution.nodes, gap=np.where(solution.nodes.gap > least, np.inf, solution.nodes.gap))
+        solution.gap.x.array[solution.gap.x.array > least] = np.inf
+        return replace(solution, nodes=nodes)
 
     def solve(self, options: SolverOptions) -> VectorSolution:
         """Solve; an obstacle with a force is moved until it presses with it (collective).
@@ -149,7 +210,7 @@ class Body:
         solve = partial(self._solved, "auto" if options.method == "vi" else eps, options.method)
         solution = solve() if self.pressing is None else self._pressed(self.pressing, solve)
         self._check_small(solution)
-        return solution
+        return self._without_far(solution)
 
     def _solved(self, eps: Any, method: str) -> VectorSolution:
         solution = self.problem.solve(eps=eps, method=method)
@@ -348,6 +409,7 @@ class Body:
         """A component of u on a part of the boundary (collective)."""
         given = fem.Function(self._component_space)
         given.interpolate(self.data.on_part(field, part))
+        self._values.append((given, field, part))
         return given
 
 

@@ -61,8 +61,8 @@ def contact_quantities(body: Body, solution: VectorSolution) -> dict[str, float]
     round_one = next((one for one in body.facing if one.obstacle.kind in HERTZ), None)
     if round_one is not None:
         found["half_width"], found["peak"] = _hertzian(round_one, part_of(round_one, nodes))
-    if body.pressing is not None:
-        found["approach"] = float(body.pressing.travel.value)
+    if (moved := body.pressing or body.moved) is not None:
+        found["approach"] = float(moved.travel.value)
     return found
 
 

@@ -33,7 +33,7 @@ def _check(scene: Scene, part: BoundaryTable, place: str) -> None:
     _check_kind(scene, part, place)
     acting = [key for key in ACTING if getattr(part, key) is not None]
     if part.value is None and not acting:
-        known = [key for key in ACTING if (key in OF_BODIES) == scene.model.vector_valued]
+        known = [key for key in ACTING if key == "spring" or (key in OF_BODIES) == scene.model.vector_valued]
         raise InputError(f"{place}: the key 'value' is missing, or {', '.join(known)}")
     partly = isinstance(part.value, tuple) and "free" in part.value  # of an elastic body: rollers may carry a load
     if part.value is not None and acting and not partly:

@@ -19,13 +19,14 @@ from fenicsx_obstacle.effects.effect import Effect, find, known
 from fenicsx_obstacle.effects.field import ByCells, Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
-from fenicsx_obstacle.measured.table import Table
+from fenicsx_obstacle.measured.table import MeasuredField, Table
 from fenicsx_obstacle.scenes import formulas, tables
 from fenicsx_obstacle.scenes.boundary_table import check_parts, part_place
 from fenicsx_obstacle.scenes.data_files import DataFiles
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, field_of, plain, stands_for_an_object
+from fenicsx_obstacle.scenes.profile_table import check_profiles
 from fenicsx_obstacle.scenes.report import FIELDS, parse_report
 from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.scenes.tables import DataTable
@@ -221,6 +222,7 @@ class Scene(Vocabulary):
         solve, place = typed.solve, f"{source}: [solve]"
         set_("options", SolverOptions(solve.method, self._eps(solve.eps), solve.start, place))
         check_parts(self)
+        check_profiles(self)
         set_("model", replace(self.model, time=moments(self)))
 
     @property
@@ -328,6 +330,11 @@ class Scene(Vocabulary):
                 place = "[effects]" if effect.table == "effects" else "[[boundary]]"
                 raise InputError(f"{self.source}: {place} {why}")
         return tuple(effects)
+
+    @property
+    def of_body(self) -> bool:
+        """Whether u is the displacement of an elastic body."""
+        return any(find(key).elastic and bool(find(key).vector_valued) for key in self.tables.effects)
 
     def _check_kinds(self, effects: list[Effect]) -> None:
         """Reject effects of scalar u beside an elastic body, and the other way round."""
@@ -440,13 +447,19 @@ class Scene(Vocabulary):
         """Reject tables that elastic bodies do not have."""
         own = self.tables
         for name, given, why in (
-            ("time", own.time, "one equilibrium is solved; study --vary solves several"),
             ("exact", own.exact, "is for scalar u; compare output quantities under [report]"),
-            ("profile", own.profile, "is for scalar u; nodes.csv has pressure and gap at the contact nodes"),
             ("obstacle", own.obstacle != tables.ObstacleTable(), "bounds a scalar u; give [[boundary]] an obstacle"),
         ):
             if given:
                 raise InputError(f"{self.source}: [{name}] with elasticity: {why}")
+        from fenicsx_obstacle.effects.boundary.obstacle import FROM_FILES, Obstacle  # no scalar scene needs it
+
+        for effect in self.effects:
+            if isinstance(effect, Obstacle) and effect.kind in FROM_FILES:
+                data, of_facets = effect.value, effect.kind == "stl"
+                if not isinstance(data, MeasuredField) or (of_facets and data.facets is None):
+                    wanted = '{file = "surface.stl"}' if of_facets else "{file = ...} of measured data"
+                    raise InputError(f"{effect.source}.{effect.kind} = {getattr(data, 'text', '')}: expected {wanted}")
         if self.pair.name not in ("P1", "P2", "Q1", "Q2"):
             raise InputError(f"{self.source}: [solve] element = '{self.pair.name}': elastic bodies take P1, P2, Q1, Q2")
 
@@ -468,6 +481,8 @@ class Scene(Vocabulary):
         if self.model.vector_valued:
             from fenicsx_obstacle.scenes.bodies import Body  # only where a scene names an elastic body
 
+            if self.time is not None:
+                raise InputError(f"{self.source}: an ObstacleProblem is one equilibrium; solve() takes [time]")
             return Body(self, meshes.build(self, ranks)).problem
         return ObstacleProblem.of_model(self.model, meshes.build(self, ranks))
 

@@ -77,6 +77,7 @@ class ObstacleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
 ACTING = (*sorted(known("boundary")), "lower", "upper")  # keys of [[boundary]] other than `value`: effects, obstacles
 OF_BODIES: dict[str, Any] = {"obstacle": dict[str, Any], "pressure": Datum, "traction": Vector}  # of elastic bodies
+_TYPES = {**OF_BODIES, "spring": Datum | Vector}
 
 
 class _PartTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -96,7 +97,7 @@ if TYPE_CHECKING:
 
 else:
     BoundaryTable = msgspec.defstruct(
-        "BoundaryTable", [(key, OF_BODIES.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
+        "BoundaryTable", [(key, _TYPES.get(key, Datum) | None, None) for key in ACTING], bases=(_PartTable,),
         module=__name__, frozen=True, forbid_unknown_fields=True, omit_defaults=True,
     )  # fmt: skip
 
@@ -163,12 +164,14 @@ class ProfileTable(Struct, frozen=True, forbid_unknown_fields=True, omit_default
         to: Last point.
         on: A named curve instead.
         n: Number of points, at equal distances.
+        compare: Formulas by the quantity over which they are drawn: {p = "p0*sqrt(1 - (x/a)^2)"}.
     """
 
     from_: Value | Numbers | None = None
     to: Value | Numbers | None = None
     on: str | None = None
     n: Annotated[int, Meta(ge=2, le=100_000)] = 200
+    compare: dict[str, Value] = {}
 
 
 class SolveTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

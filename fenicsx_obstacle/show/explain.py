@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 from fenicsx_obstacle.discrete.galerkin import SMALLEST
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
@@ -57,6 +58,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
+        ("profile", _profiles(scene)),
         ("not included", [_not_included(scene)]),
     ]
 
@@ -72,10 +74,25 @@ def _explained_body(scene: Scene) -> list[tuple[str, list[str]]]:
         ("boundary", _body_boundary(scene)),
         ("discrete", _body_discrete(scene)),
         ("mesh", [_mesh(scene)]),
+        ("time", _body_steps(scene)),
         ("solver", _body_solver(scene)),
         ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
-        ("not included", ["friction; large displacements; contact of two elastic bodies"]),
+        ("profile", _profiles(scene)),
+        ("not included", ["friction; large displacements; contact of two elastic bodies; inertia"]),
     ]
+
+
+def _profiles(scene: Scene) -> list[str]:
+    lines = []
+    for name, table in scene.tables.profile.items():
+        where = f"along {table.on}" if table.on else f"from {_point(table.from_)} to {_point(table.to)}"
+        over = [f"{key} over {plain(formula)}" for key, formula in table.compare.items()]
+        lines.append(f"{name}: {', '.join([where, *over])}")
+    return lines
+
+
+def _point(given: Any) -> str:
+    return f"[{', '.join(map(plain, given))}]" if isinstance(given, tuple) else plain(given)
 
 
 def _body_obstacles(scene: Scene) -> list[str]:
@@ -109,6 +126,15 @@ def _body_discrete(scene: Scene) -> list[str]:
         value = "auto: a thousandth of the median of D_i/A_ii, about 1e-3 h/E" if auto else scene.options.formula.text
         lines += ["p = (u . n - gap)^+ / eps at the nodes   (3.7), (3.8)", f"eps = {value}  [length^3/force]"]
     return lines
+
+
+def _body_steps(scene: Scene) -> list[str]:
+    if scene.time is None:
+        return []
+    time = scene.time
+    how = f"quasi-static: equilibria at t = 0 and {counted(time.steps, 'moment')} more, to t = {time.end:g}"
+    saved = "saved: output quantities of all times in history.csv" + ", fields in frames.xdmf" * (time.frames > 0)
+    return [f"{how}, each from the last one; without inertia", saved]
 
 
 def _body_solver(scene: Scene) -> list[str]:

@@ -111,9 +111,9 @@ def is_animated(answer: Answer, arrays: Arrays) -> bool:
 
 
 def _drawable(arrays: Arrays) -> bool:
-    """Whether it is an interval or a plane mesh: others are for ParaView."""
+    """Whether u is scalar, on an interval or a plane mesh: others are for ParaView."""
     dim = arrays["cells"].shape[1] - 1
-    return dim == int(arrays["gdim"]) and dim < 3
+    return arrays["u"].ndim == 1 and dim == int(arrays["gdim"]) and dim < 3
 
 
 def _course(answer: Answer) -> TimeHistory:

@@ -14,7 +14,9 @@ from fenicsx_obstacle.text import counted
 if TYPE_CHECKING:
     from fenicsx_obstacle.effects.field import Field
 
-KINDS = {"sphere": "centre", "cylinder": "centre", "plane": "at", "gap": None}  # what places each of them
+KINDS = {"sphere": "centre", "cylinder": "centre", "box": "centre", "plane": "at", "table": None, "stl": None,
+         "gap": None}  # what places each of them  # fmt: skip
+FROM_FILES = ("table", "stl")
 HERTZ = {"sphere": 2.5, "cylinder": 4.0}  # (half-width over radius of gyration)^2 of Hertz's pressure
 
 
@@ -27,14 +29,16 @@ class Obstacle(OnPart):
     otherwise the normal of the body, at nodes the mean over the facets there.
 
     Attributes:
-        value: The gap as a formula; None for a body with a shape.
-        kind: sphere, cylinder, plane or gap.
+        value: The gap as a formula, or the measured data of a table or an STL surface; None for the other shapes.
+        kind: sphere, cylinder, box, plane, table, stl or gap.
         radius: Of a sphere or cylinder.
+        sizes: Of a box, its lengths along the axes.
         point: Its centre, or a point on the plane.
         direction: The axis of a cylinder in space; the normal of a half-space, towards the elastic body.
         measured: Direction of the gap, `along` in the scene, or empty.
         force: With which the obstacle presses; None if it stays where it is.
-        moves: The direction in which it then moves, a unit vector; empty without a force.
+        travel: How far it has moved, a formula of t; None if it stays where it is or moves until it presses.
+        moves: The direction in which it then moves, a unit vector; empty if it stays.
         words: As it stands in the scene.
         source: Where it stands, for messages.
     """
@@ -42,10 +46,12 @@ class Obstacle(OnPart):
     value: Field | None  # type: ignore[assignment]
     kind: str
     radius: float
+    sizes: tuple[float, ...]
     point: tuple[float, ...]
     direction: tuple[float, ...]
     measured: tuple[float, ...]
     force: float | None
+    travel: Field | None
     moves: tuple[float, ...]
     words: str
     source: str
@@ -58,7 +64,7 @@ class Obstacle(OnPart):
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Obstacle:
-        others = ("centre", "at", "axis", "along", "force", "moves")
+        others = ("centre", "at", "axis", "along", "force", "travel", "moves")
         keys_of(raw, place, reader, (), (*KINDS, *others), one_of=tuple(KINDS))
         source, kinds = f"{reader.source}: {place}", [key for key in KINDS if key in raw]
         if len(kinds) > 1:
@@ -67,12 +73,18 @@ class Obstacle(OnPart):
         needed = KINDS[kind]
         if needed is not None and needed not in raw:
             raise InputError(f"{source}: {kind} needs the key '{needed}'")
-        allowed = {kind, needed, "along", "force", "moves", *(["axis"] if kind == "cylinder" else [])}
+        allowed = {kind, needed, "along", "force", "travel", "moves", *(["axis"] if kind == "cylinder" else [])}
         for key in raw:
             if key not in allowed:
                 raise InputError(f"{source}: '{key}' does not belong to a {kind}")
-        if ("force" in raw) != ("moves" in raw):
-            raise InputError(f"{source}: 'force' and 'moves', the direction in which the obstacle moves, go together")
+        if "force" in raw and "travel" in raw:
+            raise InputError(f"{source}: 'force' and 'travel' exclude each other")
+        if ("force" in raw or "travel" in raw) != ("moves" in raw):
+            together = "'force' or 'travel' and 'moves', the direction in which the obstacle moves, go together"
+            raise InputError(f"{source}: {together}")
+        travel = reader.field(raw["travel"], f"{place}.travel") if "travel" in raw else None
+        if travel is not None and not travel.uniform:
+            raise InputError(f"{source}.travel = {raw['travel']}: must be the same everywhere, at one time")
 
         def vector(key: str, *, unit: bool = False) -> tuple[float, ...]:
             if key not in raw:
@@ -92,21 +104,31 @@ class Obstacle(OnPart):
                 raise InputError(f"{source}.{key} = {raw[key]}: must be positive")
             return found
 
+        sizes = vector(kind) if kind == "box" else ()
+        if any(size <= 0 for size in sizes):
+            raise InputError(f"{source}.box = {raw['box']}: lengths along the axes must be positive")
         value = reader.field(raw["gap"], f"{place}.gap") if kind == "gap" else None
+        if kind in FROM_FILES:
+            value = reader.value(raw[kind], f"{place}.{kind}")
         words = ", ".join(f"{key} = {_plain(one)}" for key, one in raw.items())
         return cls(
             value, more["part"], kind,
-            radius=positive(kind) if kind in HERTZ else 0.0,
+            radius=positive(kind) if kind in HERTZ else 0.0, sizes=sizes,
             point=vector(needed) if needed is not None else (),
             direction=vector("plane" if kind == "plane" else "axis", unit=True),
             measured=vector("along", unit=True),
             force=positive("force") if "force" in raw else None,
-            moves=vector("moves", unit=True), words="{" + words + "}", source=source,
+            travel=travel, moves=vector("moves", unit=True), words="{" + words + "}", source=source,
         )  # fmt: skip
 
     @property
     def text(self) -> str:
         return self.words
+
+    @property
+    def at_nodes(self) -> bool:
+        """Whether its gaps are computed at nodes, not from UFL."""
+        return self.kind in ("gap", "box", *FROM_FILES)
 
     def check(self, gdim: int, *, axial: bool) -> None:
         """Reject what does not fit the mesh.
@@ -118,8 +140,8 @@ class Obstacle(OnPart):
         Raises:
             InputError: With the remedy.
         """
-        for key, vector in (("centre or at", self.point), ("plane or axis", self.direction), ("along", self.measured),
-                            ("moves", self.moves)):  # fmt: skip
+        for key, vector in (("centre or at", self.point), ("plane or axis", self.direction), ("box", self.sizes),
+                            ("along", self.measured), ("moves", self.moves)):  # fmt: skip
             if vector and len(vector) != gdim:
                 wanted = f"points have {counted(gdim, 'coordinate')}"
                 raise InputError(f"{self.source}: {key} has {counted(len(vector), 'component')}, but {wanted}")
@@ -130,13 +152,15 @@ class Obstacle(OnPart):
             raise InputError(f"{self.source}: sphere: in the plane take a cylinder, or add axial_symmetry to [effects]")
         if gdim == 3 and self.kind == "cylinder" and not self.direction:
             raise InputError(f"{self.source}: cylinder: in space it needs the key 'axis'")
-        if axial and self.kind == "sphere" and self.point[0] != 0:
+        if self.kind == "stl" and gdim == 2:
+            raise InputError(f"{self.source}: stl: a surface in space is for solids; in the plane take a table")
+        if axial and self.kind in ("sphere", "box") and self.point[0] != 0:
             raise InputError(f"{self.source}: centre = {list(self.point)}: must be on the axis x = 0")
         if axial and self.moves and self.moves[0] != 0:
             raise InputError(f"{self.source}: moves = {list(self.moves)}: must be along the axis x = 0")
 
     def gap(self, x: Any, n: Any, shift: Sequence[Any]) -> Any:
-        """The gap in UFL, without the formula of one that has no shape.
+        """The gap of a sphere, a cylinder or a half-space, in UFL.
 
         Args:
             x: Points of the body's surface.
@@ -145,8 +169,6 @@ class Obstacle(OnPart):
         """
         from fenicsx_obstacle.forms.elasticity import ball_gap, plane_gap  # reading a scene imports no finite elements
 
-        if self.kind == "gap":
-            return sum(s * part for s, part in zip(shift, n, strict=True))
         place = [p + s for p, s in zip(self.point, shift, strict=True)]
         if self.kind == "plane":
             return plane_gap(x, n, place, self.direction)
@@ -154,6 +176,9 @@ class Obstacle(OnPart):
 
 
 def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f'{key} = "{one}"' if key == "file" else f"{key} = {_plain(one)}"
+                               for key, one in value.items()) + "}"  # fmt: skip
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_plain, value))}]"
     return str(value)

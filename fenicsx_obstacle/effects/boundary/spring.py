@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Sampler, register
+from fenicsx_obstacle.effects.effect import Reader, Sampler, register
 
 if TYPE_CHECKING:
     import ufl
@@ -28,6 +28,15 @@ class Spring(OnPart):
     unit = "force/area"
     holds = True
     dimension = (-1, 0, 1)
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> OnPart:
+        if isinstance(raw, list | tuple) or reader.of_body:
+            from fenicsx_obstacle.effects import elastic_support as of_bodies  # only where a scene has a vector
+
+            kind = of_bodies.ElasticSupport if isinstance(raw, list | tuple) else of_bodies.NormalSpring
+            return kind.read(raw, place, reader, **more)
+        return super().read(raw, place, reader, **more)
 
     @property
     def part_reaction(self) -> tuple[Field, int]:

@@ -1,0 +1,181 @@
+"""Gaps of elastic bodies to rigid boxes, measured heights and STL surfaces, at points along directions.
+
+A gap is the length from a point along its direction n to the surface, negative where the point is beyond it, and
+infinite where the line meets no surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+from scipy.linalg import null_space
+
+from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.measured.table import MeasuredField
+from fenicsx_obstacle.measured.triangulated import Triangulated
+from fenicsx_obstacle.parallel import agree, largest, smallest
+
+ALONG = 1e-12  # a component of a unit vector that is 0
+ONE = 1e-6  # difference of unit vectors that are one direction
+CLOSED = 1e-5  # of the area: what the area vectors of a closed surface add up to
+MOST_STEPS = 200  # of the search for the point of a table along n
+SETTLED = 1e-12  # relative difference of the last two of them
+
+
+class NodalGap:
+    """The gap to a box, a table or an STL surface at the nodes that face it.
+
+    Attributes:
+        obstacle: With this shape.
+    """
+
+    def __init__(self, obstacle: Obstacle, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray, near: float):
+        """Prepare (collective).
+
+        Args:
+            obstacle: With this shape.
+            comm: Ranks of the mesh.
+            points: Coordinates of local nodes, shape (n, gdim).
+            normals: Directions in which the gap is measured there, shape (n, gdim).
+            near: A length below which points are one.
+
+        Raises:
+            InputError: If the data do not fit the body.
+        """
+        self.obstacle, self._comm, self._near = obstacle, comm, near
+        self._points, self._normals = points, normals
+        self._facets: FacetsAlong | None = None
+        if obstacle.kind == "table":
+            assert isinstance(obstacle.value, MeasuredField)
+            if points.shape[1] == 2 and not obstacle.value.along_x:
+                raise InputError(f"{obstacle.value.source}: in the plane a table has the columns x, z alone")
+        if obstacle.kind == "stl":
+            self._facets = self._facing()
+
+    def at(self, travel: float) -> np.ndarray:
+        """Gaps at the local nodes, infinite where a line misses the obstacle (collective).
+
+        Args:
+            travel: How far the obstacle has moved.
+
+        Raises:
+            InputError: If all lines miss it, or a table is too steep.
+        """
+        obstacle, points = self.obstacle, self._points
+        shift = travel * np.array(obstacle.moves or (0.0,) * points.shape[1])
+        if self._facets is not None:
+            found = self._facets.gap(points - shift)
+        elif obstacle.kind == "table":
+            assert isinstance(obstacle.value, MeasuredField)
+            with agree(self._comm):
+                found = table_gap(obstacle.value, points, self._normals, shift)
+        else:
+            found = box_gap(points, self._normals, np.array(obstacle.point) + shift, obstacle.sizes, self._near)
+        if smallest(self._comm, found) == np.inf:
+            raise InputError(f"{obstacle.source}: no line along n from a node of its part meets it")
+        return found
+
+    def _facing(self) -> FacetsAlong:
+        """The facets along the one direction of all nodes."""
+        assert isinstance(self.obstacle.value, MeasuredField)
+        facets = self.obstacle.value.facets
+        assert facets is not None
+        source = self.obstacle.value.source
+        direction = next(one[0] for one in self._comm.allgather(self._normals[:1]) if len(one))
+        if largest(self._comm, np.abs(self._normals - direction)) > ONE:
+            raise InputError(f"{source}: the boundary of the body is curved; give 'along', the direction of the gap")
+        return FacetsAlong(facets, direction, source)
+
+
+def box_gap(
+    points: np.ndarray, normals: np.ndarray, centre: np.ndarray, sizes: Sequence[float], near: float
+) -> np.ndarray:
+    """Gaps to a box with sides along the axes.
+
+    Args:
+        points: Shape (n, gdim).
+        normals: Directions n, shape (n, gdim).
+        centre: Of the box.
+        sizes: Its lengths along the axes.
+        near: How far a line may pass beside the box, so that one along a side meets it.
+    """
+    there, half = centre - points, np.array(sizes) / 2
+    across = np.abs(normals) <= ALONG
+    safe = np.where(across, 1.0, normals)
+    ends = (there - half) / safe, (there + half) / safe
+    beside = np.abs(there) > half + near
+    enters = np.where(across, np.where(beside, np.inf, -np.inf), np.minimum(*ends)).max(axis=1)
+    leaves = np.where(across, np.where(beside, -np.inf, np.inf), np.maximum(*ends)).min(axis=1)
+    return np.where(enters <= leaves + near, enters, np.inf)
+
+
+def table_gap(heights: MeasuredField, points: np.ndarray, normals: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Gaps to the surface whose last coordinate is a table of the others (local).
+
+    Args:
+        heights: The table.
+        points: Shape (n, gdim).
+        normals: Directions n, shape (n, gdim).
+        shift: How far the surface has moved, shape (gdim,).
+
+    Raises:
+        InputError: If a line along n leaves the data, or may meet the surface more than once.
+    """
+    where = points - shift
+    up, size = normals[:, -1], 1.0 + np.abs(where).max(initial=0.0)
+    found, bad = np.zeros(len(points)), np.abs(up) <= ALONG
+    for _ in range(MOST_STEPS):
+        if bad.any():
+            break
+        x = np.zeros((3, len(points)))
+        x[: points.shape[1] - 1] = (where + found[:, None] * normals).T[:-1]
+        before, found = found, (heights.at(x, {}) - where[:, -1]) / up
+        bad = np.isnan(found)  # outside the data
+        moves = np.abs(found - before) > SETTLED * size
+        if not (bad | moves).any():
+            return found
+    place = ", ".join(f"{x:.6g}" for x in points[np.argmax(bad if bad.any() else moves)])
+    raise InputError(
+        f"{heights.source}: the line along n from ({place}) does not meet the data in one point"
+        f"{heights.because(np.zeros(3), {})}; give data that reach farther, or 'along' for a steeper n"
+    )
+
+
+class FacetsAlong:
+    """The facets of an STL surface that face a body, seen along one direction."""
+
+    def __init__(self, facets: np.ndarray, direction: np.ndarray, source: str):
+        """Sort them.
+
+        Args:
+            facets: Corners, shape (m, 3, 3), counter-clockwise when seen from outside the obstacle.
+            direction: n, a unit vector from the body to the obstacle.
+            source: Where they are given, for messages.
+
+        Raises:
+            InputError: If no facet faces the body.
+        """
+        self._direction, self._across = direction, null_space(direction[None])
+        outward = np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0])
+        volume = np.sum(facets[:, 0] * np.cross(facets[:, 1], facets[:, 2])) / 6
+        closed = np.linalg.norm(outward.sum(axis=0)) < CLOSED * np.linalg.norm(outward, axis=1).sum()
+        inside_out = closed and volume < 0
+        facing = facets[(outward @ direction < 0) & (not inside_out)]
+        points = facing.reshape(-1, 3)
+        try:
+            self._nearest = Triangulated(
+                points @ self._across, -points @ direction, np.arange(len(points)).reshape(-1, 3)
+            )
+        except ValueError:
+            raise InputError(
+                f"{source}: no facet faces the body along n = [{', '.join(f'{x:g}' for x in direction)}]; the normals "
+                "of an STL surface must point out of the obstacle"
+            ) from None
+
+    def gap(self, points: np.ndarray) -> np.ndarray:
+        """Gaps at points, shape (n, 3), to the first facet that faces them."""
+        found = -self._nearest.at(points @ self._across) - points @ self._direction
+        return np.where(np.isnan(found), np.inf, found)
