@@ -295,6 +295,8 @@ def at_surface(level: Level) -> Level:
     Cells have straight edges: midpoints of these, nodes of degree 2, are beside a curve of radius R by h^2/(8 R). The
     curve is known of shapes, and of a .geo or .step.
     """
+    if level.pair.degree == 1:
+        return level
     found = replace(level)
     points = found.points.T.copy()
     if level.shape is not None and level.shape.project is not None:
