@@ -101,10 +101,12 @@ def cell_dofs(V: fem.FunctionSpace) -> np.ndarray:
 
 
 def geometry_dofs(mesh: dmesh.Mesh) -> np.ndarray:
-    """Rows of `mesh.geometry.x` of each local cell, shape (cells, vertices per cell)."""
+    """Rows of `mesh.geometry.x` of the vertices of each local cell, shape (cells, vertices per cell)."""
     geometry = mesh.geometry
     dofs = geometry.dofmaps[0] if VERSION >= (0, 11) else geometry.dofmap
-    return dofs if isinstance(dofs, np.ndarray) else dofs.array.reshape(-1, mesh.ufl_cell().num_vertices())
+    if not isinstance(dofs, np.ndarray):
+        dofs = dofs.array.reshape(dofs.num_nodes, len(dofs.array) // max(dofs.num_nodes, 1))
+    return dofs[:, : called(mesh.ufl_cell().num_vertices)]
 
 
 def geometry_degree(mesh: dmesh.Mesh) -> int:

@@ -72,6 +72,20 @@ def test_scene_without_maximum_principle(name):
     assert not claims["penetration"] and claims["penalty and inequality: energy norm"]
 
 
+BODIES = [one.name for one in cases() if one.known]
+
+
+@pytest.mark.parametrize("name", slow_except(BODIES, "in_a_corner"))
+def test_elastic_body(name):
+    """Penalty and inequality differ by the bound of eps, resultants and moments are those of equilibrium to 1e-8, and
+    forces scale with the unit."""
+    rows = list(judge(case(name).on(0), COMM, FEW, known=case(name).known, units=True))
+    assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), messages(rows)
+    assert len(rows) == 2 + len(FEW)
+    wrong = list(judge(case(name).on(0), COMM, (), known=dict.fromkeys(case(name).known, -1.0)))
+    assert [row["verdict"] for row in wrong] == [FAILED]
+
+
 @pytest.mark.parametrize("name", [one.name for one in cases() if one.refuse])
 def test_scene_without_solution(name):
     """Refused at once, in words, on all ranks."""

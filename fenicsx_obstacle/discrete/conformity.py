@@ -41,12 +41,13 @@ _CELLS = {
 }  # by vertices and dimension
 
 
-def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
+def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[str, ...]:
     """Reject invalid meshes (collective).
 
     Args:
         mesh: From a file, or the caller's own.
         source: Where it is from, for messages.
+        curved: Whether cells may be of degree 2; they are checked by their vertices.
 
     Returns:
         What the user should know.
@@ -55,10 +56,9 @@ def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[str, ...]:
         InputError: If a cell is curved or has no volume, cells of simplices overlap, or parts of these touch without
             shared nodes; naming a place.
     """
-    if (degree := releases.geometry_degree(mesh)) > 1:
-        raise InputError(
-            f"{source}: the mesh has curved cells, of degree {degree}: make one with straight cells, of degree 1"
-        )
+    if (degree := releases.geometry_degree(mesh)) > 1 + curved:
+        wanted = "degree 1 or 2" if curved else "straight cells, of degree 1"
+        raise InputError(f"{source}: the mesh has curved cells, of degree {degree}: make one with {wanted}")
     wrong = _wrong_cell(mesh)
     if wrong is not None:
         raise InputError(f"{source}: {wrong}")

@@ -134,7 +134,7 @@ def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndar
         raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 with {gdim} components, "
                          f"not of {V.ufl_element()}")  # fmt: skip
     pair = vector_pair(pairs()[f"{'P' if cell in SIMPLICES else 'Q'}{degree}"])
-    found = of_mesh(releases.settle(V.mesh), source, facets)
+    found = of_mesh(releases.settle(V.mesh), source, facets, curved=True)
     level = VectorLevel(found.mesh, found.h, facets, None, pair=pair, remarks=found.remarks)
     level.__dict__["V"] = V
     return level

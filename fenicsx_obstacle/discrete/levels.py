@@ -289,11 +289,32 @@ def _above(level: Level, new: dmesh.Mesh, h: float, cells: np.ndarray, places: n
     return fine
 
 
+def at_surface(level: Level) -> Level:
+    """The same level, whose points on curved parts of the boundary are on the true curve or surface (collective).
+
+    Cells have straight edges: midpoints of these, nodes of degree 2, are beside a curve of radius R by h^2/(8 R). The
+    curve is known of shapes, and of a .geo or .step.
+    """
+    if level.pair.degree == 1:
+        return level
+    found = replace(level)
+    points = found.points.T.copy()
+    if level.shape is not None and level.shape.project is not None:
+        dofs = fem.locate_dofs_topological(found.V, level.mesh.topology.dim - 1, level.boundary_facets)
+        points[dofs, : level.mesh.geometry.dim] = level.shape.project(points[dofs, : level.mesh.geometry.dim])
+    if level.to_cad is not None:
+        points = parents.on_cad(found.V, points, level.bent_parts, level.to_cad)
+    found.__dict__["points"] = np.ascontiguousarray(points.T)  # in place of those made on first use
+    return found
+
+
 def of_mesh(
     mesh: dmesh.Mesh,
     source: str,
     facets: dict[str, np.ndarray] | None = None,
     groups: dict[str, np.ndarray] | None = None,
+    *,
+    curved: bool = False,
 ) -> Level:
     """A mesh that is not one of our shapes: h from the volumes of its cells (collective).
 
@@ -302,11 +323,12 @@ def of_mesh(
         source: Where it comes from, for messages.
         facets: Local facets of each named part.
         groups: Owned cells of each named material.
+        curved: Whether cells may be of degree 2.
 
     Raises:
         InputError: If its cells do not fit together.
     """
-    return Level(mesh, _largest_side(mesh), facets, groups, remarks=check_mesh(mesh, source))
+    return Level(mesh, _largest_side(mesh), facets, groups, remarks=check_mesh(mesh, source, curved=curved))
 
 
 def _largest_side(mesh: dmesh.Mesh) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from dolfinx import fem
@@ -16,6 +16,7 @@ from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, f
 from fenicsx_obstacle.parallel import before, on_root
 
 Name = TypeVar("Name", str, tuple[int, int])
+ToCad: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 STAYS = 1e-12  # of its distance from 0: such a move is round-off
 
 
@@ -176,35 +177,48 @@ def snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarray
     mesh.geometry.x[nodes, :gdim] = project(mesh.geometry.x[nodes, :gdim])
 
 
-def snap_to_cad(
-    V: fem.FunctionSpace,
-    parts: dict[tuple[int, int], np.ndarray],
-    to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-) -> None:
+def snap_to_cad(V: fem.FunctionSpace, parts: dict[tuple[int, int], np.ndarray], to_cad: ToCad) -> None:
     """Move vertices onto the curves or surfaces that their facets or cells come from (collective).
-
-    A vertex that would be moved by more than the size of its cells stays: the point is on the other side of a body.
 
     Args:
         V: P1 on a new mesh.
+        parts: As for `on_cad`.
+        to_cad: As `Level.to_cad`.
+    """
+    x, nodes, gdim = V.mesh.geometry.x, releases.dof_nodes(V), V.mesh.geometry.dim
+    moved = on_cad(V, x[nodes], parts, to_cad)
+    x[nodes, :gdim] = moved[:, :gdim]
+
+
+def on_cad(
+    V: fem.FunctionSpace, points: np.ndarray, parts: dict[tuple[int, int], np.ndarray], to_cad: ToCad
+) -> np.ndarray:
+    """Points of the dofs of V, those on facets or cells of curves or surfaces moved to these (collective).
+
+    A point that would be moved by more than the size of its cells stays: the nearest one is on the other side of a
+    body.
+
+    Args:
+        V: Lagrange elements.
+        points: Of its local dofs, shape (dofs, 3).
         parts: Local facets or owned cells on each curve or surface, by its dimension and number, for every rank.
         to_cad: As `Level.to_cad`.
     """
     mesh, comm = V.mesh, V.mesh.comm
-    for dim in {dim for dim, _ in parts}:
+    for dim in sorted({dim for dim, _ in parts}):
         mesh.topology.create_connectivity(dim, mesh.topology.dim)  # of cells to themselves too: newer DOLFINx wants it
-    nodes = {key: releases.dof_nodes(V)[fem.locate_dofs_topological(V, key[0], some.astype(np.int32))]
-             for key, some in parts.items()}  # fmt: skip
-    mine = np.unique(np.concatenate([np.empty(0, np.int64), *nodes.values()])).astype(np.int64)
-    rows = np.concatenate([np.empty(0, np.int64), *(np.searchsorted(mine, some) for some in nodes.values())])
-    entities = np.repeat(np.array(list(nodes)).reshape(-1, 2), [len(some) for some in nodes.values()], axis=0)
+    dofs = {key: fem.locate_dofs_topological(V, key[0], some.astype(np.int32)) for key, some in parts.items()}
+    mine = np.unique(np.concatenate([np.empty(0, np.int64), *dofs.values()])).astype(np.int64)
+    rows = np.concatenate([np.empty(0, np.int64), *(np.searchsorted(mine, some) for some in dofs.values())])
+    entities = np.repeat(np.array(list(dofs)).reshape(-1, 2), [len(some) for some in dofs.values()], axis=0)
     first = before(comm, len(mine))
-    pairs = comm.gather((mesh.geometry.x[mine], rows + first, entities))
+    pairs = comm.gather((points[mine], rows + first, entities))
     found = on_root(comm, lambda: to_cad(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
-    old, new = mesh.geometry.x[mine], found[first : first + len(mine)]
-    distance, size, corner = np.linalg.norm(new - old, axis=1), np.full(len(mesh.geometry.x), np.inf), corners(mesh)
+    old, new = points[mine], found[first : first + len(mine)]
+    distance, size, corner = np.linalg.norm(new - old, axis=1), np.full(len(points), np.inf), corners(mesh)
     longest = np.linalg.norm(corner[:, :, None] - corner[:, None], axis=3).max(axis=(1, 2))
-    np.minimum.at(size, releases.geometry_dofs(mesh), longest[:, None])
+    np.minimum.at(size, releases.cell_dofs(V), longest[:, None])
     far = (distance > STAYS * np.linalg.norm(old, axis=1)) & (distance < size[mine])
-    gdim = mesh.geometry.dim
-    mesh.geometry.x[mine[far], :gdim] = new[far, :gdim]
+    moved = points.copy()
+    moved[mine[far]] = new[far]
+    return moved

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -84,7 +85,7 @@ def near_null_space(problem: RigidMotions, free: np.ndarray) -> PETSc.NullSpace 
     return space
 
 
-class RigidMotions(Problem):
+class RigidMotions(Problem, ABC):
     """A problem whose matrix has rigid body motions as near-null space of algebraic multigrid."""
 
     preconditioner: Mapping[str, str] = {
@@ -99,9 +100,9 @@ class RigidMotions(Problem):
     }
 
     @property
+    @abstractmethod
     def motions(self) -> np.ndarray:
         """Rigid body motions at owned dofs, in the components of w, shape (motions, dofs) (first use is collective)."""
-        raise NotImplementedError
 
     def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
         super().jacobian(x, penalised=penalised)

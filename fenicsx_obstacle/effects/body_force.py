@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class BodyForce(Effect):
-    """The load f of f(v) = int f . v, sampled as `Level.W` is; unit: force per volume.
+class OfComponents(Effect):
+    """An effect on elastic bodies whose datum is a vector.
 
     Attributes:
         value: Its components.
@@ -24,19 +24,24 @@ class BodyForce(Effect):
 
     value: tuple[Field, ...]  # type: ignore[assignment]
 
-    key = "load"
-    equation = "load"
-    term = "- int load . v"
-    unit = "force/volume"
     vector_valued = True
-
-    @classmethod
-    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> BodyForce:
-        return cls(components_of(raw, place, reader))
 
     @property
     def text(self) -> str:
         return f"[{', '.join(part.text for part in self.value)}]"
+
+
+class BodyForce(OfComponents):
+    """The load f of f(v) = int f . v, sampled as `Level.W` is; unit: force per volume."""
+
+    key = "load"
+    equation = "load"
+    term = "- int load . v"
+    unit = "force/volume"
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> BodyForce:
+        return cls(components_of(raw, place, reader))
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import inner

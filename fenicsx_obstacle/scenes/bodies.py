@@ -19,7 +19,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.contact_nodes import KINK, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.levels import Level, at_surface
 from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
 from fenicsx_obstacle.effects.domain.elasticity import Elasticity
@@ -88,7 +88,7 @@ class Body:
         Raises:
             InputError: If the data are invalid.
         """
-        level = replace(level, pair=vector_pair(level.pair))  # pressures at all nodes
+        level = at_surface(replace(level, pair=vector_pair(level.pair)))  # pressures at all nodes
         self.scene, self.level = scene, level
         self.data, self.vectors = Data(scene.model, level), over(level)
         mesh, V = level.mesh, self.vectors.V
@@ -103,7 +103,8 @@ class Body:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they are among the remarks
             F, self.law = residual(scene.effects, self.u, v, self.data), elastic.law(self.u, self.data)
-        self._normals, self.gap = fem.Function(V), fem.Function(level.V)
+        self._normals, self._places, self.gap = fem.Function(V), fem.Function(V), fem.Function(level.V)
+        self._places.x.array.reshape(-1, gdim)[self.vectors.node_of] = level.points[:gdim].T
         self.facing = [self._faced(effect) for effect in scene.effects if isinstance(effect, Obstacle)]
         if not self.facing:
             raise InputError(f"{scene.source}: an elastic body without contact: give a [[boundary]] an obstacle")
@@ -316,7 +317,7 @@ class Body:
             raise InputError(f"{obstacle.source}: a part of it is inside the body; contact is on the boundary")
         dofs = self.data.dofs_on(facets)
         own = dofs[dofs < level.owned]
-        points = np.concatenate(level.comm.allgather(level.points.T[own, :gdim]))
+        points = np.concatenate(level.comm.allgather(self.vectors.nodes.T[self.vectors.node_of[own], :gdim]))
         self._set_normals(obstacle, facets, dofs)
         return Facing(obstacle, facets, dofs, points, fem.Constant(level.mesh, PETSc.ScalarType(0.0)))
 
@@ -371,8 +372,8 @@ class Body:
             raise InputError(f"{words} at {self.data.place(np.array(min(found)))}")
 
     def _compiled(self, one: Facing) -> fem.Expression:
-        """The gap of an obstacle with a shape, at the nodes of V_h."""
-        x, n = ufl.SpatialCoordinate(self.level.mesh), self._normals
+        """The gap of an obstacle with a shape, at the nodes of V_h: from the true surface of the body."""
+        x, n = self._places, self._normals
         moves = one.obstacle.moves or (0.0,) * len(n)
         gap = one.obstacle.gap(x, [n[k] for k in range(len(n))], [part * one.travel for part in moves])
         return releases.expression(gap, self.level.V)

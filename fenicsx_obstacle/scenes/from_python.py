@@ -114,13 +114,17 @@ class OwnMesh:
         """Name of its cells."""
         return releases.cell_name(self.mesh)
 
-    def level(self, source: str) -> Level:
+    def level(self, source: str, *, curved: bool) -> Level:
         """The mesh as the finest level of a hierarchy (collective).
+
+        Args:
+            source: Of the scene, for messages.
+            curved: Whether cells may be of degree 2.
 
         Raises:
             InputError: If its cells do not fit together.
         """
-        return of_mesh(releases.settle(self.mesh), source, self.facets, self.cells)
+        return of_mesh(releases.settle(self.mesh), source, self.facets, self.cells, curved=curved)
 
 
 def _named(mesh: Any, tags: Any, names: Any, dim: int, kind: str) -> dict[str, np.ndarray]:

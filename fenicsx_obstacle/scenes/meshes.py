@@ -62,14 +62,14 @@ def _extents(scene: Scene) -> tuple[object, ...]:
 
 def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level, and how often to refine it."""
-    table, pair = scene.tables.mesh, scene.pair
+    table, pair, curved = scene.tables.mesh, scene.pair, scene.model.vector_valued
     refine = table.refine
     if scene.own_mesh is not None:
-        level = scene.own_mesh.level(scene.source)
+        level = scene.own_mesh.level(scene.source, curved=curved)
     elif table.file is not None:
         path = scene.folder / table.file
         found = files.read(path, comm)
-        level = of_mesh(found.mesh, str(path), found.facets, found.groups)
+        level = of_mesh(found.mesh, str(path), found.facets, found.groups, curved=curved)
         level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
         if found.bent:
             level = replace(level, bent=found.bent, to_cad=partial(moved, path))
@@ -87,6 +87,8 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     if refine and releases.cell_name(level.mesh) not in SIMPLICES:
         finer = "smaller cells in the file" if level.shape is None else "more 'cells'"
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take {finer}")
+    if refine and releases.geometry_degree(level.mesh) > 1:
+        raise InputError(f"{scene.source}: [mesh] refine is for straight cells, of degree 1; take smaller cells")
     return level, refine
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.body_force import components_of
-from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.body_force import OfComponents, components_of
 from fenicsx_obstacle.effects.effect import Reader, Sampler, register
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import counted
@@ -14,22 +13,20 @@ from fenicsx_obstacle.text import counted
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field
-
 
 @register
 @dataclass(frozen=True)
-class Traction(OnPart):
+class Traction(OfComponents):
     """sigma(u) n = traction: - int traction . v; unit: force per area.
 
     The formulas are interpolated between the nodes of the part.
 
     Attributes:
-        value: Its components.
+        part: Which [[boundary]], counted from 0.
         source: Where it stands, for messages.
     """
 
-    value: tuple[Field, ...]  # type: ignore[assignment]
+    part: int
     source: str
 
     key = "traction"
@@ -37,15 +34,10 @@ class Traction(OnPart):
     equation = "traction"
     term = "- int traction . v over its part"
     unit = "force/area"
-    vector_valued = True
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Traction:
         return cls(components_of(raw, place, reader), more["part"], f"{reader.source}: {place}")
-
-    @property
-    def text(self) -> str:
-        return f"[{', '.join(part.text for part in self.value)}]"
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         from ufl import as_vector, inner

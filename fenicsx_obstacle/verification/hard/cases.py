@@ -31,6 +31,7 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         meshes: The two values of `by`, from coarse to fine.
         by: The key that refines: mesh.cells, or mesh.refine for files.
         refuse: Part of the message, where there is no solution and the program must say so.
+        known: Of elastic bodies, names of [report] that are 0 by an independent truth, and how far they may be off.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     meshes: tuple[int, int] = (32, 64)
     by: str = "mesh.cells"
     refuse: str = ""
+    known: dict[str, float] = {}
 
     @cached_property
     def base(self) -> Scene:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
@@ -46,6 +46,7 @@ def judge(
     methods: Sequence[str] = METHODS,
     refuse: str = "",
     *,
+    known: Mapping[str, float] | None = None,
     starts: bool = False,
     units: bool = False,
 ) -> Iterator[Row]:
@@ -57,6 +58,7 @@ def judge(
         epsilons: From large to small.
         methods: penalty, successive.
         refuse: Part of the message with which the scene must be rejected; empty where it has a solution.
+        known: Of elastic bodies, as `judge_body` takes it.
         starts: Solve from other starting guesses as well.
         units: Solve in other units as well.
     """
@@ -64,6 +66,11 @@ def judge(
         from fenicsx_obstacle.verification.hard.moving import judge_moving  # only where a scene has time
 
         yield from judge_moving(scene, comm, epsilons, methods)
+        return
+    if scene.model.vector_valued:
+        from fenicsx_obstacle.verification.hard.bodies import judge_body  # only where a scene has an elastic body
+
+        yield from judge_body(scene, comm, epsilons, refuse, known or {}, units=units)
         return
     start = time.perf_counter()
     try:

@@ -17,6 +17,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors, gathered
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.verification.hard import bodies
 from fenicsx_obstacle.verification.hard.cases import case
 from fenicsx_obstacle.verification.hard.invariants import Finding, energy_round_off
 from fenicsx_obstacle.verification.hard.judge import METHODS, TRIAL, take
@@ -28,6 +29,8 @@ GRID = 1e-6  # of the extent: places nearer than this are one
 def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
     """u, p, how far they may be off, and the energy of each method, at nodes in the order of places, on rank 0;
     empty elsewhere (collective)."""
+    if scene.model.vector_valued:
+        return bodies.fields_of(scene, comm)
     found: Fields = {}
     with closing(SolverContext(scene, comm)) as context, closing(ReferenceProblem(context.problem)) as ground:
         level = context.problem.level
@@ -67,6 +70,8 @@ def _by_place(points: np.ndarray) -> np.ndarray:
 
 def agree_on(one: Fields, other: Fields, method: str) -> list[Finding]:
     """Findings of one method on one rank and on another number of ranks."""
+    if f"{method}.u" not in one:
+        return bodies.agree_on(one, other, method)
     apart = {name: np.abs(one[f"{method}.{name}"] - other[f"{method}.{name}"]) for name in "up"}
     margin = {name: one[f"{method}.{name}"] + other[f"{method}.{name}"] for name in "zq"}
     energies = one[f"{method}.energy"], other[f"{method}.energy"]

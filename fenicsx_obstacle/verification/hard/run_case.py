@@ -22,7 +22,8 @@ def rows_of(one: Case) -> Iterator[Row]:
     """Both meshes of a case (collective)."""
     for mesh, value in enumerate(one.meshes):
         coarse = mesh == 0
-        for row in judge(one.on(mesh), refuse=one.refuse, starts=True, units=coarse and not one.refuse):
+        units = coarse and not one.refuse
+        for row in judge(one.on(mesh), refuse=one.refuse, known=one.known, starts=True, units=units):
             yield {"case": one.name, "family": one.family, "mesh": value, **row}
 
 

@@ -61,8 +61,8 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
         verdicts=Counter(row["verdict"] for row in rows),
         unknowns=fine[0]["dofs"] if fine else None,
         monotone=fine[0]["monotone"] if fine else None,
-        steps={method: max((row["newton_iterations"] for row in solved if row["method"] == method), default=0)
-               for method in ("vi", *METHODS)},
+        steps={method: max(row["newton_iterations"] for row in solved if row["method"] == method)
+               for method in ("vi", *METHODS) if any(row["method"] == method for row in solved)},
         penetration=_most(ratios["penetration"]),
         work=None if work is None else work**2,
         moved=_moved(case, solved),

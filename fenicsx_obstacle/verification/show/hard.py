@@ -99,7 +99,7 @@ def _described(figures: Summary) -> list[str]:
     verdicts = _verdicts(figures)
     if figures.unknowns is None:
         return [one.name, one.hard, *[""] * (len(MARKDOWN) - 3), verdicts]
-    steps = ", ".join(str(figures.steps[method]) for method in ("vi", *METHODS))
+    steps = ", ".join(str(figures.steps.get(method, "-")) for method in ("vi", *METHODS))
     numbers = [_number(value) for value in (figures.penetration, figures.work, figures.off, figures.plain)]
     return [one.name, one.hard, str(figures.unknowns), "holds" if figures.monotone else "-", steps, *numbers,
             _share(figures.moved), verdicts]  # fmt: skip
@@ -116,7 +116,7 @@ def _verdicts(figures: Summary) -> str:
 
 def _cells(figures: Summary) -> tuple[Any, ...]:
     one, count = figures.case, figures.verdicts
-    steps = [figures.steps[method] or "" for method in ("vi", *METHODS)]
+    steps = [figures.steps.get(method) or "" for method in ("vi", *METHODS)]
     maximum = {True: "yes", False: "no", None: ""}[figures.monotone]
     counts = [count[verdict] for verdict in (RIGHT, REJECTED, FAILED)]
     return one.name, one.family, *counts, *steps, maximum, _share(figures.moved), f"{figures.seconds:.1f}"
