@@ -75,6 +75,7 @@ def test_scene_without_maximum_principle(name):
 BODIES = [one.name for one in cases() if one.known]
 
 
+@pytest.mark.serial  # as the suite, which judges on one rank and compares pressures on more of them
 @pytest.mark.parametrize("name", slow_except(BODIES, "in_a_corner"))
 def test_elastic_body(name):
     """Penalty and inequality differ by the bound of eps, resultants and moments are those of equilibrium to 1e-8, and

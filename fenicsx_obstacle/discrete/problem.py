@@ -127,6 +127,12 @@ class Problem:
             u_values = np.where(np.isnan(self._start), u_values, self._start)
         return u_values
 
+    def flat(self) -> np.ndarray:
+        """Heights of data above the lowest one: a u that equals boundary values and obstacles, and is constant
+        elsewhere; local dofs (collective)."""
+        u_values = self.cold_start()
+        return np.asarray(u_values - smallest(self.level.comm, u_values))
+
     def move(self, u_values: np.ndarray) -> bool:
         """Update the data for the present time and set u; returns whether the stiffness has changed.
 

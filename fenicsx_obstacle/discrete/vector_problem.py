@@ -120,16 +120,23 @@ class VectorProblem(RigidMotions):
 
     def cold_start(self) -> np.ndarray:
         """u = 0 but for given values; beyond the obstacle at all contact nodes, where contact alone holds the body."""
-        dofs, given = self.data.fixed
-        u_values = np.zeros(len(given.x.array))
-        u_values[dofs] = given.x.array[dofs]
         if not self.floating:
-            return self.between(u_values)
-        w = self.data.contact.rotated(u_values)
+            return self.flat()
+        w = self.data.contact.rotated(self._given())
         for bound, sign in self.bounded_sides():
             there = np.isfinite(bound)
             w[there] = bound[there] + sign * self.data.extent
         return self.data.contact.rotated(w)
+
+    def flat(self) -> np.ndarray:
+        """Displacements of the data: given values, and those of contact nodes that obstacles displace, otherwise 0."""
+        return self.between(self._given())
+
+    def _given(self) -> np.ndarray:
+        dofs, given = self.data.fixed
+        u_values = np.zeros(len(given.x.array))
+        u_values[dofs] = given.x.array[dofs]
+        return u_values
 
     def between(self, u_values: np.ndarray) -> np.ndarray:
         contact = self.data.contact

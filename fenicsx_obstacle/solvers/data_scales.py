@@ -44,10 +44,10 @@ def forces_of_data(problem: Problem) -> float:
     comm, forms = problem.level.comm, problem.forms
     w, r, elastic = problem.w.x.array, problem.reference.x.array, problem.elastic.array
     kept = w.copy(), r.copy(), elastic.copy()
-    flat = problem.cold_start()
+    flat = problem.flat()
     r[:] = 0.0
     sums = [problem.load]
-    for heights, rows in ((0.0, ~problem.fixed), (flat - smallest(comm, flat), slice(None))):
+    for heights, rows in ((0.0, ~problem.fixed), (flat, slice(None))):
         w[:] = heights
         forms.set_reference()
         forms.elastic(problem.elastic)
