@@ -104,9 +104,11 @@ def geometry_dofs(mesh: dmesh.Mesh) -> np.ndarray:
     """Rows of `mesh.geometry.x` of the vertices of each local cell, shape (cells, vertices per cell)."""
     geometry = mesh.geometry
     dofs = geometry.dofmaps[0] if VERSION >= (0, 11) else geometry.dofmap
+    vertices = called(mesh.ufl_cell().num_vertices)
     if not isinstance(dofs, np.ndarray):
-        dofs = dofs.array.reshape(dofs.num_nodes, len(dofs.array) // max(dofs.num_nodes, 1))
-    return dofs[:, : called(mesh.ufl_cell().num_vertices)]
+        cells = dofs.num_nodes
+        dofs = dofs.array.reshape(cells, len(dofs.array) // cells if cells else vertices)
+    return dofs[:, :vertices]
 
 
 def geometry_degree(mesh: dmesh.Mesh) -> int:
