@@ -1,7 +1,8 @@
 # %% [markdown]
 # # A certified tolerance
 #
-# A solution without its error is of little use in a proof of safety. For tension and load on triangles, `solve(scene,
+# A solution without its error is of little use in a proof of safety. For a scene whose effects are a
+# tension and a load, on a mesh of triangles (the page *Error bound* lists what else is covered), `solve(scene,
 # tol=0.03)` refines the mesh and reduces the penalty parameter until the relative error in the energy norm
 # $\|v\|_a = (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %.
 #

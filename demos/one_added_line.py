@@ -1,8 +1,8 @@
 # %% [markdown]
 # # One added line in a DOLFINx code of your own
 #
-# Everything below is DOLFINx and PETSc as you know them, except the lines marked with <---. The penalty method of
-# Kikuchi adds one term to a residual $F(u; v)$: find $u \in V_h$ with
+# Everything below is DOLFINx and PETSc as you know them, except the import from `fenicsx_obstacle` and the lines marked
+# with <---. The penalty method of Kikuchi adds one term to a residual $F(u; v)$: find $u \in V_h$ with
 #
 # $$ F(u; v) - \frac1\varepsilon\, I((g - u)^+, v) = 0 \quad \text{for all } v \in V_h, $$
 #

@@ -16,8 +16,8 @@
 # `out/kikuchi`. Spyder and VS Code run single cells. For a notebook: `.venv/bin/pip install jupyterlab jupytext`, then
 # `.venv/bin/jupytext --to notebook docs/kikuchi_in_an_hour.py`.
 #
-# Before any section, run the next code cell (imports and helper functions); no section needs another section. The
-# first run compiles forms and takes longer.
+# Before any section, run the next code cell (imports and helper functions); the code of no section needs that of
+# another. The first run compiles forms and takes longer.
 
 # %%
 from itertools import pairwise
@@ -226,14 +226,16 @@ keep(page, "3_h")
 #
 # $$ \sup_{v \in V_h} I(q, v)/\|v\|_1 \ge \alpha_h \|q\|_0 \quad \text{for all } q \in Q_h. \qquad (3.18) $$
 #
-# Examples 2 and 3 of the paper prove it with $\alpha_h = h/C$. This order is optimal: for a q that changes sign from
-# node to node, $I(q, v)/\|v\|_1$ is at most of order $h\,\|q\|_0$ for every v. Hence the 1/h and 1/h^2 of (5.5). The
-# reason is the norm. The dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, v in $H^1_0$, of such a pressure is small too.
-# With it in place of $\|q\|_0$ in (3.18), the constant is called $\beta_h$ and is bounded away from 0.
-# Therefore (5.8) and (5.9) lose no power of h. In the definitions of both constants, q is 0 at the boundary nodes,
+# The paper proves it with $\alpha_h = h/C$ for P1 (Example 2) and for Q1 with the trapezoid rule (Example 3). This
+# order is optimal: for a q that changes sign from node to node, $I(q, v)/\|v\|_1$ is at most of order $h\,\|q\|_0$ for
+# every v. Hence the 1/h and 1/h^2 of (5.5). The loss comes from measuring q in $L^2$: for such a q the left side of
+# (3.18) is small, but $\|q\|_0$ is not. Its dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, v in $H^1_0$, is small as
+# well. With $\|q\|_1^*$ in place of $\|q\|_0$ in (3.18), the constant is called $\beta_h$ and is bounded away from 0.
+# Therefore (5.8) and (5.9) lose no power of h. Both constants are taken over q that are 0 at the boundary nodes,
 # because every v in $V_h$ vanishes there.
 #
-# **Exercise 4.1.** Add `"P1-voronoi"` on criss-cross meshes (`"diagonal": "crossed"`). Which of the two constants
+# **Exercise 4.1.** Add `"P1-voronoi"` (P1, where the weight of a node in I is its Voronoi area, see section 6) to the
+# loop, with `"diagonal": "crossed"` in its mesh. Which of the two constants
 # changes its order?
 #
 # **Exercise 4.2.** Why is $\alpha_h = 0$ if q need not vanish at the boundary nodes?
@@ -266,11 +268,11 @@ keep(page, "4_stability")
 # %% [markdown]
 # ## 5. A pair that is not stable
 #
-# Example 3: Q1 with one-point Gauss for I. The penalty now acts at the centres of the cells. On n x n cells there are
-# n^2 centres for (n - 1)^2 interior nodes, so that 2n - 1 independent pressures q do no work: I(q, v) = 0 for all v in
-# $V_h$. One of them is a checkerboard, whose mean around each node is 0. The equations determine $p_h$ only up to
-# these q; only the condition $p_h \le 0$ limits how much of them $p_h$ contains. u is as accurate as with the
-# trapezoid rule, the pressure is not.
+# Example 3 also has Q1 with one-point Gauss for I, for which $\alpha_h$ need not be positive. The penalty now acts at
+# the centres of the cells. On n x n cells there are n^2 centres for (n - 1)^2 interior nodes, so that 2n - 1
+# independent pressures q do no work: I(q, v) = 0 for all v in $V_h$. One of them is a checkerboard, whose mean around
+# each node is 0. The equations determine $p_h$ only up to these q; only the condition $p_h \le 0$ limits how much of
+# them $p_h$ contains. u is as accurate as with the trapezoid rule, the pressure is not.
 #
 # **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that each is the sum of a
 # pressure that alternates in sign along x and one that alternates along y.
@@ -308,12 +310,11 @@ keep(page, "5_chessboard")
 #
 # - The factors 3/2 and 3/4 make the pressure oscillate from node to node; $\varepsilon = h^2$ damps this, a much
 #   smaller $\varepsilon$ does not.
-# - `P1-voronoi` gives each node its Voronoi area, here $h^2/2$. This is a rule with positive weights (3.6) as well.
+# - `P1-voronoi` gives each node its Voronoi area, here $h^2/2$. These weights are positive here, as (3.6) asks.
 #
 # **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
 #
-# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$: at a node in the centre of a
-# square, and at one at a corner.
+# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$: at the centre of a square and at a corner.
 
 # %%
 curved = Scene(
