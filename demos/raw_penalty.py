@@ -2,9 +2,10 @@
 
 int k max(u_y - g, 0) v_y ds is integrated by a Gauss rule; the pressure at nodes is k max(u_y - g, 0). Here E* = 1 and
 half the width of contact is 1: k is in units of E* per half-width. With a k that is too small the cylinder sinks
-in. With a large one Gauss points between the nodes decide, where linear u and a curved gap differ by h^2/8R: the force
-is right, and the nodal pressure means nothing. With 1e8 the usual test of the residual, relative to the first one, is
-passed far from the solution.
+in. With a large k, u is pressed onto the gap at the Gauss points, which lie between the nodes. There linear u differs
+from the curved gap by up to h^2/(8R), with the size h of the cells and the radius R, and k times this difference is
+much more than the pressure: the force is right, and the pressure at nodes means nothing. Newton's method, from u = 0,
+takes more steps for a larger k.
 
 mpirun -n 2 python3 raw_penalty.py
 """
@@ -49,7 +50,7 @@ problem = ObstacleProblem(F, u, bcs=bcs, upper=gap, of=u[1], measure=ds(3))
 
 
 def raw(k, limit=40):
-    """Newton's method with full steps, a direct solver, and the usual test of the residual."""
+    """Newton's method with full steps, a direct solver, and the usual test: the residual over the first one."""
     u.x.array[:] = 0.0
     form = F + k * ufl.max_value(u[1] - gap, 0) * v[1] * ds(3)
     residual, jacobian = releases.form(form), releases.form(ufl.derivative(form, u))
@@ -66,7 +67,7 @@ def raw(k, limit=40):
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         fem.petsc.set_bc(b, bcs, releases.vec(u), -1.0)
         size = b.norm()
-        first = max(first, size)
+        first = first or size
         if step and size < 1e-8 * first:
             return step
         ksp.setOperators(A)
@@ -87,7 +88,7 @@ def error(x, p, force):
 
 def told(way, steps, x, p, force):
     if comm.rank == 0:
-        steps = "none of 40 ends" if steps is None else f"{steps} steps"
+        steps = "not in 40 steps" if steps is None else f"{steps} steps"
         print(f"{way:16s} {steps:16s} force {force:.5f}, error of p {error(x, p, force):.1%}")
 
 
