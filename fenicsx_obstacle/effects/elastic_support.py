@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.body_force import components_of
+from fenicsx_obstacle.effects.body_force import OfComponents, components_of
 from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.effect import Reader, Sampler
 from fenicsx_obstacle.errors import InputError
@@ -13,8 +13,6 @@ from fenicsx_obstacle.text import counted
 
 if TYPE_CHECKING:
     import ufl
-
-    from fenicsx_obstacle.effects.field import Field
 
 UNIT = "force/length^3"
 
@@ -40,17 +38,17 @@ class NormalSpring(OnPart):
 
 
 @dataclass(frozen=True)
-class ElasticSupport(OnPart):
+class ElasticSupport(OfComponents):
     """The components of sigma(u) n are -spring_k u_k: + int sum spring_k u_k v_k, spring_k >= 0.
 
     The formulas are interpolated between the nodes of the part; unit: force per area and length.
 
     Attributes:
-        value: The stiffness of each component.
+        part: Which [[boundary]], counted from 0.
         source: Where it stands, for messages.
     """
 
-    value: tuple[Field, ...]  # type: ignore[assignment]
+    part: int
     source: str
 
     key = "spring"
@@ -58,15 +56,10 @@ class ElasticSupport(OnPart):
     equation = "- diag(spring) u"
     term = "+ int diag(spring) u . v over its part"
     unit = UNIT
-    vector_valued = True
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> ElasticSupport:
         return cls(components_of(raw, place, reader), more["part"], f"{reader.source}: {place}")
-
-    @property
-    def text(self) -> str:
-        return f"[{', '.join(part.text for part in self.value)}]"
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         if len(self.value) != len(u):

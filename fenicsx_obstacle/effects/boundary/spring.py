@@ -30,7 +30,7 @@ class Spring(OnPart):
     dimension = (-1, 0, 1)
 
     @classmethod
-    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> OnPart:
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Any:
         if isinstance(raw, list | tuple) or reader.of_body:
             from fenicsx_obstacle.effects import elastic_support as of_bodies  # only where a scene has a vector
 
