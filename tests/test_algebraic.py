@@ -204,10 +204,16 @@ def test_given_values_are_interpolated_from_given_values():
 
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_counts_are_those_of_one_rank(method):
-    """The coarse nodes do not depend on the ranks, and counts hardly do."""
+    """The coarse nodes and the Newton steps do not depend on the ranks; Krylov iterations hardly do.
+
+    Gauss-Seidel smooths on each rank alone, so a linear solve may need one iteration more. DOLFINx cuts the mesh in
+    another way in each run.
+    """
     ours = solve(Scene(mesh=square(80), **BALL), method=method)
     alone = solve(Scene(mesh=square(80, MPI.COMM_SELF), **BALL), method=method)
-    assert np.all(np.abs(np.subtract(counts(ours), counts(alone))) <= 2)
+    (steps, iterations), (steps_alone, iterations_alone) = counts(ours), counts(alone)
+    assert steps == steps_alone
+    assert abs(iterations - iterations_alone) <= steps
     assert ours.record["contact"]["area"] == pytest.approx(alone.record["contact"]["area"], rel=1e-9)
     assert ours.record["energy"] == pytest.approx(alone.record["energy"], rel=1e-9)
     levels = [[one.level.dofs for one in levels_of(square(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]

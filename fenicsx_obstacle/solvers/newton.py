@@ -134,8 +134,8 @@ def smallest_eps(problem: Problem) -> float:
     """
     if not problem.affine or not problem.level.pair.nodal:
         return 0.0
-    flexible = problem.weights / problem.nodal.diagonal
-    flexible *= problem.touchable
+    stiff = problem.touchable & (problem.nodal.diagonal > 0)
+    flexible = np.divide(problem.weights, problem.nodal.diagonal, out=np.zeros(len(stiff)), where=stiff)
     return max(largest(problem.level.comm, flexible), 0.0) / STIFFEST
 
 
