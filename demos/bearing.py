@@ -1,17 +1,17 @@
 # %% [markdown]
 # # A journal bearing
 #
-# A shaft turns in a bearing with the eccentricity $e$ (axis distance over clearance). The oil film has the
-# thickness $H = 1 + e \cos\theta$. The unknown $u$ is the pressure of the film and satisfies Reynolds' equation.
-# Where the gap opens, the film cavitates: its pressure cannot fall below that of the air, $u \ge 0$. The multiplier $p$
-# of this constraint is 0 in the film, and positive only where it cavitates. In dimensionless form, on the surface of a
-# cylinder,
+# A shaft turns in a bearing. The eccentricity $e$ is the distance between the axes of shaft and bearing, divided by the
+# clearance. The oil film has the thickness $H = 1 + e \cos\theta$ in units of the clearance. The unknown $u$ is the
+# pressure of the film and satisfies Reynolds' equation. Where the gap opens, the film cavitates: its pressure cannot
+# fall below that of the air, so that $u \ge 0$. The multiplier $p$ of this constraint is 0 in the film, and positive
+# only where the film cavitates. The dimensionless problem on the surface of a cylinder is
 #
 # $$ -\nabla \cdot (H^3 \nabla u) = 6 e \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$
 #
-# The file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`) for a bearing as long
-# as its diameter. It reports the *Sommerfeld number* $S$, which is small if the load is large, and the *attitude*, the
-# angle between the load and the narrowest gap.
+# The scene file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`), for a bearing whose
+# length is equal to its diameter. The scene reports the *Sommerfeld number* $S$, which is small if the load is large,
+# and the *attitude*, the angle in degrees between the load and the narrowest gap.
 #
 # Run it in the clone with `.venv/bin/python demos/bearing.py`.
 
@@ -29,8 +29,8 @@ bearing = Scene.read("demos/bearing.toml")
 # %% [markdown]
 # ## A sweep
 #
-# `study` solves the scene for several values of a parameter, here `ecc` of `[define]`, and returns a list of
-# dictionaries. The known values are those of Raimondi and Boyd (1958).
+# `study` solves the scene for several values of a parameter, here for the eccentricity `ecc` of the table `[define]`.
+# It returns a list with one dictionary per value. The known values are those of Raimondi and Boyd (1958).
 
 # %%
 known = {0.1: (1.33, 79.5), 0.2: (0.631, 74.02), 0.4: (0.264, 63.10), 0.6: (0.121, 50.58), 0.8: (0.0446, 36.24)}
@@ -46,9 +46,9 @@ assert np.allclose([angle for _, angle in found], [angle for _, angle in known.v
 # %% [markdown]
 # ## A target
 #
-# In practice load, speed and viscosity are given, and with them $S$; the eccentricity is wanted. For $S = 0.2$ SciPy's
-# `brentq` solves $S(e) = 0.2$. All ranks must call `solve`, and all get the same value, so that they take the same
-# steps.
+# In practice load, speed and viscosity are given. They determine $S$, and the eccentricity is unknown. Here SciPy's
+# `brentq` finds the eccentricity with $S(e) = 0.2$. All ranks must call `solve`. All ranks also get the same value, so
+# that `brentq` takes the same steps on each of them.
 
 
 # %%

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # A certified tolerance
 #
-# A solution without its error is of little use in a proof of safety. For a scene whose effects are a
-# tension and a load, on a mesh of triangles (the page *Error bound* lists what else is covered), `solve(scene,
-# tol=0.03)` refines the mesh and reduces the penalty parameter until the relative error in the energy norm
-# $\|v\|_a = (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %.
+# A solution whose error is unknown is of little use in a proof of safety. `solve(scene, tol=0.03)` refines the mesh and
+# reduces the penalty parameter until the relative error in the energy norm
+# $\|v\|_a = (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %. This works for scenes with a tension $\mu$ and
+# a load $f$ on a mesh of triangles. The page *Error bound* of the documentation lists the other cases that are covered.
 #
 # The proof is an inequality without unknown constants. Let $v_h$ be a function close to the computed solution that
 # satisfies the obstacle constraint $v_h \ge \psi$. From the computed solution the program constructs a multiplier
@@ -13,9 +13,9 @@
 # $$ \|u - v_h\|_a \le \frac S2 + \sqrt{\frac{S^2}4 + \int \lambda\,(v_h - \psi)}, \qquad
 #    S = \|\mu^{1/2} \nabla v_h - \mu^{-1/2} \sigma\|_0 . $$
 #
-# The bound of the computed solution $u_h$ adds $\|v_h - u_h\|_a$, which is computed. The page *Error bound* of the
-# documentation has the proof, and further terms for a load that varies within triangles. All terms can be computed and
-# are sums over triangles; triangles with large contributions are refined.
+# The bound for the computed solution $u_h$ is this bound plus $\|v_h - u_h\|_a$. The page *Error bound* has the proof,
+# and further terms for a load that varies within triangles. All terms can be computed and are sums over
+# triangles. The program refines the triangles with large contributions.
 #
 # Run it in the clone with `.venv/bin/python demos/certified.py`.
 
@@ -53,15 +53,15 @@ for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
 # The bound is larger than the error, as it must be, and at most three times as large. Its parts are
 # attributes of `solution.bound`: `discretisation`, `penalty`, `algebraic` (the linear solver) and `data`.
 #
-# If a part of the data is known by samples only, such as a Python callable, `bound.words` says so: *certified for the
-# sampled load*. `bound.guaranteed` is true only if `bound.words` is exactly *certified*. If the tolerance cannot be
-# reached with the memory of the machine, or within a budget such as `solve(..., budget="60s")`, the best solution is
-# returned and `solution.adaptive.reached` is false.
+# If a part of the data is known by samples only, such as a load given as a Python callable, `bound.words` is *certified
+# for the sampled load*. `bound.guaranteed` is true only if `bound.words` is exactly *certified*. If the tolerance
+# cannot be reached with the memory of the machine, or within a budget such as `solve(..., budget="60s")`, the program
+# returns the best solution, and `solution.adaptive.reached` is false.
 #
 # ## Picture
 #
-# The last mesh is fine where the curvature of $u$ is large, and finest beside the free boundary. The bound falls like
-# $N^{-1/2}$ with the number of unknowns $N$, the best possible order for linear elements.
+# The last mesh is fine where the curvature of $u$ is large, and finest beside the free boundary. With the number of
+# unknowns $N$ the bound decreases like $N^{-1/2}$, which is the best possible order for linear elements.
 
 # %%
 last = solutions[-1]

@@ -2,19 +2,21 @@
 # # On a cluster: job script, checkpoint, restart
 #
 # A slab of ice at its melting point is heated on the left side. The temperature $\theta$ of the water obeys the heat
-# equation, and the front moves at a speed proportional to the heat that arrives there (Stefan's problem). Duvaut's
-# transformation $u = \int_0^t \theta$ makes an obstacle problem of it: with latent heat 1,
+# equation, and the front between water and ice moves at a speed proportional to the heat flux that arrives there
+# (Stefan's problem). Duvaut's transformation $u = \int_0^t \theta$ turns it into an obstacle problem. With latent heat
+# 1 the problem is
 #
 # $$ u_t - \Delta u = -1 + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0, \qquad u = t \text{ on the left side}, $$
 #
-# and the ice is where $u = 0$. For a plane front the solution is known: the front is at $s(t) = 2 \beta \sqrt t$, where
+# The ice is the region where $u = 0$. For a plane front the solution is known: the front is at
+# $s(t) = 2 \beta \sqrt t$, where
 #
 # $$ \sqrt\pi\, \beta\, e^{\beta^2} \operatorname{erf} \beta = 1, \qquad \beta = 0.6201 . $$
 #
 # ## The job
 #
-# A scene file needs no Python. This is a job for Slurm on two nodes with 32 processes each; the folder must be on a
-# file system that all nodes see.
+# A scene file can be solved without Python. The following job script for Slurm uses two nodes with 32 processes each.
+# The folder of the result must be on a file system that all nodes share.
 #
 # ```sh
 # #!/bin/bash
@@ -24,7 +26,7 @@
 # ```
 #
 # The state is saved in `$SCRATCH/ice/checkpoint.h5` every 20 seconds and at the end. If the job reaches its time limit,
-# the next one continues, on any number of processes:
+# the next job continues from this file, on any number of processes:
 #
 # ```sh
 # srun fenicsx-obstacle solve ice.toml --output $SCRATCH/ice --restart $SCRATCH/ice
@@ -32,7 +34,7 @@
 #
 # ## The same in Python
 #
-# This file is also a job: `srun python cluster.py`. On a workstation run it in the clone with
+# This file can also be run as a job, with `srun python cluster.py`. On a workstation run it in the clone with
 # `mpirun -n 2 .venv/bin/python demos/cluster.py`.
 
 # %%
@@ -65,8 +67,8 @@ half = scene.change({"time.end": 0.5, "time.steps": 25})
 first = solve(half, keep="ice")
 
 # %% [markdown]
-# The second job continues with the checkpoint up to $t = 1$. Its history contains the steps of both jobs, and agrees
-# with that of a run without interruption.
+# The second job continues from the checkpoint up to $t = 1$. Its history contains the steps of both jobs and agrees
+# with the history of a run without interruption.
 
 # %%
 second = solve(scene, keep="ice", restart="ice")
@@ -87,8 +89,8 @@ assert error < 2 / 128  # one cell
 # %% [markdown]
 # ## Results
 #
-# `save` writes a folder in parallel; each process writes its own rows. `read` takes it again on any number of
-# processes, for example on a workstation. `fields.xdmf` in the folder opens in ParaView.
+# `save` writes a folder in parallel: each process writes its own rows. `read` reads the folder on any number of
+# processes, for example on a workstation. ParaView opens the file `fields.xdmf` in the folder.
 
 # %%
 second.save("ice")
@@ -97,7 +99,8 @@ assert np.isclose(read.at([0.5, 0.06]), second.at([0.5, 0.06]), rtol=1e-12)
 
 # %% [markdown]
 # Every rank has the same values in `second.report`, so that a test or a print needs no communication. Functions such as
-# `second.u` are distributed, as always in DOLFINx. What processes gain is measured in the page *Performance*.
+# `second.u` are distributed, as always in DOLFINx. The page *Performance* of the documentation has the speed-up by
+# several processes.
 
 # %%
 line = second.along([0, 0.06], [2, 0.06], n=201)

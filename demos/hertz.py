@@ -1,4 +1,4 @@
-"""A rigid cylinder pressed on an elastic block in plane strain, beside the formulas of Hertz.
+"""A rigid cylinder pressed on an elastic block in plane strain, compared with the formulas of Hertz.
 
 mpirun -n 2 python3 hertz.py
 """

@@ -7,12 +7,12 @@
 #
 # $$ -\Delta u = p, \qquad u \ge \psi, \qquad p \ge 0, \qquad p\,(u - \psi) = 0 \quad \text{in } \Omega . $$
 #
-# The boundary values are those of a radial solution: the membrane touches the ball for $r \le a$, and is
-# $u = A \ln(R/r)$ outside with $R = 2$. Value and slope agree at $r = a$ if
+# The boundary values are those of a radial solution: the membrane touches the ball for $r \le a$, and
+# $u = A \ln(R/r)$ with $R = 2$ for $r > a$. At $r = a$ this $u$ has the same value and slope as the ball if
 #
 # $$ a^2 \left(1 + \ln \frac Ra\right) = 1, \qquad A = \frac{a^2}{\sqrt{1 - a^2}}, $$
 #
-# so that $a = 0.69797$ and $A = 0.68026$. The force on the ball is $2\pi A$.
+# This gives $a = 0.69797$ and $A = 0.68026$. The force on the ball is $2\pi A$.
 #
 # Run it in the clone with `.venv/bin/python demos/membrane.py`, or in parallel with
 # `mpirun -n 2 .venv/bin/python demos/membrane.py`.

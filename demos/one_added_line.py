@@ -1,13 +1,13 @@
 # %% [markdown]
 # # One added line in a DOLFINx code of your own
 #
-# Everything below is DOLFINx and PETSc as you know them, except the import from `fenicsx_obstacle` and the lines marked
+# The code below is ordinary DOLFINx and PETSc, except the import from `fenicsx_obstacle` and the lines marked
 # with <---. The penalty method of Kikuchi adds one term to a residual $F(u; v)$: find $u \in V_h$ with
 #
 # $$ F(u; v) - \frac1\varepsilon\, I((g - u)^+, v) = 0 \quad \text{for all } v \in V_h, $$
 #
-# where $g$ is a lower obstacle and $I$ a quadrature rule at the nodes. The contact pressure is
-# $p = (g - u)^+/\varepsilon$ at the nodes. It does not matter whether $F$ is linear in $u$.
+# where $g$ is a lower obstacle and $I$ a quadrature rule whose points are the nodes. The contact pressure at the nodes
+# is $p = (g - u)^+/\varepsilon$. $F$ may be linear or nonlinear in $u$.
 #
 # Run it in the clone with `.venv/bin/python demos/one_added_line.py`.
 
@@ -29,7 +29,7 @@ functionspace = getattr(fem, "functionspace", None) or fem.FunctionSpace  # its 
 # %% [markdown]
 # ## A Newton solver as in any DOLFINx code
 #
-# SNES with residual and Jacobian, nothing special to obstacles.
+# This function sets up SNES with residual and Jacobian. It contains nothing that is specific to obstacles.
 
 
 # %%
@@ -74,8 +74,8 @@ def newton(F, u, bc, rtol):
 # %% [markdown]
 # ## The residual, and the added line
 #
-# $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$ for any stress $\sigma$, with given boundary values. A
-# ball of radius 1 pushes $u$ up.
+# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$ for any stress $\sigma$, with given
+# boundary values. The obstacle is a ball of radius 1 below $u$.
 
 
 # %%
@@ -107,15 +107,14 @@ def over_ball(stress, outside, cells=64, eps=1e-4, rtol=1e-10):
 # %% [markdown]
 # ## A linear equation: a membrane
 #
-# $\sigma = \nabla u$. Outside of the contact set $u = A \ln(2/r)$ with $A = 0.68026$ (see the tutorial *A membrane over
-# an obstacle*), and the force on the ball is $2 \pi A$.
+# For a membrane $\sigma = \nabla u$. Outside of the contact set the exact solution is $u = A \ln(2/r)$ with
+# $A = 0.68026$ (see the tutorial *A membrane over an obstacle*), and the force on the ball is $2 \pi A$.
 #
 # ## A nonlinear equation: a soap film
 #
 # The energy of a soap film is its area, so that $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
-# set
-# the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$. It touches the ball at $r = b$ without a kink if $a =
-# b^2$, and the force is $2 \pi a$. Here $b = 0.6$.
+# set the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$. It leaves the ball at $r = b$ without a kink if
+# $a = b^2$, and the force is $2 \pi a$. Here $b = 0.6$.
 
 # %%
 A, b = 0.680259411891719, 0.6

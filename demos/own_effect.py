@@ -1,17 +1,17 @@
 # %% [markdown]
 # # An effect of your own: a microswitch that is pulled in by a voltage
 #
-# A membrane hangs at distance 1 above an electrode. A voltage pulls it down with the force $\lambda/(1 + u)^2$ per
-# area,
-# where $\lambda$ is the square of the voltage in suitable units. The electrode has an insulating layer, on which the
-# membrane comes to rest, so that $u \ge -0.8$:
+# A membrane is fixed at distance 1 above an electrode. A voltage pulls the membrane down with the force
+# $\lambda/(1 + u)^2$ per area, where $\lambda$ is the square of the voltage in suitable units. The electrode is covered
+# by an insulating layer on which the membrane can rest, so that $u \ge -0.8$:
 #
 # $$ -u'' + \frac{\lambda}{(1 + u)^2} = p, \qquad u \ge -0.8, \quad p \ge 0, \quad p\,(u + 0.8) = 0
 #    \ \text{in } (-\tfrac12, \tfrac12), \qquad u(\pm\tfrac12) = 0 . $$
 #
-# The package does not know this force. An effect is one class: its name in a scene, its term in the residual
-# $a(u, v) - f(v)$ in UFL, and its energy. `data.cellwise(self.value)` is the datum, whatever the user gives: a
-# number, a formula, a Function. `data.dI` integrates by the nodal rule. The energy $-\lambda/(1 + u)$ is not convex.
+# The package does not include this force. A new effect is one class. It contains the name of the effect in a scene, its
+# term in the residual $a(u, v) - f(v)$ as UFL, and its energy. `data.cellwise(self.value)` is the datum, which the user
+# may give as a number, a formula or a Function. `data.dI` is the measure of the nodal quadrature rule. The energy
+# $-\lambda/(1 + u)$ is not convex.
 #
 # Run it in the clone with `.venv/bin/python demos/own_effect.py`.
 
@@ -49,15 +49,15 @@ class Electrostatic(Effect):
 # %% [markdown]
 # ## What to expect
 #
-# Without contact, multiply the equation by $u'$ and integrate from the middle, where the distance $1 + u$ has its
-# least value $\alpha$. The length of the interval then gives the load for each $\alpha$,
+# Consider an equilibrium without contact. Multiply the equation by $u'$ and integrate from the middle, where the
+# distance $1 + u$ has its minimum $\alpha$. Since the interval has length 1, there is one load for each $\alpha$:
 #
 # $$ \lambda(\alpha) = 2\alpha \left(\sqrt{1 - \alpha}
 #    + \alpha \,\mathrm{arsinh} \sqrt{\tfrac{1 - \alpha}{\alpha}}\right)^2 . $$
 #
-# Its maximum, $\lambda = 1.400$ at $\alpha = 0.61$, is the load of *pull-in*: for larger loads there is no equilibrium
-# without contact. On the way back the membrane stays on the layer until $\lambda = \lambda(0.2) = 0.560$, where the
-# contact length becomes zero, and is then *released*.
+# Its maximum is $\lambda = 1.400$ at $\alpha = 0.61$. This is the load of *pull-in*: for larger loads there is no
+# equilibrium without contact. When the load decreases again, the membrane stays on the layer until
+# $\lambda = \lambda(0.2) = 0.560$. There the contact length becomes zero, and the membrane is *released*.
 
 
 # %%
@@ -73,10 +73,10 @@ assert np.isclose(pull_in, 1.400, atol=1e-3) and np.isclose(release, 0.560, atol
 # %% [markdown]
 # ## Up and down
 #
-# `electrostatic` is now a key of scenes like `tension`. The load rises to 1.8 and falls to 0 again, slowly compared
-# with
-# the damping of the air, which is the effect `rate`. The state is therefore close to an equilibrium, except where it
-# snaps. With `tolerance` the time steps are chosen: they are short during the snaps.
+# `electrostatic` is now a key of scenes, as `tension` is. The load rises to 1.8 and falls to 0 again. The effect `rate`
+# is the damping of the air. The load changes slowly compared with the damping, so that the state is close to an
+# equilibrium except during pull-in and release. The key `tolerance` makes the program choose the time steps; they are
+# short during pull-in and release.
 
 # %%
 scene = Scene(
@@ -104,8 +104,9 @@ assert abs(down - release) < 0.02
 assert np.isclose(distance.min(), 0.2, atol=1e-3)
 
 # %% [markdown]
-# The loop below follows the equilibria (black) where they are stable. Between pull-in and release there are two stable
-# states, open and closed, and the history decides.
+# The picture shows the distance in the middle over the load. Where the equilibria without contact (black) are stable,
+# the computed loop follows them. For loads between release and pull-in there are two stable states, open and closed.
+# Which one is observed depends on the history of the load.
 
 # %%
 if comm.rank == 0:

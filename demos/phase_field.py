@@ -2,36 +2,38 @@
 # # An irreversible phase field: fracture in antiplane shear
 #
 # A phase-field model of fracture has two unknowns: the displacement $w$, here out of the plane, and the damage
-# $d \in [0, 1]$, which is 1 on a crack and decreases to 0
-# over a distance of $2\ell$. Damage never heals, $d \ge d_{\text{old}}$: at each load the
-# damage solves an obstacle problem whose lower obstacle is the damage of the previous load.
+# $d \in [0, 1]$, which is 1 on a crack and decreases to 0 over a distance of $2\ell$. Damage never heals, so that
+# $d \ge d_{\text{old}}$. At each load the damage therefore solves an obstacle problem whose lower obstacle is the
+# damage of the previous load.
 #
-# With shear modulus $\mu$ and fracture energy $G_c$, the energy of the model AT1 is
+# With the shear modulus $\mu$, the fracture energy $G_c$ and a small number $\kappa$, the energy of the model AT1 is
 #
 # $$ E(w, d) = \int \tfrac12 \left((1 - d)^2 + \kappa\right) \mu\,|\nabla w|^2
 #    + \frac{3 G_c}{8} \int \left(\frac d\ell + \ell\,|\nabla d|^2\right), \qquad
 #    d_{\text{old}} \le d \le 1 . $$
 #
-# It is quadratic in $w$ for a given $d$ and quadratic in $d$ for a given $w$. The staggered scheme minimises in turn:
-# a linear problem for $w$, an obstacle problem for $d$, until $d$ no longer changes.
+# The energy is quadratic in $w$ for a given $d$ and quadratic in $d$ for a given $w$. The staggered scheme minimises it
+# alternately over $w$, which is a linear problem, and over $d$, which is an obstacle problem, until $d$ no longer
+# changes.
 #
 # ## A crack that grows in proportion to the load
 #
-# The body is a strip of height $2H$. A crack of length $a_0$ in its middle line starts at the left side, where the two
-# arms above and below it are displaced by $w = \pm t$. If the crack has the length $a \gg H$, the displacement of the
-# upper arm is $w = t\,(1 - x/a)$ along it and that of the lower arm its negative, so that elastic energy and energy
-# release rate of both arms are
+# The body is a strip of height $2H$. A crack of length $a_0$ on its middle line starts at the left side. The two arms
+# above and below the crack are displaced there by $w = t$ and $w = -t$; $t$ is called the load. If the crack is long,
+# $a \gg H$, the displacement is $w = t\,(1 - x/a)$ along the upper arm, and its negative along the lower arm. The
+# elastic energy of both arms and the energy release rate are then
 #
 # $$ E = \mu H\,\frac{t^2}{a}, \qquad G = -\frac{\partial E}{\partial a} = \mu H\,\frac{t^2}{a^2} . $$
 #
-# $G$ decreases with $a$, so the crack grows stably, with $G = G_c$. Here $a$ is the length that the stiffness of the
-# arms shows. The damaged line is shorter by a constant, because the strip ahead of the tip deforms too. Both lengths
-# grow with the slope $\sqrt{\mu H/G_c}$ in $t$:
+# $G$ decreases with $a$, so the crack grows stably, with $G = G_c$. Here $a$ is the length that follows from the
+# stiffness of the arms. The damaged line is shorter by a constant, because the strip ahead of the tip deforms too. Both
+# lengths have the slope $\sqrt{\mu H/G_c}$ as functions of $t$:
 #
 # $$ a = t\,\sqrt{\mu H/G_c} . $$
 #
-# The tutorial loads up to $t = 3.25$ and then unloads: the crack must grow along this line and must not heal. $w$ is
-# odd and $d$ is even in $y$, so the upper half is enough, with $w = 0$ at $y = 0$.
+# In this tutorial the load rises to $t = 3.25$ and then decreases. While the load rises, the crack length must grow
+# with this slope; afterwards the crack must not heal. $w$ is odd and $d$ is even in $y$. It is therefore enough to
+# model the upper half, with $w = 0$ at $y = 0$.
 #
 # Run it in the clone with `.venv/bin/python demos/phase_field.py`.
 
@@ -62,8 +64,9 @@ surface = 3 * G_c / 8 * (d / ell + ell * ufl.inner(ufl.grad(d), ufl.grad(d))) * 
 # %% [markdown]
 # ## The two problems
 #
-# Both are derivatives of the same energy. The damage is an `ObstacleProblem`. `lower=d_old` is the irreversibility;
-# `d_old` is a Function, and each `solve()` takes its present values. The displacement is an ordinary linear problem.
+# The forms of both problems are derivatives of the same energy. The problem for the damage is an `ObstacleProblem`. The
+# argument `lower=d_old` makes the damage irreversible. `d_old` is a Function, and each `solve()` uses its current
+# values. The problem for the displacement is an ordinary linear problem.
 
 # %%
 damage = ObstacleProblem(ufl.derivative(elastic + surface, d, test), d, lower=d_old, upper=1.0)
@@ -104,9 +107,9 @@ def displace():
 # %% [markdown]
 # ## Loading and unloading
 #
-# The crack length is measured by the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy
-# of the upper half. The strip ahead of the tip deforms elastically too, so that this length
-# exceeds the length of the damaged line by a constant, a fraction of $H$.
+# The crack length is computed from the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy
+# of the upper half. The strip ahead of the tip deforms elastically too. This length is therefore larger than that of
+# the damaged line. The difference is constant, and a fraction of $H$.
 
 
 # %%
@@ -137,8 +140,9 @@ for t in loads:
         print(f"t = {t:4.2f}  {steps:3d} steps  crack length {lengths[-1]:.3f}  surface energy {surfaces[-1]:.3f}")
 
 # %% [markdown]
-# While the crack grows, from $t = 2.5$ on, its length follows $a = t\sqrt{\mu H/G_c}$ with a slope of 1 to
-# within 5 %, and each unit of length costs $G_c = 1$ to within 5 %. When the load is removed, the length stays.
+# While the crack grows, from $t = 2.5$ on, the slope of its length over the load is $\sqrt{\mu H/G_c} = 1$ to
+# within 5 %, and the surface energy per unit of length is $G_c = 1$ to within 5 %. When the load decreases, the length
+# does not change.
 
 # %%
 growing = slice(loads.index(2.5), loads.index(3.25) + 1)
@@ -155,7 +159,7 @@ assert np.allclose(lengths[-2:], max(lengths), rtol=1e-3)
 # %% [markdown]
 # ## Picture
 #
-# The damage at the end, with the lower half by symmetry, and the crack length over the load.
+# Left: the damage at the end; the lower half is drawn by symmetry. Right: the crack length over the load.
 
 # %%
 own = V.dofmap.index_map.size_local

@@ -1,14 +1,15 @@
 # %% [markdown]
 # # An American put
 #
-# The holder of an American put may sell a share at the price $K$ at any time until expiry. Its value $V(S, t)$ is
-# therefore never below the payoff $(K - S)^+$. With $x = \ln(S/K)$ and the time $t$ to expiry, the model of Black and
-# Scholes with volatility $\sigma$ and interest rate $r$ is a parabolic obstacle problem,
+# An American put is an option: its holder may sell a share at the price $K$ at any time until expiry. If the share has
+# the price $S$, the value $V(S, t)$ of the option is therefore never below the payoff $(K - S)^+$. Let
+# $x = \ln(S/K)$, and let $t$ be the time to expiry. The model of Black and Scholes with volatility $\sigma$ and
+# interest rate $r$ is then the parabolic obstacle problem
 #
 # $$ V_t - \frac{\sigma^2}{2} V_{xx} + \left(\frac{\sigma^2}{2} - r\right) V_x + r V = p, \qquad V \ge \psi, \quad
 #    p \ge 0, \quad p\,(V - \psi) = 0, \qquad \psi = K\,(1 - e^x)^+ . $$
 #
-# Where $V = \psi$ it is best to exercise the option. The free boundary $S^*(t)$ between the two regions is unknown; for
+# Where $V = \psi$ it is best to exercise the option. The free boundary $S^*(t)$ of this region is unknown. For
 # $t \to \infty$ it tends to $K\,r/(r + \sigma^2/2)$.
 #
 # Run it in the clone with `.venv/bin/python demos/put.py`.
@@ -42,7 +43,8 @@ delta = (above - below) / (2 * 0.004 * K)  # dV/dS at S = K
 # %% [markdown]
 # ## The same by a binomial tree
 #
-# The tree of Cox, Ross and Rubinstein is independent of finite elements. It has 2000 steps.
+# The binomial tree of Cox, Ross and Rubinstein is a method without finite elements. Here it has 2000 steps. *Delta* is
+# the derivative $\partial V/\partial S$.
 
 
 # %%
@@ -75,8 +77,8 @@ assert np.all(np.diff(exercise[1:]) <= 0) and exercise[-1] > perpetual  # the mo
 # %% [markdown]
 # ## Picture
 #
-# Left: one year before expiry the value is tangent to the payoff at $S^*$. Right: the exercise boundary. It
-# moves in steps of one cell, because the contact set consists of nodes.
+# Left: the value one year before expiry, which is tangent to the payoff at $S^*$. Right: the exercise boundary over the
+# time to expiry. It moves in steps of one cell, because the contact set consists of nodes.
 
 # %%
 line = solution.along([-0.6], [0.6], n=301)

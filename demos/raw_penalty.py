@@ -1,11 +1,11 @@
-"""The penalty as often written in DOLFINx, with a constant k by hand, beside ObstacleProblem: Hertz, plane strain.
+"""A penalty with a constant k, as it is often written in DOLFINx, compared with ObstacleProblem: Hertz, plane strain.
 
-int k max(u_y - g, 0) v_y ds is integrated by a Gauss rule; the pressure at nodes is k max(u_y - g, 0). Here E* = 1 and
-half the width of contact is 1: k is in units of E* per half-width. With a k that is too small the cylinder sinks
-in. With a large k, u is pressed onto the gap at the Gauss points, which lie between the nodes. There linear u differs
-from the curved gap by up to h^2/(8R), with the size h of the cells and the radius R, and k times this difference is
-much more than the pressure: the force is right, and the pressure at nodes means nothing. Newton's method, from u = 0,
-takes more steps for a larger k.
+The term int k max(u_y - g, 0) v_y ds is integrated by a Gauss rule; the pressure at nodes is k max(u_y - g, 0). The
+modulus E* and the half-width of the contact are 1, so that k is in units of E* per half-width. If k is too small, the
+cylinder penetrates the block. If k is large, u is forced onto the gap at the Gauss points, which lie between the
+nodes. The linear u differs from the curved gap by up to h^2/(8R), with the cell size h and the radius R. At the nodes
+k times this difference is much larger than the pressure. Then the force is right, but the pressure at the nodes is
+meaningless. Newton's method starts from u = 0 and takes more steps for a larger k.
 
 mpirun -n 2 python3 raw_penalty.py
 """

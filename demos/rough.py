@@ -1,10 +1,10 @@
 # %% [markdown]
 # # A rough surface from a file
 #
-# Measured heights come as a file: an array, an image, a table with columns x, y, z, or an STL surface. Here the file is
-# made first: a self-affine surface $z$, whose power spectrum falls like $|k|^{-2 - 2H}$ with the Hurst exponent
-# $H = 0.8$, as that of many fractured or ground surfaces. A membrane with tension 1 lies above it and is pressed down
-# by the load $f$:
+# An obstacle may be read from a file of measured heights: an array, an image, a table with columns x, y, z, or an STL
+# surface. This tutorial makes such a file first. The surface $z$ is self-affine: its power spectrum falls like
+# $|k|^{-2 - 2H}$ with the wave number $k$ and the Hurst exponent $H = 0.8$, as for many fractured or ground surfaces.
+# A membrane with tension 1 lies above the surface and is pressed down by the load $f$:
 #
 # $$ -\Delta u = -f + p, \qquad u \ge z - 0.1, \quad p \ge 0, \quad p\,(u - z + 0.1) = 0 \ \text{in } (0, 1)^2 . $$
 #
@@ -41,7 +41,7 @@ if comm.rank == 0:
 comm.barrier()
 
 # %% [markdown]
-# The spectrum of a line through the surface falls like $|k|^{-1 - 2H}$:
+# The power spectrum of a line through the surface must fall like $|k|^{-1 - 2H}$. The next cell checks this:
 
 # %%
 power = np.abs(np.fft.fft(z, axis=1)[:, 1:128] ** 2).mean(axis=0)
@@ -51,8 +51,8 @@ assert abs(slope + 1 + 2 * HURST) < 0.15
 # %% [markdown]
 # ## The scene
 #
-# `lower = {file = "rough.npz"}` stands where a formula or a number could stand; `shift` moves the surface down by
-# 0.1. The file name is relative to the scene file.
+# In `lower = {file = "rough.npz"}` the file replaces a formula or a number. `shift` moves the surface down by 0.1. The
+# file name is relative to the scene file.
 
 # %%
 SCENE = """
@@ -80,8 +80,8 @@ assert np.all(np.diff(np.divide(forces, loads)) > 0)
 # %% [markdown]
 # ## Picture
 #
-# Left: the heights, and the contact set at the load 8, which consists of many small spots. Right: its area, and the
-# share of the load that the surface carries; the boundary carries the rest.
+# Left: the heights, and the contact set at the load 8, which consists of many small spots. Right: the contact area, and
+# the share of the load that the surface carries. The boundary carries the rest.
 
 # %%
 solution = solve(Scene.read("rough.toml").change({"define.load": 8}))

@@ -11,8 +11,8 @@
 # $$ u = r^{3/2} \cos \tfrac{3}{2}\theta, \qquad
 #    p = \tfrac32 \sqrt{-x} \ \text{for } x < 0, \quad p = 0 \ \text{for } x > 0, $$
 #
-# is a solution in polar coordinates around the origin: contact for $x \le 0$, and a free boundary in the single point
-# $0$. The contact length is 1, and so is the contact force $\int_{-1}^0 \frac32 \sqrt{-x}\,dx$.
+# with polar coordinates around the origin, is a solution. The contact set is $x \le 0$, and the free boundary is the
+# single point $0$. The contact length is 1, and the contact force $\int_{-1}^0 \frac32 \sqrt{-x}\,dx$ is 1, too.
 #
 # Run it in the clone with `.venv/bin/python demos/signorini.py`.
 
@@ -36,9 +36,8 @@ def exact(x):
 
 # %% [markdown]
 # The facets of the bottom side have the tag 3. `measure=ds(3)` tells `ObstacleProblem` that contact is possible on
-# these
-# facets only. Everything else is ordinary DOLFINx: the exact values are prescribed on the other three sides. They are
-# not prescribed at the two corners of the bottom side, where the obstacle acts.
+# these facets only. The rest is ordinary DOLFINx. The exact values are prescribed on the other three sides, but
+# not at the two corners of the bottom side, where the obstacle acts.
 
 
 # %%
@@ -68,8 +67,8 @@ solutions = [signorini(n) for n in sizes]
 # ## Error, force and length
 #
 # $u$ is in $H^s$ for all $s < 5/2$, so linear elements have order 1 in the energy norm
-# $\|\nabla(u - u_h)\|_0$. The energy norm of the exact solution over $\Omega$ is computed with the exact gradient, by a
-# rule of degree 6.
+# $\|\nabla(u - u_h)\|_0$. The energy norm of the error is computed with the exact gradient and a quadrature rule of
+# degree 6.
 
 
 # %%
@@ -98,7 +97,7 @@ assert np.isclose(lengths[-1], 1, atol=1 / 64)
 # %% [markdown]
 # ## Picture
 #
-# The pressure along the bottom side on the second mesh, and the error over the mesh size.
+# Left: $u$ and the pressure along the bottom side, on the second mesh. Right: the error over the mesh size.
 
 # %%
 line = solutions[1].along((-1, 0), (1, 0), n=33)

@@ -8,16 +8,17 @@
 # %% [markdown]
 # # Kikuchi's paper in an hour
 #
-# N. Kikuchi, *Convergence of a penalty-finite element approximation for an obstacle problem*, Numer. Math. 37 (1981)
-# 105-120. The meshes are coarse: each code cell runs in seconds. Numbers such as (3.4) are those of the paper.
-# Statements about errors, orders and counts are checked by `assert`. Each section ends with exercises.
+# This notebook goes through the paper of N. Kikuchi, *Convergence of a penalty-finite element approximation for an
+# obstacle problem*, Numer. Math. 37 (1981) 105-120. Numbers such as (3.4) are those of the paper. The meshes are
+# coarse, so that each code cell runs in seconds. Statements about errors, orders and counts are checked by `assert`.
+# Each section has exercises.
 #
-# As a script, on any number of ranks, `.venv/bin/python docs/kikuchi_in_an_hour.py` writes its pictures into
-# `out/kikuchi`. Spyder and VS Code run single cells. For a notebook: `.venv/bin/pip install jupyterlab jupytext`, then
-# `.venv/bin/jupytext --to notebook docs/kikuchi_in_an_hour.py`.
+# `.venv/bin/python docs/kikuchi_in_an_hour.py` runs the file as a script, on any number of ranks, and writes the
+# pictures to `out/kikuchi`. Spyder and VS Code run single cells. To make a notebook, run
+# `.venv/bin/pip install jupyterlab jupytext`, then `.venv/bin/jupytext --to notebook docs/kikuchi_in_an_hour.py`.
 #
-# Before any section, run the next code cell (imports and helper functions); the code of no section needs that of
-# another. The first run compiles forms and takes longer.
+# First run the next code cell, which has imports and helper functions. After it the sections can be run in any order.
+# The first run compiles forms and takes longer.
 
 # %%
 from itertools import pairwise
@@ -91,14 +92,14 @@ def keep(page, name):
 # %% [markdown]
 # ## 1. The penalised problem and its contact pressure
 #
-# Find $u \le g$ with $-u'' = f + p$, where the contact pressure $p \le 0$ vanishes wherever $u < g$. The penalty method
-# replaces the constraint by a force that grows with the penetration: find $u \in V_h$ with
+# The obstacle problem is: find $u \le g$ with $-u'' = f + p$, where the contact pressure $p \le 0$ vanishes wherever
+# $u < g$. The penalty method replaces the constraint by a force that grows with the penetration: find $u \in V_h$ with
 #
 # $$ a(u, v) + \frac1\varepsilon\, I((u-g)^+, v) = f(v) \quad \text{for all } v \in V_h. \qquad (3.4) $$
 #
-# I is a quadrature rule whose points are the nodes (3.5). So the penalty acts on each node separately, and its force
-# per
-# area is the pressure there: $p_i = -(u-g)^+(x_i)/\varepsilon$, (3.7)-(3.8). There is no additional unknown.
+# I is a quadrature rule whose points are the nodes (3.5). The penalty therefore acts on each node separately. Its force
+# per area at a node is the pressure there: $p_i = -(u-g)^+(x_i)/\varepsilon$, (3.7)-(3.8). There is no additional
+# unknown.
 #
 # **Exercise 1.1.** Solve for $\varepsilon$ = 1e-2 and 1e-4. By which factor does the penetration change, and why not
 # exactly by 100?
@@ -146,14 +147,15 @@ keep(page, "1_string")
 # %% [markdown]
 # ## 2. eps tends to 0 on a fixed mesh
 #
-# Theorem 3.3: let $u_h$, $p_h$ be the solution of the discrete inequality (3.19), computed by SNES VI. Then
+# Let $u_h$, $p_h$ be the solution of the discrete inequality (3.19); SNES VI computes it. Let $u_\varepsilon$,
+# $p_\varepsilon$ be the solution of (3.4) and its pressure. Theorem 3.3 states that
 #
 # $$ \|u_\varepsilon - u_h\|_1 \le C \varepsilon/h, \qquad \|p_\varepsilon - p_h\|_0 \le C \varepsilon/h^2.
 #    \qquad (5.5) $$
 #
-# In the picture below, for small $\varepsilon$, both errors are of order $\varepsilon$. For $\varepsilon > h^2$ they
-# do not depend on the mesh, the bound (5.5) is not sharp, and the orders are about 3/4 and 1/4 (explained in section
-# 7). For every $\varepsilon$,
+# The picture below shows that both errors are of order $\varepsilon$ for small $\varepsilon$. For $\varepsilon > h^2$
+# they do not depend on the mesh, and the bound (5.5) is not sharp. The orders in $\varepsilon$ are then about 3/4 for u
+# and 1/4 for p; section 7 explains them. For every $\varepsilon$,
 # $|u_\varepsilon - u_h| \le \varepsilon \max|p_h|$ at every node, because the stiffness matrix is an M-matrix.
 #
 # **Exercise 2.1.** Repeat with `cells=64` and `cells=1024`. How does the value of $\varepsilon$ at which the order
@@ -187,13 +189,13 @@ keep(page, "2_eps")
 # %% [markdown]
 # ## 3. h tends to 0, and eps with it
 #
-# Now errors against the exact solution. The discrete inequality has order 1 for u in $H^1$ (5.6) and order 1 for p in
-# $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders (5.9). With
-# $\varepsilon = h$ the orders are lower: the penalty error dominates, about $\varepsilon^{3/4}$ for u, because the
-# pressure jumps at the free boundary.
+# This section compares with the exact solution. The discrete inequality has order 1 for u in $H^1$ (5.6), and order 1
+# for p in $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders
+# (5.9). With $\varepsilon = h$ the orders are lower, because the error of the penalty dominates. For u it is about
+# $\varepsilon^{3/4}$, since the pressure jumps at the free boundary.
 #
-# **Exercise 3.1.** Which power $\varepsilon = h^k$ is the largest $\varepsilon$ that gives order 1 for u? Use section
-# 2, then test it.
+# **Exercise 3.1.** What is the smallest power k for which $\varepsilon = h^k$ gives order 1 for u? Use section 2, then
+# test your answer.
 #
 # **Exercise 3.2.** Add `errors.l2` to `keys`. Which $\varepsilon$ does order 2 need?
 
@@ -228,15 +230,15 @@ keep(page, "3_h")
 #
 # The paper proves it with $\alpha_h = h/C$ for P1 (Example 2) and for Q1 with the trapezoid rule (Example 3). This
 # order is optimal: for a q that changes sign from node to node, $I(q, v)/\|v\|_1$ is at most of order $h\,\|q\|_0$ for
-# every v. Hence the 1/h and 1/h^2 of (5.5). The loss comes from measuring q in $L^2$: for such a q the left side of
-# (3.18) is small, but $\|q\|_0$ is not. Its dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, v in $H^1_0$, is small as
-# well. With $\|q\|_1^*$ in place of $\|q\|_0$ in (3.18), the constant is called $\beta_h$ and is bounded away from 0.
-# Therefore (5.8) and (5.9) lose no power of h. Both constants are taken over q that are 0 at the boundary nodes,
-# because every v in $V_h$ vanishes there.
+# every v. This is the reason for $1/h$ and $1/h^2$ in (5.5).
 #
-# **Exercise 4.1.** Add `"P1-voronoi"` (P1, where the weight of a node in I is its Voronoi area, see section 6) to the
-# loop, with `"diagonal": "crossed"` in its mesh. Which of the two constants
-# changes its order?
+# The loss comes from measuring q in $L^2$: for such a q the left side of (3.18) is small, but $\|q\|_0$ is not small.
+# The dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, with v in $H^1_0$, is small for this q. Let $\beta_h$ be the
+# constant of (3.18) with $\|q\|_1^*$ in place of $\|q\|_0$. It is bounded away from 0, so that (5.8) and (5.9) lose no
+# power of h. Both constants are taken over q that are 0 at the boundary nodes, because every v in $V_h$ vanishes there.
+#
+# **Exercise 4.1.** Add `"P1-voronoi"` to the loop, with `"diagonal": "crossed"` in its mesh. This is P1 with the
+# Voronoi area of each node as its weight in I (see section 6). Which of the two constants changes its order?
 #
 # **Exercise 4.2.** Why is $\alpha_h = 0$ if q need not vanish at the boundary nodes?
 
@@ -268,16 +270,17 @@ keep(page, "4_stability")
 # %% [markdown]
 # ## 5. A pair that is not stable
 #
-# Example 3 also has Q1 with one-point Gauss for I, for which $\alpha_h$ need not be positive. The penalty now acts at
-# the centres of the cells. On n x n cells there are n^2 centres for (n - 1)^2 interior nodes, so that 2n - 1
-# independent pressures q do no work: I(q, v) = 0 for all v in $V_h$. One of them is a checkerboard, whose mean around
-# each node is 0. The equations determine $p_h$ only up to these q; only the condition $p_h \le 0$ limits how much of
-# them $p_h$ contains. u is as accurate as with the trapezoid rule, the pressure is not.
+# Example 3 also treats Q1 with the one-point Gauss rule for I. For this pair $\alpha_h$ need not be positive. The
+# penalty now acts at the centres of the cells. On $n \times n$ cells there are $n^2$ centres, but only $(n - 1)^2$
+# interior nodes. Therefore $2n - 1$ independent pressures q do no work: $I(q, v) = 0$ for all v in $V_h$. One of them
+# is a checkerboard, whose mean around each node is 0. The equations determine $p_h$ only up to such q; the condition
+# $p_h \le 0$ alone limits their size. u is as accurate as with the trapezoid rule, but the pressure is not.
 #
 # **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that each is the sum of a
 # pressure that alternates in sign along x and one that alternates along y.
 #
-# **Exercise 5.2.** Solve with the penalty, `eps="h^2"`, in place of `method="vi"`. Does the pressure oscillate less?
+# **Exercise 5.2.** Solve by the penalty method, with `eps="h^2"` in place of `method="vi"`. Does the pressure oscillate
+# less?
 
 # %%
 answers = {name: solve(disk, cells=16, element=name, method="vi") for name in ("Q1", "Q1-gauss")}
@@ -301,16 +304,16 @@ keep(page, "5_chessboard")
 # %% [markdown]
 # ## 6. The pressure may stall, and a cure
 #
-# Theorem 4.2 states only that $\|p - p_h\|_0$ is bounded (5.7). That is sharp on a mesh that is not uniform, with
-# an obstacle that is not flat. In contact u = g at the nodes, so that $p_i = (A g)_i/D_i - f_i$, with the stiffness
-# matrix
-# A and the weight $D_i$ of the node in I. On a criss-cross mesh $D_i = h^2/3$ at nodes with four triangles (centres of
-# squares) and $2h^2/3$ at nodes with eight (corners); $h^2/2$ would be consistent. So $p_i$ contains $-\Delta g$ times
-# 3/2 or 3/4, however fine the mesh is.
+# Theorem 4.2 states only that $\|p - p_h\|_0$ is bounded (5.7). This is sharp on certain meshes, such as criss-cross
+# meshes, if the obstacle is curved. In contact u = g at the nodes, so that $p_i = (A g)_i/D_i - f_i$ with the stiffness
+# matrix A and the weight $D_i$ of the node in I. On a criss-cross mesh $D_i = h^2/3$ at nodes with four triangles
+# (centres of squares), and $D_i = 2h^2/3$ at nodes with eight triangles (corners); $h^2/2$ would be consistent. The
+# pressure $p_i$ therefore contains $-\Delta g$ times 3/2 or 3/4, however fine the mesh is.
 #
-# - The factors 3/2 and 3/4 make the pressure oscillate from node to node; $\varepsilon = h^2$ damps this, a much
-#   smaller $\varepsilon$ does not.
-# - `P1-voronoi` gives each node its Voronoi area, here $h^2/2$. These weights are positive here, as (3.6) asks.
+# - The factors 3/2 and 3/4 make the pressure oscillate from node to node. The penalty with $\varepsilon = h^2$ damps
+#   this oscillation; with a much smaller $\varepsilon$ it does not.
+# - With `P1-voronoi` the weight of each node is its Voronoi area, here $h^2/2$. These weights are positive, as (3.6)
+#   requires.
 #
 # **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
 #
@@ -366,32 +369,36 @@ keep(page, "6_stall")
 # ## 7. The layer of width sqrt(eps), in closed form
 #
 # The penalised string without a mesh, $-u'' = f - (u - c)^+/\varepsilon$, has a closed-form solution. Let contact begin
-# at
-# $\alpha$, and $b = 1/2 - \alpha$.
+# at $x = \alpha$, and let $b = 1/2 - \alpha$.
 #
-# - In contact w = u - c solves -w'' + w/eps = f, w(alpha) = 0. By symmetry
-#   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at alpha is
-#   $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
-# - Outside contact, $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, with the same value and slope at $\alpha$. u(0) = 0
-#   gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. As s hardly depends on $\alpha$, a few fixed-point iterations converge.
+# - In contact $w = u - c$ solves $-w'' + w/\varepsilon = f$ with $w(\alpha) = 0$. By symmetry
+#   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at $\alpha$
+#   is $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
+# - Outside contact $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, which has the same value and slope at $\alpha$. The
+#   condition $u(0) = 0$ gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. Since s hardly depends on $\alpha$, a few
+#   fixed-point iterations converge.
 #
-# So contact begins too early, at about $a - \sqrt\varepsilon$, and the pressure rises over the width
-# $\sqrt\varepsilon$. Let $z = (x - \alpha)/\sqrt\varepsilon > 0$ in the left layer. To leading order $p_\varepsilon =
-# -f(1 - e^{-z})$, while p jumps from 0 to -f at z = 1; $u_\varepsilon' = \sqrt\varepsilon f e^{-z}$, while $u' =
-# \sqrt\varepsilon f (1 - z)^+$. Hence, for both layers and up to higher orders,
+# The contact set of the exact solution begins at $x = a$. With the penalty contact begins too early, at about
+# $a - \sqrt\varepsilon$, and the pressure rises over the width $\sqrt\varepsilon$. Let
+# $z = (x - \alpha)/\sqrt\varepsilon > 0$ in this layer on the left. To leading order:
+#
+# - $p_\varepsilon = -f(1 - e^{-z})$, while p jumps from 0 to $-f$ at $z = 1$;
+# - $u_\varepsilon' = \sqrt\varepsilon f e^{-z}$, while $u' = \sqrt\varepsilon f (1 - z)^+$.
+#
+# The layer on the right is the mirror image. For both layers together, up to higher orders,
 #
 # $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \left[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
 #    \right] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
 # $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \left[ \int_0^1 (e^{-z} - 1 + z)^2 dz
 #    + \int_1^\infty e^{-2z} dz \right] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
 #
-# These are the orders 3/4 and 1/4 of section 2. There is such a layer wherever the pressure jumps; $\varepsilon = h^2$
-# makes it as thin as an element.
+# These are the orders 3/4 and 1/4 of section 2. There is such a layer wherever the pressure jumps. With
+# $\varepsilon = h^2$ it has the width of one element.
 #
 # **Exercise 7.1.** Verify the two integrals, 4/e - 1 and 5/3 - 4/e.
 #
-# **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? Compare with the
-# rows of the scene `smooth_square`, which has such a pressure, in the output of `./obstacle theory 3.3`.
+# **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? The scene `smooth_square` has such a
+# pressure. Compare with its rows in the output of `./obstacle theory 3.3`.
 
 
 # %%
@@ -450,17 +457,16 @@ keep(page, "7_layer")
 # %% [markdown]
 # ## 8. The iteration (3.4)*
 #
-# If the contact set were known, (3.4) would be linear. The iteration starts with the empty set, solves, takes
-# $\{u > g\}$ as the next set, and stops when the set repeats: then u solves (3.4) exactly. Below are a few lines of
-# NumPy
-# for the string, beside the package's own iteration. The iteration (3.4)* is Newton's method for (3.4). With an
-# M-matrix, after the first step u decreases and so do the sets, so that the iteration is finite.
+# If the contact set were known, (3.4) would be linear. The iteration (3.4)* starts with the empty set as contact set.
+# In each step it solves this linear problem and takes the points with $u > g$ as the next set. It stops when a set is
+# the same as the one before: then u solves (3.4) exactly. The iteration is Newton's method for (3.4). With an M-matrix,
+# u and the sets decrease after the first step, so that the iteration ends after finitely many steps. The code below has
+# a few lines of NumPy for the string and compares them with the package's own iteration.
 #
-# For a small $\varepsilon$ a set loses about one layer of nodes per step: the number of steps grows like 1/h. Nested
-# iteration
-# starts from the contact set of the mesh twice as coarse; its number of steps does not grow.
+# For a small $\varepsilon$ a set loses about one layer of nodes per step, so that the number of steps grows like 1/h.
+# Nested iteration starts from the contact set of the mesh twice as coarse. Its number of steps does not grow.
 #
-# **Exercise 8.1.** Start from the full set in place of the empty one. Does each set still contain the next one?
+# **Exercise 8.1.** Start from the set of all nodes in place of the empty set. Does each set still contain the next one?
 #
 # **Exercise 8.2.** Write (3.4)\* for the 3 x 3 matrix of `CYCLE` in `verification/theory/iteration.py` and observe its
 # cycle.
