@@ -18,9 +18,26 @@ def corners(mesh: dmesh.Mesh, cells: np.ndarray | slice = slice(None)) -> np.nda
 
 def volumes(corners: np.ndarray) -> np.ndarray:
     """Lengths, areas or volumes of simplices given by their corners (n, vertices, 3); 1 for points."""
-    edges = corners[:, 1:] - corners[:, :1]
-    gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
-    return np.sqrt(np.maximum(gram, 0.0)) / factorial(corners.shape[1] - 1)
+    return spanned(corners[:, 1:] - corners[:, :1]) / factorial(corners.shape[1] - 1)
+
+
+def spanned(edges: np.ndarray) -> np.ndarray:
+    """What 0 to 3 vectors span, shape (n, vectors, 3): 1, their length, or area or volume of a parallelepiped.
+
+    Accurate for vectors that are nearly parallel, which a determinant of their inner products is not.
+    """
+    if edges.shape[1] == 0:
+        return np.ones(len(edges))
+    if edges.shape[1] == 1:
+        return lengths(edges[:, 0])
+    (a, b, c), (u, v, w) = edges[:, 0].T, edges[:, 1].T
+    across = np.stack([b * w - c * v, c * u - a * w, a * v - b * u], axis=1)
+    return lengths(across) if edges.shape[1] == 2 else np.abs(np.einsum("ni,ni->n", across, edges[:, 2]))
+
+
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Of the last axis."""
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 def corner_simplices(corners: np.ndarray, dim: int) -> np.ndarray:

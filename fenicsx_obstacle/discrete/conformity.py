@@ -41,7 +41,7 @@ _CELLS = {
 }  # by vertices and dimension
 
 
-def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[str, ...]:
+def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[Components, tuple[str, ...]]:
     """Reject invalid meshes (collective).
 
     Args:
@@ -50,7 +50,7 @@ def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[
         curved: Whether cells may be of degree 2; they are checked by their vertices.
 
     Returns:
-        What the user should know.
+        The connected components, and what the user should know.
 
     Raises:
         InputError: If a cell is curved or has no volume, cells of simplices overlap, or parts of these touch without
@@ -62,10 +62,11 @@ def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[
     wrong = _wrong_cell(mesh)
     if wrong is not None:
         raise InputError(f"{source}: {wrong}")
+    found = components(mesh)
     if releases.cell_name(mesh) in TENSORS:
-        return ()
+        return found, ()
     try:
-        return tuple(_check_contact(mesh, components(mesh)))
+        return found, tuple(_check_contact(mesh, found))
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
 
