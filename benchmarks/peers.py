@@ -6,8 +6,8 @@
 The scene is the membrane over a ball on DOLFINx's rectangle of triangles. Every code gets the mesh, the boundary values
 and the obstacle at the nodes; assembly and set-up count, the mesh does not. The fastest of `--times` solves counts, by
 processor time. The unit is one linear Poisson solve on the same mesh in the same process. `u - u_VI` is the largest
-difference from the solution of the variational inequality at a node, as this package has it. A code that needs more than
-`--patience` seconds is left out on finer meshes. On one rank: scikit-fem has no other way.
+difference from the solution of the variational inequality at a node, as this package has it. A code that needs more
+than `--patience` seconds is left out on finer meshes. On one rank: scikit-fem has no other way.
 """
 
 from __future__ import annotations
