@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import factorial
-
 import numpy as np
 from dolfinx import mesh as dmesh
 
@@ -14,30 +12,6 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 def corners(mesh: dmesh.Mesh, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
     """Coordinates of the vertices of local cells, shape (cells, vertices, 3)."""
     return mesh.geometry.x[releases.geometry_dofs(mesh)[cells]]
-
-
-def volumes(corners: np.ndarray) -> np.ndarray:
-    """Lengths, areas or volumes of simplices given by their corners (n, vertices, 3); 1 for points."""
-    return spanned(corners[:, 1:] - corners[:, :1]) / factorial(corners.shape[1] - 1)
-
-
-def spanned(edges: np.ndarray) -> np.ndarray:
-    """What 0 to 3 vectors span, shape (n, vectors, 3): 1, their length, or area or volume of a parallelepiped.
-
-    Accurate for vectors that are nearly parallel, which a determinant of their inner products is not.
-    """
-    if edges.shape[1] == 0:
-        return np.ones(len(edges))
-    if edges.shape[1] == 1:
-        return lengths(edges[:, 0])
-    (a, b, c), (u, v, w) = edges[:, 0].T, edges[:, 1].T
-    across = np.stack([b * w - c * v, c * u - a * w, a * v - b * u], axis=1)
-    return lengths(across) if edges.shape[1] == 2 else np.abs(np.einsum("ni,ni->n", across, edges[:, 2]))
-
-
-def lengths(vectors: np.ndarray) -> np.ndarray:
-    """Of the last axis."""
-    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 def corner_simplices(corners: np.ndarray, dim: int) -> np.ndarray:

@@ -21,7 +21,8 @@ from fenicsx_obstacle.discrete.cells import (
     own_cells,
 )
 from fenicsx_obstacle.discrete.components import Components, components
-from fenicsx_obstacle.discrete.mesh_validation import FLAT, place, sizes
+from fenicsx_obstacle.discrete.mesh_validation import FLAT, place
+from fenicsx_obstacle.discrete.simplex_sizes import sizes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import TENSORS
 from fenicsx_obstacle.parallel import on_root

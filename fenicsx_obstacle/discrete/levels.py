@@ -15,10 +15,11 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, parents
-from fenicsx_obstacle.discrete.cells import corner_simplices, corners, volumes
+from fenicsx_obstacle.discrete.cells import corner_simplices, corners
 from fenicsx_obstacle.discrete.components import Components, components
 from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.shapes import Shape
+from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.parallel import largest
