@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from conftest import COMM, slow_except
@@ -10,7 +13,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.discrete import meshing
-from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
+from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
 
@@ -33,6 +37,12 @@ def saved(path, draw, version=4.1, binary=0, everything=1, order=1, dim=None):
         gmsh.write(str(path))
     finally:
         gmsh.finalize()
+
+
+def test_the_process_of_gmsh_does_not_load_mpi():
+    """It is started by a rank, and MPI_Init would fail in it."""
+    loaded = "import sys, fenicsx_obstacle.discrete.meshing; sys.exit('mpi4py.MPI' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0
 
 
 def disk_of_arcs(model):

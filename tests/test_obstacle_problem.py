@@ -220,6 +220,9 @@ def test_what_is_linear_is_found_out():
     assert not any(ResidualForm(F=F, u=u).affine for F in bent)
     skew = ResidualForm(F=a + u.dx(0) * v * dx, u=u)
     assert skew.affine and not skew.symmetric
+    for tensor, symmetric in (([[2, 1], [1, 3]], True), ([[2, 1], [0, 3]], False)):  # only their matrices tell
+        F = inner(ufl.as_matrix(tensor) * grad(u), grad(v)) * dx
+        assert ResidualForm(F=F, u=u).symmetric == symmetric
 
 
 def test_jacobian_of_ones_own():

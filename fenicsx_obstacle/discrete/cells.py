@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import factorial
-
 import numpy as np
 from dolfinx import mesh as dmesh
 
@@ -14,13 +12,6 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 def corners(mesh: dmesh.Mesh, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
     """Coordinates of the vertices of local cells, shape (cells, vertices, 3)."""
     return mesh.geometry.x[releases.geometry_dofs(mesh)[cells]]
-
-
-def volumes(corners: np.ndarray) -> np.ndarray:
-    """Lengths, areas or volumes of simplices given by their corners (n, vertices, 3); 1 for points."""
-    edges = corners[:, 1:] - corners[:, :1]
-    gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
-    return np.sqrt(np.maximum(gram, 0.0)) / factorial(corners.shape[1] - 1)
 
 
 def corner_simplices(corners: np.ndarray, dim: int) -> np.ndarray:

@@ -31,10 +31,11 @@ class Components:
         Of a dof in several components, which meet in it, it is the one with the highest number.
         """
         found = fem.Function(V)
-        found.x.array[:] = -1.0
-        np.maximum.at(found.x.array, releases.cell_dofs(V), self.of_cells[:, None].astype(float))
-        releases.vec(found).ghostUpdate(addv=PETSc.InsertMode.MAX, mode=PETSc.ScatterMode.REVERSE)
-        found.x.scatter_forward()
+        if self.count > 1:
+            found.x.array[:] = -1.0
+            np.maximum.at(found.x.array, releases.cell_dofs(V), self.of_cells[:, None].astype(float))
+            releases.vec(found).ghostUpdate(addv=PETSc.InsertMode.MAX, mode=PETSc.ScatterMode.REVERSE)
+            found.x.scatter_forward()
         return np.rint(found.x.array).astype(np.int32)
 
 

@@ -21,7 +21,8 @@ from fenicsx_obstacle.discrete.cells import (
     own_cells,
 )
 from fenicsx_obstacle.discrete.components import Components, components
-from fenicsx_obstacle.discrete.mesh_validation import FLAT, place, sizes
+from fenicsx_obstacle.discrete.mesh_validation import FLAT, place
+from fenicsx_obstacle.discrete.simplex_sizes import sizes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import TENSORS
 from fenicsx_obstacle.parallel import on_root
@@ -41,7 +42,7 @@ _CELLS = {
 }  # by vertices and dimension
 
 
-def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[str, ...]:
+def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[Components, tuple[str, ...]]:
     """Reject invalid meshes (collective).
 
     Args:
@@ -50,7 +51,7 @@ def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[
         curved: Whether cells may be of degree 2; they are checked by their vertices.
 
     Returns:
-        What the user should know.
+        The connected components, and what the user should know.
 
     Raises:
         InputError: If a cell is curved or has no volume, cells of simplices overlap, or parts of these touch without
@@ -62,10 +63,11 @@ def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[
     wrong = _wrong_cell(mesh)
     if wrong is not None:
         raise InputError(f"{source}: {wrong}")
+    found = components(mesh)
     if releases.cell_name(mesh) in TENSORS:
-        return ()
+        return found, ()
     try:
-        return tuple(_check_contact(mesh, components(mesh)))
+        return found, tuple(_check_contact(mesh, found))
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
 

@@ -135,7 +135,7 @@ def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndar
                          f"not of {V.ufl_element()}")  # fmt: skip
     pair = vector_pair(pairs()[f"{'P' if cell in SIMPLICES else 'Q'}{degree}"])
     found = of_mesh(releases.settle(V.mesh), source, facets, curved=True)
-    level = VectorLevel(found.mesh, found.h, facets, None, pair=pair, remarks=found.remarks)
+    level = VectorLevel(found.mesh, found.h, facets, None, pair=pair, remarks=found.remarks, connected=found.connected)
     level.__dict__["V"] = V
     return level
 

@@ -14,10 +14,11 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import corners, volumes
+from fenicsx_obstacle.discrete.cells import corners
 from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES

@@ -15,10 +15,11 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, parents
-from fenicsx_obstacle.discrete.cells import corner_simplices, corners, volumes
-from fenicsx_obstacle.discrete.components import components
+from fenicsx_obstacle.discrete.cells import corner_simplices, corners
+from fenicsx_obstacle.discrete.components import Components, components
 from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.shapes import Shape
+from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.parallel import largest
@@ -45,6 +46,7 @@ class Level:
         straight: Of a mesh from a file, whether its CAD curves are straight and, in solids, its surfaces flat; None
             where the file does not say, and for the caller's own mesh.
         remarks: What the user should know of the mesh, in words.
+        connected: Connected components of a mesh from a file or the caller; None where they are not known yet.
         bent: Local facets on each curve (in solids, surface) of a .geo or .step that is not straight, and on surfaces
             in space owned cells, by dimension and number in Gmsh; None where they are those of `coarse`.
         to_cad: Moves points to these, on one rank; None without them.
@@ -61,6 +63,7 @@ class Level:
     places: np.ndarray | None = None
     straight: bool | None = None
     remarks: tuple[str, ...] = ()
+    connected: Components | None = None
     bent: dict[tuple[int, int], np.ndarray] | None = None
     to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
 
@@ -150,7 +153,7 @@ class Level:
         """
         if self.shape is not None:
             return 1, np.zeros(len(self.points.T), dtype=np.int32)
-        found = components(self.mesh)
+        found = self.connected or components(self.mesh)
         return found.count, found.of_dofs(self.V)
 
     @property
@@ -328,7 +331,8 @@ def of_mesh(
     Raises:
         InputError: If its cells do not fit together.
     """
-    return Level(mesh, _largest_side(mesh), facets, groups, remarks=check_mesh(mesh, source, curved=curved))
+    found, remarks = check_mesh(mesh, source, curved=curved)
+    return Level(mesh, _largest_side(mesh), facets, groups, remarks=remarks, connected=found)
 
 
 def _largest_side(mesh: dmesh.Mesh) -> float:

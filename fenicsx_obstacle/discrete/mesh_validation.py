@@ -5,10 +5,9 @@ DOLFINx takes such files as they come, and the first to notice is a solver, or t
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 
+from fenicsx_obstacle.discrete.simplex_sizes import sizes
 from fenicsx_obstacle.errors import InputError
 
 FLAT = 1e-13  # of its longest edge to the power of the dimension: what a cell's volume must exceed
@@ -50,20 +49,6 @@ def validate_mesh(points: np.ndarray, cells: np.ndarray, cell: str = "") -> None
     if twice is not None:
         places = ", ".join(place(corner) for corner in corners[twice])
         raise InputError(f"the {cell} with the corners {places} occurs twice")
-
-
-def sizes(corners: np.ndarray) -> np.ndarray:
-    """dim! times the volume over the longest edge to the power dim."""
-    edges = corners[:, 1:] - corners[:, :1]
-    pairs = combinations(range(corners.shape[1]), 2)
-    longest = np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs], axis=0, initial=0.0)
-    edges = edges / np.maximum(longest, np.finfo(float).tiny)[:, None, None]
-    match edges.shape[1]:
-        case 1:
-            return np.linalg.norm(edges[:, 0], axis=1)
-        case 2:
-            return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return np.abs(np.einsum("ni,ni->n", np.cross(edges[:, 0], edges[:, 1]), edges[:, 2]))
 
 
 def _twice(cells: np.ndarray) -> int | None:

@@ -16,6 +16,7 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 from ufl.classes import Abs, Condition, MaxValue, MinValue
 from ufl.corealg.traversal import unique_pre_traversal
 
@@ -55,12 +56,11 @@ class ResidualForm(Effect):
     def affine(self) -> bool:  # type: ignore[override]
         """Whether F is linear in u plus what does not depend on u: its derivative is free of u, and no condition has
         u in it."""
-        plain = apply_derivatives(apply_algebra_lowering(self.F))
-        for integral in plain.integrals():
+        for integral in _plain(self.F).integrals():
             for node in unique_pre_traversal(integral.integrand()):
                 if isinstance(node, _NOT_SMOOTH) and self.u in extract_coefficients(node):
                     return False
-        return self.u not in apply_derivatives(apply_algebra_lowering(self.slope)).coefficients()
+        return self.u not in _plain(self.slope).coefficients()
 
     @property
     def slope(self) -> ufl.Form:
@@ -69,9 +69,13 @@ class ResidualForm(Effect):
 
     @cached_property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """Whether the derivative of F is: found on its matrix, if F is affine (first use is collective)."""
+        """Whether the derivative of F is: read off an affine F as it is written, or else found on its matrix (first
+        use is collective)."""
         if not self.affine:
             return self.functional is not None
+        plain = _plain(self.slope)
+        if plain.signature() == _plain(ufl.adjoint(plain)).signature():
+            return True
         A = fem.petsc.assemble_matrix(releases.form(self.slope))
         A.assemble()
         found = is_symmetric(A)
@@ -105,6 +109,11 @@ class ResidualForm(Effect):
         # F(u; v) = a(u, v) - f(v), so that a(u, u)/2 - f(u) = (F(u; u) + F(0; u))/2
         zero = fem.Constant(data.level.mesh, np.zeros(self.u.ufl_shape, dtype=PETSc.ScalarType))
         return 0.5 * (self.terms(u, u, data) + self.terms(zero, u, data))
+
+
+def _plain(form: ufl.Form) -> ufl.Form:
+    """The form with derivatives carried out, in terms of components; factors of products are in UFL's order."""
+    return remove_complex_nodes(apply_derivatives(apply_algebra_lowering(form)))
 
 
 def is_symmetric(A: PETSc.Mat) -> bool:

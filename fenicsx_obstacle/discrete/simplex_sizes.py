@@ -1,0 +1,40 @@
+"""Lengths, areas and volumes of many simplices. Without DOLFINx, since the process of Gmsh is no rank."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import factorial
+
+import numpy as np
+
+
+def volumes(corners: np.ndarray) -> np.ndarray:
+    """Lengths, areas or volumes of simplices given by their corners (n, vertices, 3); 1 for points."""
+    return spanned(corners[:, 1:] - corners[:, :1]) / factorial(corners.shape[1] - 1)
+
+
+def spanned(edges: np.ndarray) -> np.ndarray:
+    """What 0 to 3 vectors span, shape (n, vectors, 3): 1, their length, or area or volume of a parallelepiped.
+
+    Accurate for vectors that are nearly parallel, which a determinant of their inner products is not.
+    """
+    if edges.shape[1] == 0:
+        return np.ones(len(edges))
+    if edges.shape[1] == 1:
+        return lengths(edges[:, 0])
+    (a, b, c), (u, v, w) = edges[:, 0].T, edges[:, 1].T
+    across = np.stack([b * w - c * v, c * u - a * w, a * v - b * u], axis=1)
+    return lengths(across) if edges.shape[1] == 2 else np.abs(np.einsum("ni,ni->n", across, edges[:, 2]))
+
+
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Of the last axis."""
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+
+
+def sizes(corners: np.ndarray) -> np.ndarray:
+    """dim! times the volume over the longest edge to the power dim."""
+    edges = corners[:, 1:] - corners[:, :1]
+    pairs = combinations(range(corners.shape[1]), 2)
+    longest = np.max([lengths(corners[:, i] - corners[:, j]) for i, j in pairs], axis=0, initial=0.0)
+    return spanned(edges / np.maximum(longest, np.finfo(float).tiny)[:, None, None])
