@@ -314,7 +314,7 @@ class Effect:
         """Its part of the energy of motion, where u_t is the velocity."""
         return None
 
-    def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
+    def upwinding(self, v: Any, elastic: Effect, data: Sampler) -> Any:
         """The term added to upwinded test functions (SUPG), or None."""
         return None
 
@@ -341,8 +341,8 @@ def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Fo
     elastic = next((effect for effect in effects if effect.elastic), None)
     upwinded_test = v
     for effect in effects:
-        if elastic is not None and (lean := effect.lean(v, elastic, data)) is not None:
-            upwinded_test = upwinded_test + lean
+        if elastic is not None and (added := effect.upwinding(v, elastic, data)) is not None:
+            upwinded_test = upwinded_test + added
     forms = (effect.terms(u, upwinded_test if effect.upwinded else v, data) for effect in effects)
     return sum(form for form in forms if form is not None)
 

@@ -79,7 +79,7 @@ class Drift(Effect):
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 
-    def lean(self, v: Any, elastic: Effect, data: Sampler) -> Any:
+    def upwinding(self, v: Any, elastic: Effect, data: Sampler) -> Any:
         from ufl import conditional, grad, gt, inner, max_value, sqrt
 
         b = data.field(self.value)
