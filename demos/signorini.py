@@ -38,7 +38,7 @@ def exact(x):
 # %% [markdown]
 # The facets of the bottom side have the tag 3. `measure=ds(3)` tells `ObstacleProblem` that contact is possible on
 # these facets only. The rest is ordinary DOLFINx. The exact values are prescribed on the other three sides. The
-# corner $(-1, 0)$ is left out, since it belongs to the contact set. `method="vi"` solves the variational inequality, so
+# corner $(-1, 0)$ is excluded, since it belongs to the contact set. `method="vi"` solves the variational inequality, so
 # that the error has no part from the penalty.
 
 
