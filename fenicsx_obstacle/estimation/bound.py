@@ -40,7 +40,7 @@ from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
 from fenicsx_obstacle.estimation.flux_p1 import unknown_effects
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import largest, smallest, total
 
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
 
@@ -124,7 +124,7 @@ class Estimator:
         self._friedrichs, self._exact_constant = self.element.friedrichs
         self._rim_energy = self.element.rim_energy()
         # the mean of what the load is beyond its polynomials is in no balance
-        self._load_rest = self._friedrichs * sqrt(total(comm, simplices.area * load.rest**2))
+        self._load_rest = self._friedrichs * sqrt(total(comm, simplices.size * load.rest**2))
         self._hypotheses = Hypotheses(simplices, self.element.data_in_cells(), self.element.dirichlet)
 
     def use_estimator_load(self) -> None:
@@ -188,15 +188,21 @@ class Estimator:
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
-        known, elastic, data = (
+        known, elastic, comm = (
             "tension, load, foundation, flux and spring",
             self.problem.model.elastic,
-            self.problem.data,
+            self.problem.level.comm,
         )
-        unknown = [] if data.axial else unknown_effects(data)
+        unknown = unknown_effects(self.problem.data)
         reasons = [f"estimated, no bound, as its proof covers {known}, not {effect.key}" for effect in unknown]
-        if data.axial:
-            reasons.append("estimated, no bound, as its proof does not cover the weight of axial symmetry")
+        simplices = self.element.simplices
+        if simplices.radius is not None:
+            on_axis = simplices.radius.sum(axis=1, keepdims=True) == simplices.radius
+            held = on_axis & self.element.equilibration.patches.held
+            if total(comm, np.count_nonzero(held)) > 0:
+                reasons.append("u is given on the axis, where no state of finite energy keeps to a value")
+            if smallest(comm, simplices.radius) < 0:
+                reasons.append("cells reach across the axis")
         if not elastic.affine:
             reasons.append(f"estimated with the tension of the solution, no bound, as {elastic.key} is not linear")
         if not (self._held_somewhere or self._exact_constant):
@@ -204,7 +210,7 @@ class Estimator:
         if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
             constant = "Friedrichs' constant is not known for such a boundary"
             reasons.append(f"{constant}, and the forces are not exactly in balance")
-        scale = largest(self.problem.level.comm, np.abs(terms.flux.normal))
+        scale = largest(comm, np.abs(terms.flux.normal))
         if terms.flux.incompatible > 1e-8 * scale:
             reasons.append("cells overlap, or meet in a vertex only")
         if terms.crossing > 0:

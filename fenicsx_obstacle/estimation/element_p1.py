@@ -8,6 +8,7 @@ from math import sqrt
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.axial_flux import AxialFlux
 from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
 from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.element import Element, Terms
@@ -37,6 +38,9 @@ class ElementP1(Element):
         self.obstacles = [
             ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
         ]
+        if simplices.radius is not None:
+            self._ring = AxialFlux(simplices)
+            return
         self._spread = np.empty(cells)  # the mean of |x - middle|^2
         for block in blocks(cells):
             squares = sum(sums(part**2) for part in self._from_middle(block))
@@ -60,6 +64,7 @@ class ElementP1(Element):
         nodal, v, crossing = self._admissible(u)
         gaps = {excess.sign: self._gap(v, excess) for excess in self.obstacles}
         mean = {sign: gap / self.simplices.area for sign, gap in gaps.items()}
+        simplices = self.simplices
         flux = self.equilibration.flux(u, touches_lower, touches_upper, (mean.get(1.0), mean.get(-1.0)))
         contact = np.zeros(len(self.simplices.area))
         for sign, gap in gaps.items():
@@ -76,7 +81,7 @@ class ElementP1(Element):
                 np.sqrt(of_v[1] + moved) + inside, np.sqrt(of_v[0] + moved) + with_load) ** 2,
             oscillation=np.minimum(self._far + inside, with_load),
             contact=contact,
-            moved=self._energy(v - u) + moved, cover=self.tension.most * cover + self._reaction_energy_of(height),
+            moved=self._energy(v - u) + moved, cover=self.tension.most * simplices.most_weight * cover + self._reaction_energy_of(height),
             raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
@@ -87,7 +92,7 @@ class ElementP1(Element):
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
         """See `Element.energy_of`; with tension and load (collective)."""
         data = self.simplices.data
-        if other_effects(data) or not proved(data):
+        if other_effects(data) or not proved(data) or data.axial:
             return None
         comm, area, load = self.simplices.data.level.comm, self.simplices.area, self.equilibration.load
         values = v[self.simplices.dofs]
@@ -108,7 +113,7 @@ class ElementP1(Element):
 
     def rim_energy(self) -> np.ndarray:
         """See `Element.rim_energy`."""
-        return super().rim_energy() + self._reaction_energy_of(self.dirichlet.deviation)
+        return super().rim_energy() * self.simplices.most_weight + self._reaction_energy_of(self.dirichlet.deviation)
 
     def _lacking(self, u: np.ndarray, flux: FluxP1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the flux lacks of the forces of foundations, fluxes and springs.
@@ -123,7 +128,10 @@ class ElementP1(Element):
         """
         equilibration, least, friedrichs = self.equilibration, self.tension.least, self.friedrichs[0]
         reaction, load = equilibration.reaction, self.oscillation
+        simplices = self.simplices
         inside, outside = equilibration.parts.lacking(u, flux.force, least, friedrichs)
+        if simplices.radius is not None:
+            inside += load.poincare / np.sqrt(least) * self._ring.beyond(flux.normal)
         if not reaction.given:
             return inside, outside, inside + self._far
         k = reaction.least
@@ -131,7 +139,7 @@ class ElementP1(Element):
         weight, local = np.minimum(load.poincare / np.sqrt(least), by_reaction), by_reaction <= friedrichs
         alone, rest = reaction.beyond(u, np.zeros(self.simplices.dofs.shape))
         together = reaction.beyond(u, self._linear_load)[0] + load.beyond
-        rest += np.sqrt(self.simplices.area) * np.abs(flux.averaged)
+        rest += simplices.area / np.sqrt(simplices.size) * np.abs(flux.averaged)
         inside[local] += by_reaction[local] * rest[local]
         outside += np.where(local, 0.0, rest)
         return inside + weight * alone, outside, inside + weight * together
@@ -159,7 +167,7 @@ class ElementP1(Element):
     def _reaction_energy_of(self, height: np.ndarray) -> np.ndarray:
         """The same of functions whose absolute values are bounded in each cell."""
         most = self.equilibration.reaction.most
-        return most * self.simplices.area * height**2 + self.equilibration.parts.energy_of(height)
+        return most * self.simplices.size * height**2 + self.equilibration.parts.energy_of(height)
 
     def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much these then cross
@@ -181,9 +189,16 @@ class ElementP1(Element):
         return nodal, v, crossing
 
     def _gap(self, v: np.ndarray, excess: ObstacleExcess) -> np.ndarray:
-        """The integral of the distance of v to an obstacle over each cell."""
-        corners = self.simplices.dim + 1
-        gap = sums((excess.sign * v - excess.nodal)[self.simplices.dofs]) / corners - excess.mean
+        """The integral of the distance of v to an obstacle over each cell; with a weight of integrals |T| times the mean."""
+        corners, radius = self.simplices.dim + 1, self.simplices.radius
+        nodal = (excess.sign * v - excess.nodal)[self.simplices.dofs]
+        if radius is not None:
+            # of the vertices, with the weight divided by its mean
+            share = (radius + sums(radius)[:, None]) / ((corners + 1) * (sums(radius) / corners)[:, None])
+            most = self.simplices.most_weight * self.simplices.area / self.simplices.size * excess.cover_volume
+            gap = (sums(nodal * share) / corners - excess.mean + self.dirichlet.deviation) * self.simplices.area + most
+            return np.maximum(gap, 0.0)
+        gap = sums(nodal) / corners - excess.mean
         gap = (
             gap * self.simplices.area
             + excess.sign * self.dirichlet.volume
@@ -200,6 +215,9 @@ class ElementP1(Element):
         """
         simplices, mu, dim = self.simplices, self.equilibration.mu, self.simplices.dim
         gradient = simplices.gradient(v)
+        if simplices.radius is not None:
+            squares = self._ring.distances(gradient, flux.normal, self.tension)
+            return squares, (np.sqrt(squares) + self._far) ** 2
         pulled = self.equilibration.pulled(gradient)
         across, gathered, squares = np.empty(gradient.shape), np.empty(len(mu)), np.empty(len(mu))
         for block in blocks(len(mu)):
@@ -235,4 +253,5 @@ class ElementP1(Element):
 
     def _means_squared(self, rest: np.ndarray) -> np.ndarray:
         """||.||_T^2 of the means in cells of nodal values."""
-        return self.simplices.area * (sums(rest[self.simplices.dofs]) / (self.simplices.dim + 1)) ** 2
+        means = sums(rest[self.simplices.dofs]) / (self.simplices.dim + 1)
+        return self.simplices.area * (self.simplices.area / self.simplices.size) * means**2

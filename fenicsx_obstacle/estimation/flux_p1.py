@@ -79,6 +79,7 @@ class EquilibrationP1(ABC):
         simplices: The owned cells.
         patches: Their corners around the vertices.
         mu: Tension of each cell, as the solver has it; of a matrix the geometric mean of its eigenvalues.
+        pull: The same times the mean weight of integrals in the cell.
         matrix: The tension of each cell, where it is a matrix, shape (cells, d, d).
         load: Its moments are int_T f phi_l, shape (cells, d + 1), its oscillation ||f - f_0||_T.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
@@ -107,7 +108,8 @@ class EquilibrationP1(ABC):
         elif self.matrix is not None:
             self.mu = np.linalg.det(self.matrix) ** (1 / simplices.dim)
             self._inverse = np.linalg.inv(self.matrix)
-        share = simplices.area / (corners * self.mu)
+        self.pull = self.mu * (simplices.size / simplices.area)
+        share = simplices.area / (corners * self.pull)
         area = self.patches.gather(np.repeat(share[:, None], corners, axis=1))[0]
         self._softness = self.patches.at_vertices(area)  # int phi_i/mu
         others = other_effects(data)
@@ -150,12 +152,12 @@ class EquilibrationP1(ABC):
 
     def pulled(self, gradient: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
         """The solver's tension times one vector per cell, shape (d, cells)."""
-        return gradient * self.mu[cells] if self.matrix is None else _times(self.matrix[cells], gradient)
+        return gradient * self.pull[cells] if self.matrix is None else _times(self.matrix[cells], gradient)
 
     def weighted(self, vectors: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
         """Vectors of shape (d, cells, ...) divided by the tension, in which norm fluxes are near their targets."""
         if self.matrix is None:
-            return vectors / self.mu[cells].reshape(-1, *(1,) * (vectors.ndim - 2))
+            return vectors / self.pull[cells].reshape(-1, *(1,) * (vectors.ndim - 2))
         return _times(self._inverse[cells], vectors)
 
     def flux(

@@ -32,18 +32,21 @@ PARTS = 2**14  # of cells, in all
 DEEPEST = 4
 
 
-def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
+def poincare(x: np.ndarray, area: np.ndarray, *, weighted: bool = False) -> np.ndarray:
     """C with ||v|| <= C ||grad v|| for functions of mean zero in convex cells.
 
     It is at most diameter/pi (Payne and Weinberger 1960, Bebendorf 2003). In triangles it is at most diameter/j_11
     (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
-    the right isosceles one with legs of length 1; an affine map multiplies it by its norm at most.
+    the right isosceles one with legs of length 1; an affine map multiplies it by its norm at most. Of integrals with a
+    linear weight r >= 0 it is at most diameter/pi too, by the inequality for the convex sets {(x, t): 0 < t < s r(x)},
+    s -> 0, and functions of x alone.
 
     Args:
         x: Corners, shape (cells, d + 1, d).
         area: |T|.
+        weighted: Whether integrals have such a weight.
     """
-    if x.shape[2] != 2:
+    if x.shape[2] != 2 or weighted:
         return longest_edges(x) / np.pi
     sides = [sums((x[:, (k + 2) % 3] - x[:, (k + 1) % 3]) ** 2) for k in range(3)]
     whole = sides[0] + sides[1] + sides[2]
@@ -83,11 +86,14 @@ class Oscillation:
         count, dim = len(area), simplices.dim
         self.poincare = np.empty(count)
         for block in blocks(count):
-            self.poincare[block] = poincare(simplices.x[block], area[block])
+            self.poincare[block] = poincare(simplices.x[block], area[block], weighted=simplices.radius is not None)
         self.norm, self.rest, self.second, self.beyond = (np.zeros(count) for _ in range(4))
         self.first = np.zeros((dim, count))
         self._moments = self._mean = None
         if load.pieces is None or value is None:
+            return
+        if simplices.radius is not None:
+            self.norm, self.beyond = self.poincare * load.oscillation, load.oscillation
             return
         squares = np.zeros(count)
         for group in load.pieces.groups:
