@@ -18,11 +18,11 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import Load
+from fenicsx_obstacle.estimation.cell_data import Load, part_weight
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
-from fenicsx_obstacle.estimation.simplices import Simplices, sums
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, sums
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1
@@ -93,7 +93,9 @@ class Oscillation:
         if load.pieces is None or value is None:
             return
         if simplices.radius is not None:
-            self.norm, self.beyond = self.poincare * load.oscillation, load.oscillation
+            self._moments = load.moments * (area / simplices.size)[:, None]
+            self.norm, self._mean = self.poincare * load.oscillation, sums(self._moments) / area
+            self.beyond = self._beyond_linear(load.pieces.groups)
             return
         squares = np.zeros(count)
         for group in load.pieces.groups:
@@ -136,7 +138,27 @@ class Oscillation:
             return np.zeros((len(area), dim + 1))
         # the nodal values of Pi_1 f, by the inverse of the mass matrix
         factor = (dim + 1) * (dim + 2) / area
-        return self._moments[cells] * factor[:, None] - ((dim + 2) * self._mean[cells])[:, None]
+        found = self._moments[cells] * factor[:, None] - ((dim + 2) * self._mean[cells])[:, None]
+        if self._simplices.radius is not None:  # of mean zero with the weight
+            radius = self._simplices.radius[cells]
+            found -= (sums(found * (radius + sums(radius)[:, None])) / ((dim + 2) * sums(radius)))[:, None]
+        return found
+
+    def _beyond_linear(self, groups: list[Group]) -> np.ndarray:
+        """A bound of ||g - linear||_T with the weight of integrals."""
+        simplices = self._simplices
+        linear, mean = self.linear(slice(None)), self._mean
+        squares, rests = np.zeros(len(linear)), np.zeros(len(linear))
+        for whole in groups:
+            points, weights = rule(simplices.dim, 2 * max(whole.degree, 1) + 1)
+            for block in blocks(len(whole.rows)):
+                part = whole[block]
+                there = mean[part.rows, None] + polynomials.combined(part.points(points), linear[part.rows])
+                with_weight = simplices.weights(weights, part.points(points), part.rows)
+                part.add_to(squares, part.share * integrals((part.values(points) - there) ** 2, with_weight))
+                rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
+                part.add_to(rests, part.share * part_weight(simplices, part) * rest**2)
+        return np.sqrt(simplices.area) * (np.sqrt(squares) + np.sqrt(rests))
 
     def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""

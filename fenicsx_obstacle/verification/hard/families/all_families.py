@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle.verification.hard.families import (
     anisotropic,
+    axial,
     boundary_values,
     conditions,
     curves,
@@ -41,6 +42,7 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "touching": touching.touching(),
     "supported": supported.supported(),
     "anisotropic": anisotropic.anisotropic(),
+    "axial": axial.axial(),
     "tetrahedra": solids.tetrahedra(),
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
