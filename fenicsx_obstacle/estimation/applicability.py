@@ -28,7 +28,7 @@ def check_bound_exists(problem: Problem) -> None:
             f"for P2 on triangles in the plane, not for {pair.name} on {cell} cells in {dim}D"
         )
     for effect in sorted(model.effects, key=lambda effect: not effect.elastic):
-        if effect.no_bound:
+        if effect.no_bound and dim >= effect.no_bound_from:
             raise InputError(f"{model.source}: {effect.no_bound}")
         if effect.elastic and not _has_tension(effect):
             raise InputError(f"{model.source}: the error bound does not cover {effect.key}")

@@ -132,6 +132,7 @@ class ElementP1(Element):
         inside, outside = equilibration.parts.lacking(u, flux.force, least, friedrichs)
         if simplices.radius is not None:
             inside += load.poincare / np.sqrt(least) * self._ring.beyond(flux.normal)
+        inside += equilibration.points.moved / np.sqrt(least)
         if not reaction.given:
             return inside, outside, inside + self._far
         k = reaction.least
@@ -142,18 +143,21 @@ class ElementP1(Element):
         rest += simplices.area / np.sqrt(simplices.size) * np.abs(flux.averaged)
         inside[local] += by_reaction[local] * rest[local]
         outside += np.where(local, 0.0, rest)
-        return inside + weight * alone, outside, inside + weight * together
+        together = weight * together + equilibration.points.norm / np.sqrt(least)
+        return inside + weight * alone, outside, inside + together
 
     @cached_property
     def _far(self) -> np.ndarray:
-        """Bound of ||mu^(-1/2) tau||_T, tau in balance with what the load is beyond its mean in the cell."""
+        """Bound of ||mu^(-1/2) tau||_T, tau in balance with what load and forces at points are beyond their mean in the
+        cell."""
         found = self.oscillation.norm / np.sqrt(self.tension.least)
+        points = self.equilibration.points.norm / np.sqrt(self.tension.least)
         if self.tension.poincare is None:
-            return found
+            return found + points
         known = np.isfinite(self.tension.poincare)
         local = self.tension.poincare[known] * self.equilibration.load.oscillation[known]
         found[known] = np.minimum(found[known], local)
-        return found
+        return found + points
 
     @cached_property
     def _linear_load(self) -> np.ndarray:
@@ -236,10 +240,11 @@ class ElementP1(Element):
             return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape), sigma
 
         self.tension.integrate_distances(squares, fields, degree=1)
-        if self.equilibration.load.pieces is None:
+        load, points = self.oscillation, self.equilibration.points
+        if self.equilibration.load.pieces is None and not points.given:
             return squares, squares
-        load = self.oscillation
-        product = np.einsum("xc,xc->c", across, load.first) - gathered * load.second / 2
+        product = np.einsum("xc,xc->c", across, load.first + points.first)
+        product -= gathered * (load.second + points.second) / 2
         near, far = np.sqrt(squares), self._far
         balanced = squares - 2 * product / (dim * simplices.area * mu) + 2 * near * load.rest / np.sqrt(mu) + far**2
         return squares, np.where(self.tension.varies, (near + far) ** 2, np.maximum(balanced, 0.0))

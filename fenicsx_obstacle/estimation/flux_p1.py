@@ -37,6 +37,7 @@ from fenicsx_obstacle.estimation.cell_data import (
 )
 from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.parallel import total
@@ -84,7 +85,8 @@ class EquilibrationP1(ABC):
         load: Its moments are int_T f phi_l, shape (cells, d + 1), its oscillation ||f - f_0||_T.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
         reaction: Foundation.
-        parts: Fluxes and springs.
+        parts: Fluxes and springs, and forces at vertices.
+        points: Forces at points inside cells, on intervals.
         unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
@@ -117,7 +119,9 @@ class EquilibrationP1(ABC):
         self._prepare_others(others if self.unknown else [])
         known = [] if self.unknown else others
         foundation = next((effect.reaction for effect in known if effect.reaction is not None), None)
-        self.reaction, self.parts = Reaction(simplices, foundation), part_forces(simplices, known, patches.held)
+        self.points = PointForces(simplices, others)
+        self.reaction = Reaction(simplices, foundation)
+        self.parts = part_forces(simplices, known, patches.held, self.points)
         stiff = self.reaction.least * simplices.area ** (2 / simplices.dim) / self.mu > STIFF
         self._stiff: np.ndarray | None = None  # whether all cells around each patch's vertex are
         if total(self.level.comm, np.count_nonzero(stiff)) > 0:
@@ -140,15 +144,16 @@ class EquilibrationP1(ABC):
 
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
         """Moments of the load less those of other effects at u (collective)."""
+        load = self.load.moments + self.points.moments if self.points.given else self.load.moments
         if self._terms is None:
-            return self.load.moments - self.reaction.forces(u) if self.reaction.given else self.load.moments
+            return load - self.reaction.forces(u) if self.reaction.given else load
         self._u.x.array[:] = u
         vector = releases.vec(self._moments_of_others)
         with vector.localForm() as local:
             local.set(0.0)
         fem.petsc.assemble_vector(vector, self._terms)
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
-        return self.load.moments - self._moments_of_others.x.array[self.simplices.turned(dofs)]
+        return load - self._moments_of_others.x.array[self.simplices.turned(dofs)]
 
     def pulled(self, gradient: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
         """The solver's tension times one vector per cell, shape (d, cells)."""
@@ -288,5 +293,9 @@ def unknown_effects(data: Data) -> list[Effect]:
     """The effects of which error bounds know nothing; of several foundations all but the first."""
     others = other_effects(data)
     foundation = next((effect for effect in others if effect.reaction is not None), None)
-    known = [effect for effect in others if effect.part_load is not None or effect.part_reaction is not None]
+    known = [
+        effect
+        for effect in others
+        if effect.part_load is not None or effect.part_reaction is not None or effect.point_forces
+    ]
     return [effect for effect in others if effect is not foundation and effect not in known]

@@ -26,6 +26,7 @@ from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.oscillation import poincare
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
+from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.reactions import squared_norm
 from fenicsx_obstacle.estimation.simplex_geometry import sizes
@@ -183,13 +184,14 @@ class PartForces:
         return found
 
 
-def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray) -> PartForces:
-    """The fluxes and springs among some effects (collective).
+def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray, points: PointForces) -> PartForces:
+    """The fluxes and springs among some effects, and forces at vertices (collective).
 
     Args:
         simplices: The owned cells.
         effects: Of facets with two data of the same kind the later one counts.
         held: Whether u is given on the side opposite to each vertex, shape (cells, vertices).
+        points: Forces at points.
     """
     data, dim = simplices.data, simplices.dim
     shape = simplices.facets.shape
@@ -203,7 +205,10 @@ def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray) -
     for kind, fields in enumerate(given):
         for number, (_, part, _) in enumerate(fields):
             which[kind][_on(simplices, data.facets[part])] = number
-    cells, sides = np.nonzero((which >= 0).any(axis=0))
+    at_vertices = np.zeros(shape)
+    np.add.at(at_vertices, points.at_vertices[:2], points.at_vertices[2])
+    at_vertices[held] = 0.0
+    cells, sides = np.nonzero((which >= 0).any(axis=0) | (at_vertices != 0))
     corners = (sides[:, None] + np.arange(1, dim + 1)) % (dim + 1)
     x = simplices.x[cells[:, None], corners]
     outer = _on(simplices, data.level.boundary_facets)[cells, sides]
@@ -218,8 +223,10 @@ def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray) -
                 found.append((rows, pieces_of(data, field, x[rows], cells[rows], DIVISION[dim])))
         if dim > 1:
             pieces.append(joined(found, len(cells)))
+    share = np.where(outer, 1.0, 0.5)
+    nodal[0] += (at_vertices[cells, sides] / share)[:, None]
     return PartForces(
-        simplices, cells, sides, np.where(outer, 1.0, 0.5), sizes(x) if dim > 1 else np.ones(len(cells)), corners,
+        simplices, cells, sides, share, sizes(x) if dim > 1 else np.ones(len(cells)), corners,
         nodal, tuple(pieces), ~held[cells, sides],
         None if simplices.radius is None else simplices.radius[cells[:, None], corners],
     )  # fmt: skip

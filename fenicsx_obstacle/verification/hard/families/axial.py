@@ -23,7 +23,6 @@ from fenicsx_obstacle.verification.hard.families.closed import (
     Curve,
     Line,
     Piecewise,
-    compared,
     expression,
     square,
     x,
@@ -61,7 +60,7 @@ class Axial(ClosedForm):
         stiff: Of the tension.
         inside: Of a pipe, the other tension.
         pressure: In contact.
-        lowered: Whether the obstacle jumps down where u is far from it.
+        lowered: Whether the obstacle has a kink and falls off where u is far from it.
         upper: Whether all is upside down.
         foundation: A formula.
         sides: Where a flux is given.
@@ -141,15 +140,14 @@ class Axial(ClosedForm):
         load = u.map(forces, tension)
         if self.kind not in ("none", "pipe"):
             sign = -1 if self.upper else 1
-            pressed, (curve, phi) = sign * self._of(self.pressure), self._curve()
+            pressed, phi = sign * self._of(self.pressure), self._curve()[1]
             outside = self.kind in ("hole", "shell")
             zero = sympy.Integer(0)
             push = self._parts(zero, pressed) if outside else self._parts(pressed, zero)
             load = load.map(lambda one, p: one - p, push)
             low = str(self._psi())
             if self.lowered:
-                away = f"({-phi if outside else phi}) > {abs(self.radius) / 3!r}"
-                low = f"{low} - where({compared((curve, not outside), self.spelling)}, 0, where({away}, 0.7, 0))"
+                low = f"{low} - 0.7*max(0, {-phi if outside else phi} - {self.radius / 9!r})"
             found["upper" if self.upper else "lower"] = f"{'-' if self.upper else ''}({low})"
         found["load"] = load.text(self.spelling)
         if self.foundation != "0":
