@@ -8,6 +8,7 @@ from fenicsx_obstacle.verification.hard.families import (
     anisotropic,
     axial,
     boundary_values,
+    concentrated,
     conditions,
     curves,
     discs,
@@ -43,6 +44,8 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "supported": supported.supported(),
     "anisotropic": anisotropic.anisotropic(),
     "axial": axial.axial(),
+    "loaded string": concentrated.loaded_strings(),
+    "loaded line": concentrated.loaded_lines(),
     "tetrahedra": solids.tetrahedra(),
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
