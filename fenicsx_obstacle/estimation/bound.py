@@ -171,7 +171,7 @@ class Estimator:
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
         violated = self._violated(terms, unbalanced, bound)
-        certification = self._hypotheses.certification(violated, self.element.obstacles)
+        certification = self._hypotheses.certification(violated, self.element.every_obstacle)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
         between = norm(terms.raised) + eta_p

@@ -169,6 +169,11 @@ class Element(ABC):
                 found.append((sign, obstacle, known))
         return found
 
+    @property
+    def every_obstacle(self) -> Sequence[Obstacle]:
+        """The obstacles in the domain, and those on facets."""
+        return self.obstacles
+
     def data_in_cells(self) -> list[CellDatum]:
         """What is known of the data in the cells, those in facets among them."""
         return [

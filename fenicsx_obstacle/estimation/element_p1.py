@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, reduce
 from math import sqrt
 
@@ -10,7 +11,7 @@ import numpy as np
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.axial_flux import AxialFlux
 from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
-from fenicsx_obstacle.estimation.certification import CellDatum
+from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
@@ -70,6 +71,12 @@ class ElementP1(Element):
         for sign, gap in gaps.items():
             contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
         cover = sum((excess.cover_energy for excess in self.obstacles), np.zeros(len(self.simplices.area)))
+        below = 0.0
+        for side, force in zip(self.equilibration.sides, flux.contact, strict=True):
+            distances, beyond = side.gaps(side.sign * v)
+            below = max(below, beyond)
+            np.add.at(contact, self.equilibration.parts.cells[side.rows], force[side.rows].sum(axis=1) * distances)
+        crossing = max(crossing, largest(simplices.data.level.comm, np.array([below])) if flux.contact else 0.0)
         distance, balanced = self._distance(u, flux)
         inside, outside, with_load = self._lacking(u, flux)
         moved, of_v = self._reaction_energy(v - u), self._distance(v, flux)
@@ -102,6 +109,11 @@ class ElementP1(Element):
         bounds = self.tension.energy_below(gradient), self.tension.energy_above(gradient)
         least, most = (total(comm, energy) / 2 for energy in bounds)
         return least - work - rest, most - work + rest
+
+    @property
+    def every_obstacle(self) -> Sequence[Obstacle]:
+        """See `Element.every_obstacle`."""
+        return [*self.obstacles, *self.equilibration.sides]
 
     def data_in_cells(self) -> list[CellDatum]:
         """See `Element.data_in_cells`."""
@@ -179,6 +191,11 @@ class ElementP1(Element):
         data, nodal, v = self.simplices.data, u.copy(), u.copy()
         given = data.fixed[0]
         lifted = []
+        for side in self.equilibration.sides:
+            for state, obstacle in ((nodal, side.nodal), (v, side.lifted)):
+                inside = side.sign * np.maximum(side.sign * state, obstacle)
+                inside[given] = state[given]
+                state[:] = inside
         for excess in self.obstacles:
             lifted.append(excess.lift(excess.sign * v))
             for state, obstacle in ((nodal, excess.nodal), (v, lifted[-1])):

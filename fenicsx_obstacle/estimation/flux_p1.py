@@ -27,6 +27,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, BoundaryObstacles
 from fenicsx_obstacle.estimation.cell_data import (
     Load,
     matrix_of,
@@ -61,6 +62,7 @@ class FluxP1:
         averaged: Force per area in each cell that sigma is in balance with besides, because forces are averaged around
             vertices where foundations are stiff.
         force: Of fluxes and springs on the facets of `EquilibrationP1.parts`, by vertices of the cell.
+        contact: The same of each of the obstacles on facets.
     """
 
     lower: np.ndarray
@@ -71,6 +73,7 @@ class FluxP1:
     incompatible: float
     averaged: np.ndarray
     force: np.ndarray
+    contact: tuple[np.ndarray, ...] = ()
 
 
 class EquilibrationP1(ABC):
@@ -83,6 +86,7 @@ class EquilibrationP1(ABC):
         pull: The same times the mean weight of integrals in the cell.
         matrix: The tension of each cell, where it is a matrix, shape (cells, d, d).
         load: Its moments are int_T f phi_l, shape (cells, d + 1), its oscillation ||f - f_0||_T.
+        sides: The lower and the upper obstacle on facets, if they are there.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
         reaction: Foundation.
         parts: Fluxes and springs, and forces at vertices.
@@ -121,7 +125,11 @@ class EquilibrationP1(ABC):
         foundation = next((effect.reaction for effect in known if effect.reaction is not None), None)
         self.points = PointForces(simplices, others)
         self.reaction = Reaction(simplices, foundation)
-        self.parts = part_forces(simplices, known, patches.held, self.points)
+        bearing = BoundaryObstacles(simplices)
+        self.parts = part_forces(simplices, known, patches.held, self.points, bearing.on(simplices.facets.shape))
+        self.sides = [
+            BoundaryObstacle(sign, self.parts, patches, which, fields) for sign, which, fields in bearing.given
+        ]
         stiff = self.reaction.least * simplices.area ** (2 / simplices.dim) / self.mu > STIFF
         self._stiff: np.ndarray | None = None  # whether all cells around each patch's vertex are
         if total(self.level.comm, np.count_nonzero(stiff)) > 0:
@@ -179,13 +187,23 @@ class EquilibrationP1(ABC):
         """
         simplices, patches, V = self.simplices, self.patches, self.level.V
         beta = simplices.along_normals(self.pulled(simplices.gradient(u)) / -simplices.dim)
-        force, outside = self.parts.forces(u), beta.copy()
+        given_force = force = self.parts.forces(u)
+        outside = beta.copy()
         np.add.at(outside, self.parts.cells, force)
         drops, averaged = self._drops(outside, self._all_moments(u))
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
         solver_rest = self._multipliers(with_solver_load, touches_lower, touches_upper)[2]
+        borne = ()
+        if self.sides:
+            borne = tuple(side.forces(lower if side.sign > 0 else upper) for side in self.sides)
+            at_corners = np.zeros(simplices.dofs.shape)
+            for side, one in zip(self.sides, borne, strict=True):
+                force = force + side.sign * one
+                np.add.at(at_corners, self.parts.cells, side.sign * one)
+            drops += patches.gather(at_corners)[0]
+            lower, upper = np.zeros(patches.owned), np.zeros(patches.owned)
         (lower, push), (upper, pull) = (
             self._in_cells(self._along_the_boundary(values, touches), gap)
             for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
@@ -198,7 +216,7 @@ class EquilibrationP1(ABC):
         normal, incompatible = self._on_patches(drops, beta, force)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
-            normal=normal, incompatible=incompatible, averaged=averaged, force=force,
+            normal=normal, incompatible=incompatible, averaged=averaged, force=given_force, contact=borne,
         )  # fmt: skip
 
     def _drops(self, outside: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

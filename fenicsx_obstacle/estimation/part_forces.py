@@ -39,7 +39,7 @@ DIVISION = {2: Division(24, 1e-2, 1e-7), 3: Division(5, 1e-2, 1e-3)}
 
 @dataclass(frozen=True, eq=False)
 class PartForces:
-    """All fluxes and springs, on the facets of owned cells.
+    """All fluxes and springs, on the facets of owned cells; facets with obstacles are among them.
 
     Attributes:
         cells: The cell of each facet.
@@ -184,7 +184,9 @@ class PartForces:
         return found
 
 
-def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray, points: PointForces) -> PartForces:
+def part_forces(
+    simplices: Simplices, effects: list[Effect], held: np.ndarray, points: PointForces, bearing: np.ndarray
+) -> PartForces:
     """The fluxes and springs among some effects, and forces at vertices (collective).
 
     Args:
@@ -192,6 +194,7 @@ def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray, p
         effects: Of facets with two data of the same kind the later one counts.
         held: Whether u is given on the side opposite to each vertex, shape (cells, vertices).
         points: Forces at points.
+        bearing: Whether the side opposite to each vertex has an obstacle: it is among the facets.
     """
     data, dim = simplices.data, simplices.dim
     shape = simplices.facets.shape
@@ -204,14 +207,14 @@ def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray, p
     which = np.full((2, *shape), -1)
     for kind, fields in enumerate(given):
         for number, (_, part, _) in enumerate(fields):
-            which[kind][_on(simplices, data.facets[part])] = number
+            which[kind][on_sides(simplices, data.facets[part])] = number
     at_vertices = np.zeros(shape)
     np.add.at(at_vertices, points.at_vertices[:2], points.at_vertices[2])
     at_vertices[held] = 0.0
-    cells, sides = np.nonzero((which >= 0).any(axis=0) | (at_vertices != 0))
+    cells, sides = np.nonzero((which >= 0).any(axis=0) | (at_vertices != 0) | bearing)
     corners = (sides[:, None] + np.arange(1, dim + 1)) % (dim + 1)
     x = simplices.x[cells[:, None], corners]
-    outer = _on(simplices, data.level.boundary_facets)[cells, sides]
+    outer = on_sides(simplices, data.level.boundary_facets)[cells, sides]
     nodal, pieces = np.zeros((2, len(cells), dim)), []
     for kind, fields in enumerate(given):
         found: list[tuple[np.ndarray, Pieces]] = []
@@ -232,7 +235,7 @@ def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray, p
     )  # fmt: skip
 
 
-def _on(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
+def on_sides(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
     """Whether the side opposite to each vertex is one of some local facets, which the rank of one of its two cells need
     not know, shape (cells, vertices) (collective)."""
     level, count = simplices.data.level, simplices.facets.max(initial=-1) + 1

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from fenicsx_obstacle.verification.hard.families import (
     anisotropic,
     axial,
+    bearings,
     boundary_values,
     concentrated,
     conditions,
@@ -44,6 +45,7 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "supported": supported.supported(),
     "anisotropic": anisotropic.anisotropic(),
     "axial": axial.axial(),
+    "bearings": bearings.bearings(),
     "loaded string": concentrated.loaded_strings(),
     "loaded line": concentrated.loaded_lines(),
     "tetrahedra": solids.tetrahedra(),

@@ -208,6 +208,7 @@ class LoadedLine(ClosedForm):
         pressure: In contact.
         angle: Of the direction in which w rises.
         upper: Whether all is upside down.
+        borne: The pressure of an obstacle along the line instead, where the other function is negative; 0: there is none.
     """
 
     obstacle: str
@@ -220,6 +221,7 @@ class LoadedLine(ClosedForm):
     pressure: float
     angle: tuple[float, float]
     upper: bool
+    borne: float
 
     name = "loaded line"
 
@@ -261,10 +263,15 @@ class LoadedLine(ClosedForm):
         mesh, tags = lined(comm, table["cells"], table["slope"], table["stretch"], table["scatter"])
         a, b = self._line.direction
         flux = f"{-sign * float(np.hypot(a, b))!r}*({self.stiff})*({self.factor})"
-        along: dict[str, Any] = {"on": LINE, "flux": flux}
+        along: dict[str, Any] = {"on": LINE}
+        if self.borne > 0:
+            beyond = f"max({distance(self._other)}, 0)"
+            along["upper" if self.upper else "lower"] = f"{self.value()} - {sign}*{beyond}^2"
+            flux = f"{flux} - {sign * self.borne!r}*max(0, min(1, -9*({distance(self._other)})))"
         if self.springs > 0:
-            spring = f"{self.springs!r}*{SHAPES[self.wire].text(self.spelling)}"
-            along = {"on": LINE, "flux": f"{flux} + {spring}*({self.value()})", "spring": spring}
+            along["spring"] = f"{self.springs!r}*{SHAPES[self.wire].text(self.spelling)}"
+            flux = f"{flux} + {along['spring']}*({self.value()})"
+        along["flux"] = flux
         return Scene(
             mesh=mesh, facet_tags=tags, facet_names={LINE: 1}, boundary=[{"value": self.value()}, along], **self.data()
         )
@@ -282,12 +289,13 @@ def loaded_lines(draw: st.DrawFn) -> LoadedLine:
             "scatter": draw(st.sampled_from([0.0, 0.2, 0.3]))}  # fmt: skip
     asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
     asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
+    kind = draw(st.sampled_from(["none", "contact", "contact", "borne"]))
     found = LoadedLine(
         mesh, {"element": "P1", **asked}, draw(st.integers(0, 9)), draw(st.sampled_from(OBSTACLES_2D)),
         draw(st.sampled_from(TENSIONS_2D)), draw(st.sampled_from(FACTORS)), draw(st.sampled_from(sorted(SHAPES))),
-        draw(st.sampled_from([0.0, 0.0, 0.5, 20.0, 200.0, 1e4])), draw(st.booleans()), draw(st.sampled_from([1.0, 4.0])),
+        draw(st.sampled_from([0.0, 0.0, 0.5, 20.0, 200.0, 1e4])), kind == "contact", draw(st.sampled_from([1.0, 4.0])),
         draw(st.sampled_from([0.0, 1.0, 30.0])), draw(st.sampled_from([(0.0, 1.0), (1.0, 0.0), (0.6, -0.8)])),
-        draw(st.booleans()),
+        draw(st.booleans()), draw(st.sampled_from([1.0, 30.0])) if kind == "borne" else 0.0,
     )  # fmt: skip
     assume(found.short)
     return found
