@@ -40,6 +40,7 @@ OBSTACLES_2D = ("0", "x**2 - x*y", "x**3*y - y**2", "exp(x)*sin(2*y)", "sin(3*x 
 TENSIONS_2D = ("1", "7.3", "exp(x - y)", "2 + sin(5*x)*cos(3*y)", "1/(1 + x**2 + y**2)")
 FACTORS = ("1", "0.1", "2 + x*y", "(1 + y)**2", "exp(x)")
 LINE = "line"
+BORNE = 0.6  # half of the length of this part, up to a factor
 GAUSS = 12  # points between two places where expressions change
 
 
@@ -208,7 +209,7 @@ class LoadedLine(ClosedForm):
         pressure: In contact.
         angle: Of the direction in which w rises.
         upper: Whether all is upside down.
-        borne: The pressure of an obstacle along the line instead, where the other function is negative; 0: there is none.
+        borne: The largest pressure of an obstacle along a part of the line instead; 0: there is none.
     """
 
     obstacle: str
@@ -265,9 +266,8 @@ class LoadedLine(ClosedForm):
         flux = f"{-sign * float(np.hypot(a, b))!r}*({self.stiff})*({self.factor})"
         along: dict[str, Any] = {"on": LINE}
         if self.borne > 0:
-            beyond = f"max({distance(self._other)}, 0)"
-            along["upper" if self.upper else "lower"] = f"{self.value()} - {sign}*{beyond}^2"
-            flux = f"{flux} - {sign * self.borne!r}*max(0, min(1, -9*({distance(self._other)})))"
+            along["upper" if self.upper else "lower"] = f"{self.value()} - {sign}*max(abs(y - 0.1) - {BORNE}, 0)^2"
+            flux = f"{flux} - {sign * self.borne!r}*max(0, 1 - ((y - 0.1)/{BORNE})^2)"
         if self.springs > 0:
             along["spring"] = f"{self.springs!r}*{SHAPES[self.wire].text(self.spelling)}"
             flux = f"{flux} + {along['spring']}*({self.value()})"
