@@ -34,8 +34,6 @@ def check_bound_exists(problem: Problem) -> None:
             raise InputError(f"{model.source}: the error bound does not cover {effect.key}")
     if problem.data.axial and model.elastic.matrix_tension is not None:
         raise InputError(f"{model.source}: with axial symmetry the error bound needs an isotropic tension")
-    if pair.degree == 2 and problem.data.thin:
-        raise InputError(f"{model.source}: with P2 the error bound is for obstacles in the domain, not on its boundary")
     if pair.degree == 2 and problem.data.axial:
         raise InputError(f"{model.source}: with P2 the error bound does not cover axial symmetry")
     if pair.degree == 2 and model.elastic.isotropic_tension is None:

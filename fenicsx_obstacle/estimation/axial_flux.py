@@ -20,7 +20,11 @@ from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciproc
 
 
 class AxialFlux:
-    """What depends on the mesh alone."""
+    """What depends on the mesh alone.
+
+    Attributes:
+        variation: A bound of ||1/r - 1/r_T||_T in each cell, 0 where a is 0.
+    """
 
     def __init__(self, simplices: Simplices):
         """Weigh the facets (local).
@@ -43,7 +47,7 @@ class AxialFlux:
             _, p, q = np.sort(radius, axis=1).T
             beyond = np.minimum(beyond, np.where(p > 0, 2 * reciprocals(np.sqrt(np.abs(p * q))) - 1 / mean, np.inf))
         at_axis = np.count_nonzero(radius == 0, axis=1) == dim  # where a is 0
-        self._beyond = np.sqrt(simplices.area * np.where(at_axis, 0.0, np.maximum(beyond, 0.0)))
+        self.variation = np.sqrt(simplices.area * np.where(at_axis, 0.0, np.maximum(beyond, 0.0)))
 
     def beyond(self, normal: np.ndarray) -> np.ndarray:
         """The norm of a (1/r - 1/r_T) in each cell (local).
@@ -53,7 +57,7 @@ class AxialFlux:
         """
         simplices = self._simplices
         a = sums(normal * self._inverse * self._radius) / (simplices.dim * simplices.area)
-        return np.abs(a) * self._beyond
+        return np.abs(a) * self.variation
 
     def distances(self, gradient: np.ndarray, normal: np.ndarray, tension: Tension) -> np.ndarray:
         """A bound of ||mu^(1/2) g - mu^(-1/2) tau||_T^2 in each cell (local).

@@ -189,7 +189,7 @@ class Estimator:
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
         known, elastic, comm = (
-            "tension, load, foundation, flux and spring, and on intervals point loads",
+            "tension, load, foundation, flux and spring",
             self.problem.model.elastic,
             self.problem.level.comm,
         )
