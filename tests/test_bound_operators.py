@@ -1,4 +1,4 @@
-"""The error bound with axial symmetry, point loads on intervals, and obstacles on the boundary: never below the true error."""
+"""The error bound with axial symmetry, point loads, and obstacles on the boundary: never below the true error."""
 
 import numpy as np
 import pytest
@@ -27,8 +27,8 @@ def ball(cells, x=(0, 1), **data):
     u = "(x^2 + y^2 - 0.2)^2"
     outside = f"where(x^2 + y^2 < 0.2, 0, {u})"
     return Scene(
-        mesh={"shape": "rectangle", "cells": cells, "x": list(x), "y": [-1, 1]}, tension=1, axial_symmetry=True, lower=0,
-        load="where(x^2 + y^2 < 0.2, -2, -20*(x^2 + y^2) + 2.4)", exact=outside,
+        mesh={"shape": "rectangle", "cells": cells, "x": list(x), "y": [-1, 1]}, tension=1, axial_symmetry=True,
+        lower=0, load="where(x^2 + y^2 < 0.2, -2, -20*(x^2 + y^2) + 2.4)", exact=outside,
         boundary=[{"on": ["right", "top", "bottom"] + (["left"] if x[0] > 0 else []), "value": outside}], **data,
     )  # fmt: skip
 
@@ -49,8 +49,8 @@ SCENES = {
                              exact="x^2/4 + x - 2*max(x - 0.3, 0) + max(x - 0.7, 0)/2"), 1 + 1e-6),
     "stop": (lambda: Scene(mesh={"shape": "interval", "cells": 16}, tension=1, load=-1, exact="x^2/2 - 0.7*x",
                            boundary=[{"on": "left", "value": 0}, STOP]), 1.5),
-    "wall": (lambda: Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load="2*x", exact="y*(1 - y)*x", boundary=[
-        {"on": ["left", "bottom", "top"], "value": 0}, WALL]), 8.0),
+    "wall": (lambda: Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load="2*x", exact="y*(1 - y)*x",
+                           boundary=[{"on": ["left", "bottom", "top"], "value": 0}, WALL]), 8.0),
 }  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def test_point_load_inside_a_cell(at):
 
 
 def test_flux_with_axial_symmetry():
-    """On a mesh with moved vertices the flux r tau is continuous, 0 on the axis, and in balance with load and contact."""
+    """On a mesh with moved vertices the flux r tau is continuous, 0 on the axis, and balances load and contact."""
     context = SolverContext(ball(6).change({"mesh.perturb": 0.2}), COMM)
     context.answer(bound=True)
     problem, element = context.problem, context.estimator.element
@@ -121,7 +121,7 @@ def test_a_tolerance_is_reached(name):
 
 
 def test_obstacle_on_a_face():
-    """Tetrahedra: u = x y (1 - y) z (1 - z) touches a wall at x = 1 with the force 1 per area less what the slope gives."""
+    """Tetrahedra: u = x y (1 - y) z (1 - z) touches a wall at x = 1, which presses with the force 1 per area."""
     u = "x*y*(1 - y)*z*(1 - z)"
     wall = {"on": "right", "lower": u, "flux": "y*(1 - y)*z*(1 - z) - 1"}
     others = {"on": ["left", "front", "back", "bottom", "top"], "value": 0}
@@ -132,9 +132,11 @@ def test_obstacle_on_a_face():
 
 
 def test_an_obstacle_above_what_is_given_beside_it():
-    """Between two nodes, one of which is held, an obstacle that touches there is above its nodal interpolant: no bound."""
+    """Beside a node that is held, an obstacle that touches there is above its nodal interpolant: no bound."""
     wall = {"on": "right", "lower": "y*(1 - y)", "flux": "-1"}
     scene = Scene(
-        mesh={"shape": "rectangle", "cells": 4}, tension=1, boundary=[{"on": ["left", "bottom", "top"], "value": 0}, wall]
+        mesh={"shape": "rectangle", "cells": 4},
+        tension=1,
+        boundary=[{"on": ["left", "bottom", "top"], "value": 0}, wall],
     )
     assert "or what is given" in solve(scene, bound=True, comm=COMM).bound.words

@@ -1,7 +1,7 @@
 """The equilibrated flux with the weight r of axial symmetry, the distance from the axis.
 
-All integrals have the factor r. The flux is r tau, with tau in RT0 on each cell: its normal part on a facet is r times a
-number, so that it is determined by what flows out of each facet, and it is 0 on the axis. With c_j, what flows out
+All integrals have the factor r. The flux is r tau, with tau in RT0 on each cell: its normal part on a facet is r times
+a number, so that it is determined by what flows out of each facet, and it is 0 on the axis. With c_j, what flows out
 opposite to vertex j divided by the mean of r there,
 
     tau = sum_j c_j (x - x_j)/(d |T|),   div(r tau)/r = (d + 1) b + a/r,   b = sum_j c_j/(d |T|),   a = -sum_j r_j b_j,

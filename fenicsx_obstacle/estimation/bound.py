@@ -214,5 +214,7 @@ class Estimator:
         if terms.flux.incompatible > 1e-8 * scale:
             reasons.append("cells overlap, or meet in a vertex only")
         if terms.crossing > 0:
-            reasons.append(f"between the nodes the obstacles cross each other or what is given, by {terms.crossing:.2g} at most")
+            reasons.append(
+                f"between the nodes the obstacles cross each other or what is given, by {terms.crossing:.2g} at most"
+            )
         return reasons

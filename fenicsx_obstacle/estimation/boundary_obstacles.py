@@ -1,9 +1,9 @@
 """Obstacles on parts of the boundary, or along curves and surfaces inside.
 
-There the contact force is a force on facets, and in the equilibrated flux like a load there: at a node it is distributed
-to the facets around it, and on a facet E with the force F the multiplier is F/|E|. Its part of the bound is F times the
-mean of the distance of v_h to the obstacle on E. v_h is raised at the vertices of a facet by what the obstacle is above
-its nodal interpolant there; not at vertices where u is given.
+There the contact force is a force on facets, and in the equilibrated flux like a load there: at a node it is
+distributed to the facets around it, and on a facet E with the force F the multiplier is F/|E|. Its part of the bound is
+F times the mean of the distance of v_h to the obstacle on E. v_h is raised at the vertices of a facet by what the
+obstacle is above its nodal interpolant there; not at vertices where u is given.
 """
 
 from __future__ import annotations

@@ -224,7 +224,9 @@ class Load:
             if simplices.radius is not None:
                 with_weight = simplices.weights(weights, part.points(points), part.rows)
                 more = integrals(part.values(points), with_weight) - ratio[part.rows] * (part.values(points) @ weights)
-                part.add_to(flat, (part.share * area[part.rows] * more / flat.shape[1])[:, None] * np.ones(flat.shape[1]))
+                part.add_to(
+                    flat, (part.share * area[part.rows] * more / flat.shape[1])[:, None] * np.ones(flat.shape[1])
+                )
         points, weights = rule(self._dim, 2)
         basis = self._basis(points)
         of_basis = _rows(self.moments.sum(axis=-1))
@@ -327,7 +329,7 @@ class Tension:
             rest = np.where(useless, 0.0, group.rest)
             group.lower_to(self.least, lower)
             group.raise_to(self.most, upper)
-            group.add_to(mean, group.share * self._mean(group))
+            group.add_to(mean, group.share * self._mean_of(group))
             group.add_to(spread, group.share * rest * part_weight(self._simplices, group))
             varies = (group.degree > 0) | (rest > 0) | (group.corners is not None)
             self.varies[group.rows[varies]] = True
@@ -339,7 +341,7 @@ class Tension:
         self.least_mean = np.maximum(mean - spread, self.least * ratio)
         self.most_mean = np.minimum(mean + spread, self.most * ratio)
 
-    def _mean(self, group: Group) -> np.ndarray:
+    def _mean_of(self, group: Group) -> np.ndarray:
         """Of the polynomials on parts of cells, times the weight of integrals."""
         if self._simplices.radius is None:
             return group.coefficients.mean(axis=1)

@@ -88,7 +88,8 @@ class ElementP1(Element):
                 np.sqrt(of_v[1] + moved) + inside, np.sqrt(of_v[0] + moved) + with_load) ** 2,
             oscillation=np.minimum(self._far + inside, with_load),
             contact=contact,
-            moved=self._energy(v - u) + moved, cover=self.tension.most * simplices.most_weight * cover + self._reaction_energy_of(height),
+            moved=self._energy(v - u) + moved,
+            cover=self.tension.most * simplices.most_weight * cover + self._reaction_energy_of(height),
             raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
@@ -210,7 +211,7 @@ class ElementP1(Element):
         return nodal, v, crossing
 
     def _gap(self, v: np.ndarray, excess: ObstacleExcess) -> np.ndarray:
-        """The integral of the distance of v to an obstacle over each cell; with a weight of integrals |T| times the mean."""
+        """The integral of the distance of v to an obstacle over each cell; with a weight |T| times the mean."""
         corners, radius = self.simplices.dim + 1, self.simplices.radius
         nodal = (excess.sign * v - excess.nodal)[self.simplices.dofs]
         if radius is not None:

@@ -195,7 +195,7 @@ class EquilibrationP1(ABC):
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
         solver_rest = self._multipliers(with_solver_load, touches_lower, touches_upper)[2]
-        borne = ()
+        borne: tuple[np.ndarray, ...] = ()
         if self.sides:
             borne = tuple(side.forces(lower if side.sign > 0 else upper) for side in self.sides)
             at_corners = np.zeros(simplices.dofs.shape)

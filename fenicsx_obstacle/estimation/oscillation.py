@@ -95,7 +95,7 @@ class Oscillation:
         if simplices.radius is not None:
             self._moments = load.moments * (area / simplices.size)[:, None]
             self.norm, self._mean = self.poincare * load.oscillation, sums(self._moments) / area
-            self.beyond = self._beyond_linear(load.pieces.groups)
+            self.beyond = self._beyond_linear(load.pieces.groups, self._mean)
             return
         squares = np.zeros(count)
         for group in load.pieces.groups:
@@ -144,10 +144,10 @@ class Oscillation:
             found -= (sums(found * (radius + sums(radius)[:, None])) / ((dim + 2) * sums(radius)))[:, None]
         return found
 
-    def _beyond_linear(self, groups: list[Group]) -> np.ndarray:
+    def _beyond_linear(self, groups: list[Group], mean: np.ndarray) -> np.ndarray:
         """A bound of ||g - linear||_T with the weight of integrals."""
         simplices = self._simplices
-        linear, mean = self.linear(slice(None)), self._mean
+        linear = self.linear(slice(None))
         squares, rests = np.zeros(len(linear)), np.zeros(len(linear))
         for whole in groups:
             points, weights = rule(simplices.dim, 2 * max(whole.degree, 1) + 1)

@@ -1,8 +1,8 @@
 """Forces at points on intervals, where their energy is finite.
 
-A force F at a point p of a cell T, at the share t of its length, is the force F/|T| per length, which the equilibrated
-flux is in balance with, and F (delta_p - 1/|T|), which has mean zero in T and is in balance with a flux of its own in T,
-as the oscillation of a load is (see `oscillation`): tau = F ((x - x_0)/|T| - [x > p]),
+A force F at a point p of a cell T, at the share t of its length, is the force F/|T| per length, which the
+equilibrated flux is in balance with, and F (delta_p - 1/|T|), which has mean zero in T and a flux of its own in T, as
+the oscillation of a load is (see `oscillation`): tau = F ((x - x_0)/|T| - [x > p]),
 
     ||tau||_T^2 = F^2 |T| (t^3 + (1 - t)^3)/3,   (tau, Q') = F (Q(p) - mean of Q) for every Q.
 

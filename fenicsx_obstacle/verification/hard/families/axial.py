@@ -1,7 +1,7 @@
 """Closed forms with axial symmetry, on meridians with and without the axis, and on radii: with contact or without.
 
--(1/x) div(x tension grad u) + foundation u = load + p. On the axis u, its obstacle and the tension are even in x, so that
-the load is a formula without 1/x.
+-(1/x) div(x tension grad u) + foundation u = load + p. On the axis u, its obstacle and the tension are even in x, so
+that the load is a formula without 1/x.
 """
 
 from __future__ import annotations
@@ -183,7 +183,8 @@ class Axial(ClosedForm):
             cells, middle = np.arange(len(ends)), np.clip(self.radius, ends[:, 0], ends[:, 1])
             t, weights = np.polynomial.legendre.leggauss(LEVELS)
             points = np.concatenate(
-                [a[:, None] + (b - a)[:, None] * (t + 1) / 2 for a, b in ((ends[:, 0], middle), (middle, ends[:, 1]))], 1
+                [a[:, None] + (b - a)[:, None] * (t + 1) / 2 for a, b in ((ends[:, 0], middle), (middle, ends[:, 1]))],
+                1,
             )
             measure = np.concatenate([(b - a)[:, None] * weights / 2 for a, b in ((ends[:, 0], middle),
                                                                                  (middle, ends[:, 1]))], 1)  # fmt: skip
@@ -230,7 +231,7 @@ def axial(draw: st.DrawFn) -> Axial:
                 "perturb": draw(st.sampled_from([0.0, 0.1, 0.2]))}  # fmt: skip
     width = radii[1] - radii[0]
     radius = draw(place(0.1, 0.9)) * width + (radii[0] if kind in ("tube", "shell", "pipe") else 0.0)
-    middle = tuple(round(a + (b - a) * draw(place(0.1, 0.9)), 6) for a, b in (radii, heights))
+    a, b = (round(low + (high - low) * draw(place(0.1, 0.9)), 6) for low, high in (radii, heights))
     tolerance = draw(st.sampled_from([None] * 6 + [0.3, 0.1]))
     asked = {"bound": True} if tolerance is None else {"tol": tolerance, "budget": "500 unknowns"}
     asked |= draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
@@ -239,7 +240,7 @@ def axial(draw: st.DrawFn) -> Axial:
     if flat and on_axis and foundation == "0":
         sides = []
     found = Axial(
-        mesh, {"element": "P1", **asked}, draw(st.integers(0, 9)), kind, middle, round(radius, 6),
+        mesh, {"element": "P1", **asked}, draw(st.integers(0, 9)), kind, (a, b), round(radius, 6),
         draw(st.sampled_from([1.0, 4.0, 0.1])), draw(st.sampled_from(EVEN if on_axis else ANY)),
         draw(st.sampled_from(EVEN_TENSIONS if on_axis else TENSIONS)), draw(power(-2, 2)),
         draw(st.sampled_from(["1", "30", "0", "1 + x**2"])), draw(st.booleans()), draw(st.booleans()), foundation,

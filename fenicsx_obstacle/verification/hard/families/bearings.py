@@ -99,7 +99,7 @@ class Bearings(ClosedForm):
             shape = f"where({along} < {one.width!r}, 1, 0)" if one.even else f"max(1 - ({along}/{one.width!r})^2, 0)"
             text = f"({flux}) - {sign * one.pressure!r}*{shape}"
             gap = f"{sign * one.steep!r}*max({along} - {one.width!r}, 0)^2"
-            part = {"on": one.side, "upper" if one.upper else "lower": f"({self.formula}) - {gap}"}
+            part: dict[str, Any] = {"on": one.side, "upper" if one.upper else "lower": f"({self.formula}) - {gap}"}
             if one.spring > 0:
                 text, part["spring"] = f"{text} + {one.spring!r}*({self.formula})", one.spring
             parts.append({**part, "flux": text})
@@ -133,14 +133,16 @@ def bearings(draw: st.DrawFn) -> Bearings:
     """One side with an obstacle, or more; the contact set ends before its ends, mostly."""
     box = draw(st.sampled_from(BOXES))
     mesh = {"shape": "rectangle", "cells": draw(st.integers(4, 14)), "x": list(box[0]), "y": list(box[1]),
-            "diagonal": draw(st.sampled_from(DIAGONALS)), "perturb": draw(st.sampled_from([0.0, 0.1, 0.2]))}  # fmt: skip
+            "diagonal": draw(st.sampled_from(DIAGONALS)), "perturb": draw(st.sampled_from([0, 0.1, 0.2]))}  # fmt: skip
     found = []
     for side in draw(st.lists(st.sampled_from(sorted(SIDES)), min_size=1, max_size=3, unique=True)):
         low, high = box[1] if SIDES[side][0] else box[0]
         found.append(Bearing(
-            side, round(low + (high - low) * draw(place(0.3, 0.7)), 6), round((high - low) * draw(place(0.05, 0.35)), 6),
+            side, round(low + (high - low) * draw(place(0.3, 0.7)), 6),
+            round((high - low) * draw(place(0.05, 0.35)), 6),
             draw(st.sampled_from([0.5, 20.0])), draw(st.sampled_from([0.0, 0.5, 3.0, 30.0])),
-            draw(st.sampled_from([False, False, False, True])), draw(st.booleans()), draw(st.sampled_from([0.0, 0.0, 0.5, 20.0])),
+            draw(st.sampled_from([False, False, False, True])), draw(st.booleans()),
+            draw(st.sampled_from([0.0, 0.0, 0.5, 20.0])),
         ))  # fmt: skip
     asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
     asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))

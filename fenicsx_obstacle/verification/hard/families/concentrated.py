@@ -6,6 +6,7 @@ u has a kink there. Contact is beside it, or on one side up to it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,6 @@ from fenicsx_obstacle.verification.hard.families.closed import (
     expression,
     load_of,
     x,
-    y,
 )
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import Family, Judgement, toml
@@ -84,7 +84,7 @@ class LoadedString(Family):
         """Intervals, and u on each without the sign."""
         ends = sorted({0.0, self.contact, *self.points, 1.0})
         found = []
-        for left, right in zip(ends[:-1], ends[1:], strict=True):
+        for left, right in pairwise(ends):
             u = expression(self.obstacle)
             if self.contact > 0 and left >= self.contact:
                 u += self.size * (x - self.contact) ** 2
@@ -107,7 +107,9 @@ class LoadedString(Family):
         for _, right, u in parts:
             load = sympy.expand(-sympy.diff(mu * sympy.diff(u, x), x) + k * u)
             loads.append(sign * (load - (self.pressure if right <= self.contact else 0)))
-        forces = [(point, -kink * float(mu.subs(x, point))) for point, kink in zip(self.points, self.kinks, strict=True)]
+        forces = [
+            (point, -kink * float(mu.subs(x, point))) for point, kink in zip(self.points, self.kinks, strict=True)
+        ]
         forces += [(point, -2.5) for point in self.pressed]
         last = parts[-1][2]
         if self.end == "force":
