@@ -15,8 +15,8 @@ the multipliers, v_h and r: `element_p1`, `element_p2`.
 `words` says how far the bound is guaranteed (`certification`). It is 'certified' if it uses no samples: numbers,
 formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A
 callable is known at its samples only: 'certified for the sampled load'. It is 'an indicator' where the error may be
-larger for other reasons: effects that the proof does not cover (`flux_p1.unknown_effects`), data that may be infinite, u
-given nowhere, or unbalanced forces where Friedrichs' constant is not known.
+larger for other reasons: effects that the proof does not cover (`flux_p1.unknown_effects`), data that may be infinite,
+u given nowhere, or unbalanced forces where Friedrichs' constant is not known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
