@@ -31,7 +31,6 @@ def test_a_power_law_of_exponent_two():
         pytest.param({"power_law": {"exponent": 3}}, "no bound, as power_law is not linear", marks=pytest.mark.slow),
         ({"tension": 0.05, "drift": [3, 1]}, "no bound, as its proof covers tension, load, foundation, flux and "
                                              "spring, not drift"),
-        ({"tension": 1, "axial_symmetry": True}, "no bound, as its proof does not cover the weight of axial symmetry"),
     ],
 )  # fmt: skip
 def test_a_tolerance_is_reached(effects, missing):
@@ -42,14 +41,3 @@ def test_a_tolerance_is_reached(effects, missing):
     assert answer.record["adaptive"]["reached"] and path[-1] < path[0]
     assert answer.bound.words.startswith("an indicator: estimated") and missing in answer.bound.words
     assert not answer.bound.guaranteed
-
-
-@pytest.mark.parametrize("mesh", [{"shape": "rectangle", "cells": 16}, {"shape": "interval", "cells": 32}])
-def test_axial_symmetry_is_estimated(mesh):
-    """u = 1 - x^2 under the load 4: the estimate is above the true error, not more than three times, with the axis as a
-    side."""
-    disk = Scene(
-        mesh=mesh, tension=1, load=4, axial_symmetry=True, exact="1 - x^2", boundary=[{"on": "right", "value": 0}]
-    )
-    record = solve(disk, bound=True, comm=COMM).record
-    assert 1 < record["bound"]["effectivity"] < 3 and not record["bound"]["guaranteed"]

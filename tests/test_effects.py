@@ -398,8 +398,6 @@ def test_obstacles_of_both_kinds_are_refused():
             solve(membrane(**given))
     with pytest.raises(InputError, match="obstacles on the boundary are for elements P1 and Q1"):
         solve(membrane(boundary=[free]), element="P2")
-    with pytest.raises(InputError, match="obstacles in the domain, not on its boundary"):
-        solve(membrane(boundary=[free, {"on": "right", "value": 0}]), bound=True)
 
 
 def test_demo_wall():

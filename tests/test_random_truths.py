@@ -12,6 +12,9 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.adapt import solve
 from fenicsx_obstacle.verification.hard.families.anisotropic import Anisotropic
+from fenicsx_obstacle.verification.hard.families.axial import Axial
+from fenicsx_obstacle.verification.hard.families.bearings import Bearing, Bearings
+from fenicsx_obstacle.verification.hard.families.concentrated import LoadedLine, LoadedString
 from fenicsx_obstacle.verification.hard.families.conditions import KINDS as TERMS
 from fenicsx_obstacle.verification.hard.families.conditions import Conditions, Term
 from fenicsx_obstacle.verification.hard.families.curves import CIRCLES, Inclusion, Pole
@@ -106,6 +109,8 @@ TERM = Term("", 2.0, (0.3, 1.87), (0.1, -0.2), 0)
 DISC = Term("", -3.0, (0.12, -0.2), (0.43, 0.0), 0)
 BASE = Touching(WIDE, {}, 1, "", (0.3, 1.6), 0.07, 0.31, 4.0, "-x**2", "1 + x**2", "none", False, "7.3")
 TURNED = Anisotropic(**{**vars(BASE), "kind": "strip", "stiff": "1"}, angle="x - y", ratio=30.0, beyond=None)
+ROUND = Axial({**WIDE, "x": [0.0, 1.0]}, {}, 0, "ball", (0.3, 0.1), 0.45, 4.0, "x**2*y - y**2", "1 + x**2", 3.0, "1",
+              False, True, "3", ("right",), True)  # fmt: skip
 CLOSED = [  # a scene, the share of its error that is left with cells four times smaller, what is wrong otherwise
     (Varying(WIDE, {}, 0, "exp(x)*sin(2*y)", "2 + sin(5*x)*cos(3*y)", 3.0), 0.3, {"formula": "exp(x)*sin(2.5*y)"}),
     (Varying(WIDE, {}, 0, "x**3*y - y**2", "exp(x - y)", 3.0), 0.3, {"formula": "x**3*y - 1.3*y**2"}),
@@ -126,6 +131,13 @@ CLOSED = [  # a scene, the share of its error that is left with cells four times
     (replace(BASE, kind="half", change="jump", stiff="exp(x - y)"), 0.4, {"size": 20.0}),
     (TURNED, 0.4, {"size": 20.0}),
     (replace(TURNED, kind="half", obstacle="0", beyond=("0.4", 0.2)), 0.4, {"size": 20.0}),
+    *((replace(ROUND, kind=kind), 0.4, {"size": 20.0}) for kind in ("ball", "shell")),
+    (replace(ROUND, kind="pipe", mesh={**WIDE, "x": [0.02, 1.0]}), 0.5, {"inside": 0.1}),
+    (replace(ROUND, kind="tube", mesh={"shape": "interval", "x": [0.0, 1.0]}, sides=()), 0.35, {"size": 20.0}),
+    (Bearings(WIDE, {}, 0, "x**3*y - y**2", "exp(x - y)", "3", False,
+              (Bearing("right", 0.1, 0.4, 20.0, 3.0, False, True, 2.0),)), 0.35, {"formula": "x**3*y - 1.3*y**2"}),
+    (LoadedLine({"slope": 0.5, "stretch": 0.6, "scatter": 0.2}, {}, 0, "x**3*y - y**2", "exp(x - y)", "2 + x*y", "half",
+                20.0, True, 4.0, 1.0, (0.6, -0.8), False, 0.0), 0.4, {"size": 20.0}),
 ]  # fmt: skip
 
 
@@ -141,6 +153,20 @@ def test_closed_forms(one, left, wrong):
         errors.append(given.error(field)[0])
     assert errors[1] < left * errors[0]
     assert replace(given, **wrong).error(field)[0] > 2 * errors[1]
+
+
+def test_a_string_with_forces_at_points():
+    """With points at vertices and in contact discrete solutions tend to the closed form, and to no other one."""
+    one, errors = (
+        LoadedString(8, {}, "x**3 - x", "1 + x", "3", 0.3, 10.0, 1.0, (0.5, 0.75), (2.0, 1.0), (0.125,), "force", True),
+        [],
+    )
+    for cells in (8, 32):
+        given = replace(one, cells=cells)
+        field = Field(solve(given.scene(), comm=COMM).u)
+        errors.append(given.error(field)[0])
+    assert errors[1] < 0.35 * errors[0]
+    assert replace(given, size=20.0).error(field)[0] > 2 * errors[1]
 
 
 CUBE = {"shape": "box", "x": [-1.0, 1.0], "y": [-1.0, 1.0], "z": [-1.0, 1.0], "perturb": 0.1}

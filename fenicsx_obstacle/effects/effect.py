@@ -166,6 +166,7 @@ class Effect:
         False  # its force at a node depends on u at this node only, and does not decrease with u
     )
     no_bound: ClassVar[str] = ""  # why there is no bound of the error in energy with it
+    no_bound_from: ClassVar[int] = 1  # dimension of the meshes for which there is none
     # exponents of length, u and tension in the unit of its value; None: its scene has no other units
     dimension: ClassVar[tuple[int, int, int] | None] = None
     keeps_slopes: ClassVar[bool] = False  # it is the same in other units only where slopes are
@@ -247,6 +248,11 @@ class Effect:
     def part_reaction(self) -> tuple[Field, int] | None:
         """k >= 0 and the [[boundary]] where its part of a(u, v) is the integral of k u v, and it has none of f(v)."""
         return None
+
+    @property
+    def point_forces(self) -> tuple[tuple[tuple[float, ...], float], ...]:
+        """Points and forces where its part of f(v) is the sum of force v(point), and it has none of a(u, v)."""
+        return ()
 
     @property
     def velocity(self) -> tuple[Field, ...] | None:

@@ -28,14 +28,14 @@ def check_bound_exists(problem: Problem) -> None:
             f"for P2 on triangles in the plane, not for {pair.name} on {cell} cells in {dim}D"
         )
     for effect in sorted(model.effects, key=lambda effect: not effect.elastic):
-        if effect.no_bound:
+        if effect.no_bound and dim >= effect.no_bound_from:
             raise InputError(f"{model.source}: {effect.no_bound}")
         if effect.elastic and not _has_tension(effect):
             raise InputError(f"{model.source}: the error bound does not cover {effect.key}")
-    if problem.data.thin:
-        raise InputError(f"{model.source}: the error bound is for obstacles in the domain, not on its boundary")
     if problem.data.axial and model.elastic.matrix_tension is not None:
-        raise InputError(f"{model.source}: with axial symmetry the error estimate needs an isotropic tension")
+        raise InputError(f"{model.source}: with axial symmetry the error bound needs an isotropic tension")
+    if pair.degree == 2 and problem.data.axial:
+        raise InputError(f"{model.source}: with P2 the error bound does not cover axial symmetry")
     if pair.degree == 2 and model.elastic.isotropic_tension is None:
         raise InputError(
             f"{model.source}: with P2 the error bound needs the effect 'tension', with an isotropic tension"

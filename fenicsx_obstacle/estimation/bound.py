@@ -15,8 +15,8 @@ the multipliers, v_h and r: `element_p1`, `element_p2`.
 `words` says how far the bound is guaranteed (`certification`). It is 'certified' if it uses no samples: numbers,
 formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A
 callable is known at its samples only: 'certified for the sampled load'. It is 'an indicator' where the error may be
-larger for other reasons: effects other than tension, load, foundation, flux and spring, data that may be infinite, u
-given nowhere, or unbalanced forces where Friedrichs' constant is not known.
+larger for other reasons: effects that the proof does not cover (`flux_p1.unknown_effects`), data that may be infinite,
+u given nowhere, or unbalanced forces where Friedrichs' constant is not known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
@@ -40,7 +40,7 @@ from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
 from fenicsx_obstacle.estimation.flux_p1 import unknown_effects
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import largest, smallest, total
 
 NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
 
@@ -124,7 +124,7 @@ class Estimator:
         self._friedrichs, self._exact_constant = self.element.friedrichs
         self._rim_energy = self.element.rim_energy()
         # the mean of what the load is beyond its polynomials is in no balance
-        self._load_rest = self._friedrichs * sqrt(total(comm, simplices.area * load.rest**2))
+        self._load_rest = self._friedrichs * sqrt(total(comm, simplices.size * load.rest**2))
         self._hypotheses = Hypotheses(simplices, self.element.data_in_cells(), self.element.dirichlet)
 
     def use_estimator_load(self) -> None:
@@ -171,7 +171,7 @@ class Estimator:
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
         violated = self._violated(terms, unbalanced, bound)
-        certification = self._hypotheses.certification(violated, self.element.obstacles)
+        certification = self._hypotheses.certification(violated, self.element.every_obstacle)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
         between = norm(terms.raised) + eta_p
@@ -188,15 +188,21 @@ class Estimator:
 
     def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
-        known, elastic, data = (
+        known, elastic, comm = (
             "tension, load, foundation, flux and spring",
             self.problem.model.elastic,
-            self.problem.data,
+            self.problem.level.comm,
         )
-        unknown = [] if data.axial else unknown_effects(data)
+        unknown = unknown_effects(self.problem.data)
         reasons = [f"estimated, no bound, as its proof covers {known}, not {effect.key}" for effect in unknown]
-        if data.axial:
-            reasons.append("estimated, no bound, as its proof does not cover the weight of axial symmetry")
+        simplices = self.element.simplices
+        if simplices.radius is not None:
+            on_axis = simplices.radius.sum(axis=1, keepdims=True) == simplices.radius
+            held = on_axis & self.element.equilibration.patches.held
+            if total(comm, np.count_nonzero(held)) > 0:
+                reasons.append("u is given on the axis, where no state of finite energy keeps to a value")
+            if smallest(comm, simplices.radius) < 0:
+                reasons.append("cells reach across the axis")
         if not elastic.affine:
             reasons.append(f"estimated with the tension of the solution, no bound, as {elastic.key} is not linear")
         if not (self._held_somewhere or self._exact_constant):
@@ -204,9 +210,11 @@ class Estimator:
         if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
             constant = "Friedrichs' constant is not known for such a boundary"
             reasons.append(f"{constant}, and the forces are not exactly in balance")
-        scale = largest(self.problem.level.comm, np.abs(terms.flux.normal))
+        scale = largest(comm, np.abs(terms.flux.normal))
         if terms.flux.incompatible > 1e-8 * scale:
             reasons.append("cells overlap, or meet in a vertex only")
         if terms.crossing > 0:
-            reasons.append(f"between the nodes the obstacles cross, by {terms.crossing:.2g} at most")
+            reasons.append(
+                f"between the nodes the obstacles cross each other or what is given, by {terms.crossing:.2g} at most"
+            )
         return reasons

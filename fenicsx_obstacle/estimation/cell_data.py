@@ -21,7 +21,7 @@ from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
-from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 TENSION = Division(4, share=1 / 256)  # a fourth of the parts of Division(6), for .3 % more on bounds with jumps
@@ -32,32 +32,30 @@ Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def tension_of(data: Data) -> Field | None:
-    """mu; None where the tension is a matrix, depends on u, or has the weight of axial symmetry."""
-    return None if data.axial else data.model.elastic.isotropic_tension
+    """mu; None where the tension is a matrix, or depends on u."""
+    return data.model.elastic.isotropic_tension
 
 
 def matrix_of(data: Data) -> Rows | None:
     """The rows of A where the tension is a matrix, otherwise None."""
-    return None if data.axial else data.model.elastic.matrix_tension
+    return data.model.elastic.matrix_tension
 
 
 def proved(data: Data) -> bool:
     """Whether the bound is proved for the operator -div(mu grad u); otherwise the error is estimated with the tension
     of the solver."""
-    return data.model.elastic.affine and not data.axial
+    return data.model.elastic.affine
 
 
 def load_of(data: Data) -> Field | None:
-    """f, if there is a load per area; of several the first. With the weight of axial symmetry it is no such load."""
-    if data.axial:
-        return None
+    """f, if there is a load per area; of several the first."""
     return next((load for effect in data.model.effects if (load := effect.area_load) is not None), None)
 
 
 def other_effects(data: Data) -> list[Effect]:
-    """The effects besides that tension and load."""
-    effects = data.model.effects
-    load = None if data.axial else next((effect for effect in effects if effect.area_load is not None), None)
+    """The effects besides that tension and load, and the weight of integrals."""
+    effects = [effect for effect in data.model.effects if not effect.radial]
+    load = next((effect for effect in effects if effect.area_load is not None), None)
     return [effect for effect in effects if effect is not data.model.elastic and effect is not load]
 
 
@@ -106,8 +104,8 @@ def matrix_of_solver(simplices: Simplices, rows: Rows) -> np.ndarray:
 
 
 def tension_of_state(problem: Problem, simplices: Simplices) -> np.ndarray | None:
-    """The tension in each owned cell for the state of the problem where the bound is not `proved`, with the weight of
-    axial symmetry; otherwise None (collective)."""
+    """The tension in each owned cell for the state of the problem where the bound is not `proved`; otherwise None
+    (collective)."""
     elastic, level = problem.model.elastic, problem.level
     if proved(problem.data):
         return None
@@ -119,7 +117,7 @@ def tension_of_state(problem: Problem, simplices: Simplices) -> np.ndarray | Non
     with vector.localForm() as local:
         local.set(0.0)
     fem.petsc.assemble_vector(vector, releases.form(mean * problem.data.dx))
-    return found.x.array[releases.cell_dofs(W)[: len(simplices.area), 0]]
+    return found.x.array[releases.cell_dofs(W)[: len(simplices.area), 0]] * simplices.area / simplices.size
 
 
 def in_cells(simplices: Simplices, value: Field, division: Division, cells: np.ndarray | None = None) -> Pieces:
@@ -146,7 +144,8 @@ class Load:
     """Moments of the load in the cells, and how far it is from the polynomials that the flux is in balance
     with.
 
-    The load is q + r, q polynomials on parts of the cells and |r| bounded there.
+    The load is q + r, q polynomials on parts of the cells and |r| bounded there. Where integrals have a weight, the
+    moments of a cell have the sum that they have with it; among its vertices they are distributed as the solver's.
 
     Attributes:
         moments: int q test for each test function, shape (cells, ...).
@@ -171,7 +170,7 @@ class Load:
             tests: Test functions at barycentric points, shape (points, ...); their sum over the last axis is `basis`.
             basis: Of the polynomials that Pi projects onto, shape (points, n).
         """
-        self._area, self._tests, self._basis, self._dim = simplices.area, tests, basis, simplices.dim
+        self._simplices, self._tests, self._basis, self._dim = simplices, tests, basis, simplices.dim
         count = len(simplices.area)
         points, weights = rule(self._dim, 4)  # exact for what the solver has, times a test function
         self.oscillation, self.rest = np.zeros(count), np.zeros(count)
@@ -184,7 +183,7 @@ class Load:
         weighted = weights[:, None] * tests(points).reshape(len(points), -1)
         seen = of_solver(simplices, data, value, points)
         weighted = weighted.sum(axis=0, keepdims=True) if seen.shape[1] == 1 else weighted
-        solver = (simplices.area[:, None] * (seen @ weighted)).reshape(self.moments.shape)
+        solver = (simplices.size[:, None] * (seen @ weighted)).reshape(self.moments.shape)
         if value.uniform:
             self.moments = solver
             return
@@ -213,26 +212,43 @@ class Load:
 
     def _integrate(self, pieces: Pieces) -> None:
         """Moments, and distances to their projections."""
-        count, flat = len(self._area), _rows(self.moments)  # a view
+        simplices, area, size = self._simplices, self._simplices.area, self._simplices.size
+        count, flat = len(area), _rows(self.moments)  # a view
+        ratio = size / area
         parts = [group[block] for group in pieces.groups for block in _blocks(group)]
         for part in parts:
-            points, weights = rule(self._dim, part.degree + 2)
+            points, weights = rule(self._dim, part.degree + 2)  # the weight of integrals is linear
             tests = _rows(_at(self._tests, part.points(points)), 2)
             found = polynomials.combined(tests.transpose(0, 2, 1), part.values(points) * weights)
-            part.add_to(flat, (part.share * self._area[part.rows])[:, None] * found)
+            part.add_to(flat, (part.share * size[part.rows])[:, None] * found)
+            if simplices.radius is not None:
+                with_weight = simplices.weights(weights, part.points(points), part.rows)
+                more = integrals(part.values(points), with_weight) - ratio[part.rows] * (part.values(points) @ weights)
+                part.add_to(
+                    flat, (part.share * area[part.rows] * more / flat.shape[1])[:, None] * np.ones(flat.shape[1])
+                )
         points, weights = rule(self._dim, 2)
         basis = self._basis(points)
         of_basis = _rows(self.moments.sum(axis=-1))
-        nearest = of_basis @ np.linalg.inv(basis.T @ (weights[:, None] * basis)) / self._area[:, None]
+        nearest = of_basis @ np.linalg.inv(basis.T @ (weights[:, None] * basis)) / size[:, None]
         squares, rests = np.zeros(count), np.zeros(count)
         for part in parts:
-            points, weights = rule(self._dim, 2 * max(part.degree, 1))
+            points, weights = rule(self._dim, 2 * max(part.degree, 1) + (simplices.radius is not None))
             there = polynomials.combined(_at(self._basis, part.points(points)), nearest[part.rows])
-            part.add_to(squares, part.share * ((part.values(points) - there) ** 2 @ weights))
+            with_weight = simplices.weights(weights, part.points(points), part.rows)
+            part.add_to(squares, part.share * integrals((part.values(points) - there) ** 2, with_weight))
             rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
-            part.add_to(rests, part.share * rest**2)
-            part.add_to(self.rest, part.share * rest)
-        self.oscillation = np.sqrt(self._area) * (np.sqrt(squares) + np.sqrt(rests))
+            weight = part_weight(simplices, part)
+            part.add_to(rests, part.share * weight * rest**2)
+            part.add_to(self.rest, part.share * weight * rest / ratio[part.rows])
+        self.oscillation = np.sqrt(area) * (np.sqrt(squares) + np.sqrt(rests))
+
+
+def part_weight(simplices: Simplices, part: Group) -> np.ndarray | float:
+    """The mean of the weight of integrals on parts of cells, 1 if there is none."""
+    middle = np.full((1, simplices.dim + 1), 1 / (simplices.dim + 1))
+    found = simplices.weights(np.ones(1), part.points(middle), part.rows)
+    return found if found.ndim == 1 else found[:, 0]
 
 
 def _far(group: Group, limit: float) -> np.ndarray:
@@ -265,7 +281,7 @@ class Tension:
     Attributes:
         least: A lower bound in each cell.
         most: An upper bound.
-        least_mean: A lower bound of its mean.
+        least_mean: A lower bound of its mean, times the weight of integrals if they have one.
         most_mean: An upper bound.
         varies: Whether it varies within a cell, or is a matrix.
         poincare: C with ||v||_T <= C ||A^(1/2) grad v||_T for functions of mean zero, where it is a matrix A.
@@ -284,8 +300,9 @@ class Tension:
         Raises:
             InputError: If it is not positive somewhere.
         """
-        self._area, self._dim = simplices.area, simplices.dim
-        self.least = self.most = self.least_mean = self.most_mean = mu
+        self._simplices, self._area, self._dim = simplices, simplices.area, simplices.dim
+        self.least = self.most = mu
+        self.least_mean = self.most_mean = mu * (simplices.size / simplices.area)
         self.varies = np.zeros(len(mu), dtype=bool)
         self._parts: list[Group] = []
         self.pieces: Pieces | None = None
@@ -312,15 +329,24 @@ class Tension:
             rest = np.where(useless, 0.0, group.rest)
             group.lower_to(self.least, lower)
             group.raise_to(self.most, upper)
-            group.add_to(mean, group.share * group.coefficients.mean(axis=1))
-            group.add_to(spread, group.share * rest)
+            group.add_to(mean, group.share * self._mean_of(group))
+            group.add_to(spread, group.share * rest * part_weight(self._simplices, group))
             varies = (group.degree > 0) | (rest > 0) | (group.corners is not None)
             self.varies[group.rows[varies]] = True
             self._parts += [
                 replace(group, lower=lower, upper=upper, rest=rest)[np.flatnonzero(varies)[block]]
                 for block in _blocks(group, np.count_nonzero(varies))
             ]
-        self.least_mean, self.most_mean = np.maximum(mean - spread, self.least), np.minimum(mean + spread, self.most)
+        ratio = self._simplices.size / self._area
+        self.least_mean = np.maximum(mean - spread, self.least * ratio)
+        self.most_mean = np.minimum(mean + spread, self.most * ratio)
+
+    def _mean_of(self, group: Group) -> np.ndarray:
+        """Of the polynomials on parts of cells, times the weight of integrals."""
+        if self._simplices.radius is None:
+            return group.coefficients.mean(axis=1)
+        points, weights = rule(self._dim, group.degree + 1)
+        return integrals(group.values(points), self._simplices.weights(weights, group.points(points), group.rows))
 
     def known(self) -> CellDatum:
         """What is known of it, for `certification.Hypotheses`."""
@@ -348,6 +374,8 @@ class Tension:
 
             2 int max(a, b) = int a + int b + int |a - b| <= int a + int b + |T|^(1/2) ||a - b||.
 
+        All integrals have the weight that there may be.
+
         Args:
             squares: One for each cell.
             fields: Gives g and s at barycentric points of some cells, shape (cells or 1, points, d + 1), each of shape
@@ -358,16 +386,20 @@ class Tension:
         for part in self._parts:
             measure = part.share * self._area[part.rows]
             least, most = part.lower[:, None], part.upper[:, None]
-            points, weights = rule(self._dim, 2 * max(part.degree + degree - 1, degree) if part.smooth else 4 * degree)
+            more = self._simplices.radius is not None
+            exact = 2 * max(part.degree + degree - 1, degree) if part.smooth else 4 * degree
+            points, weights = rule(self._dim, exact + more)
             g, s = fields(part.rows, part.points(points))
+            weights = self._simplices.weights(weights, part.points(points), part.rows)
             gg, gs, ss = (np.einsum("cpx,cpx->cp", *pair) for pair in ((g, g), (g, s), (s, s)))
             if part.smooth:
                 difference = part.values(points)[..., None] * g - s
-                near = np.einsum("cpx,cpx->cp", difference, difference) @ weights
-                found = (np.sqrt(near) + part.rest * np.sqrt(gg @ weights)) ** 2 / part.lower
+                near = integrals(np.einsum("cpx,cpx->cp", difference, difference), weights)
+                found = (np.sqrt(near) + part.rest * np.sqrt(integrals(gg, weights))) ** 2 / part.lower
             else:
                 a, b = (mu * gg - 2 * gs + ss / mu for mu in (least, most))
-                found = ((a + b) @ weights + np.sqrt((a - b) ** 2 @ weights)) / 2
+                apart = np.sqrt(integrals((a - b) ** 2, weights) * part_weight(self._simplices, part))
+                found = (integrals(a + b, weights) + apart) / 2
             part.add_to(squares, measure * found)
 
     def least_energy(self, squares: np.ndarray, fields: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:

@@ -14,6 +14,8 @@ import numpy as np
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
+J01 = 2.404825557695773  # first zero of the Bessel function J_0
+
 
 @dataclass(frozen=True)
 class DirichletBoundary:
@@ -24,20 +26,30 @@ class DirichletBoundary:
         area: Length, area or volume of the domain.
         everywhere: Whether u is given on the whole boundary.
         faces: If the domain is the box, on how many of its two faces across each axis u is given; otherwise 0.
+        radii: Least and largest distance from the axis where that is the weight of integrals, otherwise None.
     """
 
     sides: np.ndarray
     area: float
     everywhere: bool
     faces: np.ndarray
+    radii: tuple[float, float] | None = None
 
     def friedrichs(self) -> tuple[float, bool]:
         """Friedrichs' constant, and whether it is exact.
 
         Of a box by its first eigenvalue, a side after the other; of any other domain held all around by that of the
-        box around it. Otherwise no constant is known, and twice the longer side stands for it.
+        box around it. Otherwise no constant is known, and twice the longer side stands for it. With the weight of axial
+        symmetry, which is between two numbers, along the radius the root of their ratio is a factor; and held outside
+        it is that of a disk, whose first eigenvalue is (j_01/R)^2, if the domain or the box begins at the axis, or if
+        functions that are 0 all around can be continued there.
         """
         wave = (2 if self.everywhere else self.faces) * pi / (2 * self.sides)
+        if self.radii is not None:
+            inner, outer = self.radii
+            wave[0] *= np.sqrt(max(inner, 0.0) / outer)
+            if self.everywhere or (inner == 0 and self.faces[0] > 0):
+                wave[0] = max(wave[0], J01 / outer)
         if np.any(wave > 0):
             return 1 / float(np.linalg.norm(wave)), True
         return 2 * float(self.sides.max()), False
@@ -83,6 +95,7 @@ def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> Dirichle
     lower = np.array([smallest(comm, x[..., axis]) for axis in range(dim)])
     upper = np.array([largest(comm, x[..., axis]) for axis in range(dim)])
     sides = upper - lower
+    radius = simplices.radius
     outer = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
     facets = level.boundary_facets
     outer[facets[facets < len(outer)]] = True
@@ -90,6 +103,8 @@ def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> Dirichle
     held = held_sides[cells, opposite]
     ends = np.stack([x[cells, (opposite + k) % (dim + 1)] for k in range(1, dim + 1)], axis=1)
     size = np.linalg.norm(simplices.normal[:, cells, opposite], axis=0)
+    if radius is not None:  # the axis is no boundary
+        size = np.where(radius[cells].sum(axis=1) > radius[cells, opposite], size, 0.0)
     around, area = total(comm, size), total(comm, simplices.area)
     everywhere = total(comm, size[held]) >= around * (1 - 1e-9)
     is_box = area >= np.prod(sides) * (1 - 1e-9)
@@ -98,4 +113,7 @@ def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> Dirichle
         for at in (lower[axis], upper[axis]):
             on = held & np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1)
             faces[axis] += is_box and total(comm, size[on]) >= np.prod(np.delete(sides, axis)) * (1 - 1e-9)
-    return DirichletBoundary(sides, area, bool(everywhere), faces)
+    radii = None
+    if radius is not None:
+        radii = smallest(comm, radius), largest(comm, radius)
+    return DirichletBoundary(sides, area, bool(everywhere), faces, radii)

@@ -132,7 +132,11 @@ class Element(ABC):
         comm, pieces, load = data.level.comm, equilibration.load.pieces, load_of(data)
         limits = {1.0: -np.inf, -1.0: np.inf}
         others = other_effects(data)
-        if not proved(data) or any(effect.reaction is None and effect.part_reaction is None for effect in others):
+        if (
+            not proved(data)
+            or data.axial
+            or any(effect.reaction is None and effect.part_reaction is None for effect in others)
+        ):
             return limits[1], limits[-1]
         if load is None:
             push = pull = 0.0
@@ -168,6 +172,11 @@ class Element(ABC):
             else:
                 found.append((sign, obstacle, known))
         return found
+
+    @property
+    def every_obstacle(self) -> Sequence[Obstacle]:
+        """The obstacles in the domain, and those on facets."""
+        return self.obstacles
 
     def data_in_cells(self) -> list[CellDatum]:
         """What is known of the data in the cells, those in facets among them."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, reduce
 from math import sqrt
 
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.axial_flux import AxialFlux
 from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
-from fenicsx_obstacle.estimation.certification import CellDatum
+from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
@@ -37,6 +39,9 @@ class ElementP1(Element):
         self.obstacles = [
             ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
         ]
+        if simplices.radius is not None:
+            self._ring = AxialFlux(simplices)
+            return
         self._spread = np.empty(cells)  # the mean of |x - middle|^2
         for block in blocks(cells):
             squares = sum(sums(part**2) for part in self._from_middle(block))
@@ -60,11 +65,18 @@ class ElementP1(Element):
         nodal, v, crossing = self._admissible(u)
         gaps = {excess.sign: self._gap(v, excess) for excess in self.obstacles}
         mean = {sign: gap / self.simplices.area for sign, gap in gaps.items()}
+        simplices = self.simplices
         flux = self.equilibration.flux(u, touches_lower, touches_upper, (mean.get(1.0), mean.get(-1.0)))
         contact = np.zeros(len(self.simplices.area))
         for sign, gap in gaps.items():
             contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
         cover = sum((excess.cover_energy for excess in self.obstacles), np.zeros(len(self.simplices.area)))
+        below = 0.0
+        for side, force in zip(self.equilibration.sides, flux.contact, strict=True):
+            distances, beyond = side.gaps(side.sign * v)
+            below = max(below, beyond)
+            np.add.at(contact, self.equilibration.parts.cells[side.rows], force[side.rows].sum(axis=1) * distances)
+        crossing = max(crossing, largest(simplices.data.level.comm, np.array([below])) if flux.contact else 0.0)
         distance, balanced = self._distance(u, flux)
         inside, outside, with_load = self._lacking(u, flux)
         moved, of_v = self._reaction_energy(v - u), self._distance(v, flux)
@@ -76,7 +88,8 @@ class ElementP1(Element):
                 np.sqrt(of_v[1] + moved) + inside, np.sqrt(of_v[0] + moved) + with_load) ** 2,
             oscillation=np.minimum(self._far + inside, with_load),
             contact=contact,
-            moved=self._energy(v - u) + moved, cover=self.tension.most * cover + self._reaction_energy_of(height),
+            moved=self._energy(v - u) + moved,
+            cover=self.tension.most * simplices.most_weight * cover + self._reaction_energy_of(height),
             raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
@@ -87,7 +100,7 @@ class ElementP1(Element):
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
         """See `Element.energy_of`; with tension and load (collective)."""
         data = self.simplices.data
-        if other_effects(data) or not proved(data):
+        if other_effects(data) or not proved(data) or data.axial:
             return None
         comm, area, load = self.simplices.data.level.comm, self.simplices.area, self.equilibration.load
         values = v[self.simplices.dofs]
@@ -97,6 +110,11 @@ class ElementP1(Element):
         bounds = self.tension.energy_below(gradient), self.tension.energy_above(gradient)
         least, most = (total(comm, energy) / 2 for energy in bounds)
         return least - work - rest, most - work + rest
+
+    @property
+    def every_obstacle(self) -> Sequence[Obstacle]:
+        """See `Element.every_obstacle`."""
+        return [*self.obstacles, *self.equilibration.sides]
 
     def data_in_cells(self) -> list[CellDatum]:
         """See `Element.data_in_cells`."""
@@ -108,7 +126,7 @@ class ElementP1(Element):
 
     def rim_energy(self) -> np.ndarray:
         """See `Element.rim_energy`."""
-        return super().rim_energy() + self._reaction_energy_of(self.dirichlet.deviation)
+        return super().rim_energy() * self.simplices.most_weight + self._reaction_energy_of(self.dirichlet.deviation)
 
     def _lacking(self, u: np.ndarray, flux: FluxP1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the flux lacks of the forces of foundations, fluxes and springs.
@@ -123,7 +141,11 @@ class ElementP1(Element):
         """
         equilibration, least, friedrichs = self.equilibration, self.tension.least, self.friedrichs[0]
         reaction, load = equilibration.reaction, self.oscillation
+        simplices = self.simplices
         inside, outside = equilibration.parts.lacking(u, flux.force, least, friedrichs)
+        if simplices.radius is not None:
+            inside += load.poincare / np.sqrt(least) * self._ring.beyond(flux.normal)
+        inside += equilibration.points.moved / np.sqrt(least)
         if not reaction.given:
             return inside, outside, inside + self._far
         k = reaction.least
@@ -131,21 +153,24 @@ class ElementP1(Element):
         weight, local = np.minimum(load.poincare / np.sqrt(least), by_reaction), by_reaction <= friedrichs
         alone, rest = reaction.beyond(u, np.zeros(self.simplices.dofs.shape))
         together = reaction.beyond(u, self._linear_load)[0] + load.beyond
-        rest += np.sqrt(self.simplices.area) * np.abs(flux.averaged)
+        rest += simplices.area / np.sqrt(simplices.size) * np.abs(flux.averaged)
         inside[local] += by_reaction[local] * rest[local]
         outside += np.where(local, 0.0, rest)
-        return inside + weight * alone, outside, inside + weight * together
+        together = weight * together + equilibration.points.norm / np.sqrt(least)
+        return inside + weight * alone, outside, inside + together
 
     @cached_property
     def _far(self) -> np.ndarray:
-        """Bound of ||mu^(-1/2) tau||_T, tau in balance with what the load is beyond its mean in the cell."""
+        """Bound of ||mu^(-1/2) tau||_T, tau in balance with what load and forces at points are beyond their mean in the
+        cell."""
         found = self.oscillation.norm / np.sqrt(self.tension.least)
+        points = self.equilibration.points.norm / np.sqrt(self.tension.least)
         if self.tension.poincare is None:
-            return found
+            return found + points
         known = np.isfinite(self.tension.poincare)
         local = self.tension.poincare[known] * self.equilibration.load.oscillation[known]
         found[known] = np.minimum(found[known], local)
-        return found
+        return found + points
 
     @cached_property
     def _linear_load(self) -> np.ndarray:
@@ -159,7 +184,7 @@ class ElementP1(Element):
     def _reaction_energy_of(self, height: np.ndarray) -> np.ndarray:
         """The same of functions whose absolute values are bounded in each cell."""
         most = self.equilibration.reaction.most
-        return most * self.simplices.area * height**2 + self.equilibration.parts.energy_of(height)
+        return most * self.simplices.size * height**2 + self.equilibration.parts.energy_of(height)
 
     def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much these then cross
@@ -167,6 +192,11 @@ class ElementP1(Element):
         data, nodal, v = self.simplices.data, u.copy(), u.copy()
         given = data.fixed[0]
         lifted = []
+        for side in self.equilibration.sides:
+            for state, obstacle in ((nodal, side.nodal), (v, side.lifted)):
+                inside = side.sign * np.maximum(side.sign * state, obstacle)
+                inside[given] = state[given]
+                state[:] = inside
         for excess in self.obstacles:
             lifted.append(excess.lift(excess.sign * v))
             for state, obstacle in ((nodal, excess.nodal), (v, lifted[-1])):
@@ -181,9 +211,16 @@ class ElementP1(Element):
         return nodal, v, crossing
 
     def _gap(self, v: np.ndarray, excess: ObstacleExcess) -> np.ndarray:
-        """The integral of the distance of v to an obstacle over each cell."""
-        corners = self.simplices.dim + 1
-        gap = sums((excess.sign * v - excess.nodal)[self.simplices.dofs]) / corners - excess.mean
+        """The integral of the distance of v to an obstacle over each cell; with a weight |T| times the mean."""
+        corners, radius = self.simplices.dim + 1, self.simplices.radius
+        nodal = (excess.sign * v - excess.nodal)[self.simplices.dofs]
+        if radius is not None:
+            # of the vertices, with the weight divided by its mean
+            share = (radius + sums(radius)[:, None]) / ((corners + 1) * (sums(radius) / corners)[:, None])
+            most = self.simplices.most_weight * self.simplices.area / self.simplices.size * excess.cover_volume
+            gap = (sums(nodal * share) / corners - excess.mean + self.dirichlet.deviation) * self.simplices.area + most
+            return np.maximum(gap, 0.0)
+        gap = sums(nodal) / corners - excess.mean
         gap = (
             gap * self.simplices.area
             + excess.sign * self.dirichlet.volume
@@ -200,6 +237,9 @@ class ElementP1(Element):
         """
         simplices, mu, dim = self.simplices, self.equilibration.mu, self.simplices.dim
         gradient = simplices.gradient(v)
+        if simplices.radius is not None:
+            squares = self._ring.distances(gradient, flux.normal, self.tension)
+            return squares, (np.sqrt(squares) + self._far) ** 2
         pulled = self.equilibration.pulled(gradient)
         across, gathered, squares = np.empty(gradient.shape), np.empty(len(mu)), np.empty(len(mu))
         for block in blocks(len(mu)):
@@ -218,10 +258,11 @@ class ElementP1(Element):
             return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape), sigma
 
         self.tension.integrate_distances(squares, fields, degree=1)
-        if self.equilibration.load.pieces is None:
+        load, points = self.oscillation, self.equilibration.points
+        if self.equilibration.load.pieces is None and not points.given:
             return squares, squares
-        load = self.oscillation
-        product = np.einsum("xc,xc->c", across, load.first) - gathered * load.second / 2
+        product = np.einsum("xc,xc->c", across, load.first + points.first)
+        product -= gathered * (load.second + points.second) / 2
         near, far = np.sqrt(squares), self._far
         balanced = squares - 2 * product / (dim * simplices.area * mu) + 2 * near * load.rest / np.sqrt(mu) + far**2
         return squares, np.where(self.tension.varies, (near + far) ** 2, np.maximum(balanced, 0.0))
@@ -235,4 +276,5 @@ class ElementP1(Element):
 
     def _means_squared(self, rest: np.ndarray) -> np.ndarray:
         """||.||_T^2 of the means in cells of nodal values."""
-        return self.simplices.area * (sums(rest[self.simplices.dofs]) / (self.simplices.dim + 1)) ** 2
+        means = sums(rest[self.simplices.dofs]) / (self.simplices.dim + 1)
+        return self.simplices.area * (self.simplices.area / self.simplices.size) * means**2

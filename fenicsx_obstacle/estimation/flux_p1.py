@@ -27,6 +27,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, BoundaryObstacles
 from fenicsx_obstacle.estimation.cell_data import (
     Load,
     matrix_of,
@@ -37,6 +38,7 @@ from fenicsx_obstacle.estimation.cell_data import (
 )
 from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.parallel import total
@@ -60,6 +62,7 @@ class FluxP1:
         averaged: Force per area in each cell that sigma is in balance with besides, because forces are averaged around
             vertices where foundations are stiff.
         force: Of fluxes and springs on the facets of `EquilibrationP1.parts`, by vertices of the cell.
+        contact: The same of each of the obstacles on facets.
     """
 
     lower: np.ndarray
@@ -70,6 +73,7 @@ class FluxP1:
     incompatible: float
     averaged: np.ndarray
     force: np.ndarray
+    contact: tuple[np.ndarray, ...] = ()
 
 
 class EquilibrationP1(ABC):
@@ -79,11 +83,14 @@ class EquilibrationP1(ABC):
         simplices: The owned cells.
         patches: Their corners around the vertices.
         mu: Tension of each cell, as the solver has it; of a matrix the geometric mean of its eigenvalues.
+        pull: The same times the mean weight of integrals in the cell.
         matrix: The tension of each cell, where it is a matrix, shape (cells, d, d).
         load: Its moments are int_T f phi_l, shape (cells, d + 1), its oscillation ||f - f_0||_T.
+        sides: The lower and the upper obstacle on facets, if they are there.
         missing: Force at owned vertices that the load gives more than what the solver makes of it.
         reaction: Foundation.
-        parts: Fluxes and springs.
+        parts: Fluxes and springs, and forces at vertices.
+        points: Forces at points inside cells, on intervals.
         unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
@@ -107,7 +114,8 @@ class EquilibrationP1(ABC):
         elif self.matrix is not None:
             self.mu = np.linalg.det(self.matrix) ** (1 / simplices.dim)
             self._inverse = np.linalg.inv(self.matrix)
-        share = simplices.area / (corners * self.mu)
+        self.pull = self.mu * (simplices.size / simplices.area)
+        share = simplices.area / (corners * self.pull)
         area = self.patches.gather(np.repeat(share[:, None], corners, axis=1))[0]
         self._softness = self.patches.at_vertices(area)  # int phi_i/mu
         others = other_effects(data)
@@ -115,7 +123,13 @@ class EquilibrationP1(ABC):
         self._prepare_others(others if self.unknown else [])
         known = [] if self.unknown else others
         foundation = next((effect.reaction for effect in known if effect.reaction is not None), None)
-        self.reaction, self.parts = Reaction(simplices, foundation), part_forces(simplices, known, patches.held)
+        self.points = PointForces(simplices, others)
+        self.reaction = Reaction(simplices, foundation)
+        bearing = BoundaryObstacles(simplices)
+        self.parts = part_forces(simplices, known, patches.held, self.points, bearing.on(simplices.facets.shape))
+        self.sides = [
+            BoundaryObstacle(sign, self.parts, patches, which, fields) for sign, which, fields in bearing.given
+        ]
         stiff = self.reaction.least * simplices.area ** (2 / simplices.dim) / self.mu > STIFF
         self._stiff: np.ndarray | None = None  # whether all cells around each patch's vertex are
         if total(self.level.comm, np.count_nonzero(stiff)) > 0:
@@ -138,24 +152,25 @@ class EquilibrationP1(ABC):
 
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
         """Moments of the load less those of other effects at u (collective)."""
+        load = self.load.moments + self.points.moments if self.points.given else self.load.moments
         if self._terms is None:
-            return self.load.moments - self.reaction.forces(u) if self.reaction.given else self.load.moments
+            return load - self.reaction.forces(u) if self.reaction.given else load
         self._u.x.array[:] = u
         vector = releases.vec(self._moments_of_others)
         with vector.localForm() as local:
             local.set(0.0)
         fem.petsc.assemble_vector(vector, self._terms)
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
-        return self.load.moments - self._moments_of_others.x.array[self.simplices.turned(dofs)]
+        return load - self._moments_of_others.x.array[self.simplices.turned(dofs)]
 
     def pulled(self, gradient: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
         """The solver's tension times one vector per cell, shape (d, cells)."""
-        return gradient * self.mu[cells] if self.matrix is None else _times(self.matrix[cells], gradient)
+        return gradient * self.pull[cells] if self.matrix is None else _times(self.matrix[cells], gradient)
 
     def weighted(self, vectors: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
         """Vectors of shape (d, cells, ...) divided by the tension, in which norm fluxes are near their targets."""
         if self.matrix is None:
-            return vectors / self.mu[cells].reshape(-1, *(1,) * (vectors.ndim - 2))
+            return vectors / self.pull[cells].reshape(-1, *(1,) * (vectors.ndim - 2))
         return _times(self._inverse[cells], vectors)
 
     def flux(
@@ -172,13 +187,23 @@ class EquilibrationP1(ABC):
         """
         simplices, patches, V = self.simplices, self.patches, self.level.V
         beta = simplices.along_normals(self.pulled(simplices.gradient(u)) / -simplices.dim)
-        force, outside = self.parts.forces(u), beta.copy()
+        given_force = force = self.parts.forces(u)
+        outside = beta.copy()
         np.add.at(outside, self.parts.cells, force)
         drops, averaged = self._drops(outside, self._all_moments(u))
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
         solver_rest = self._multipliers(with_solver_load, touches_lower, touches_upper)[2]
+        borne: tuple[np.ndarray, ...] = ()
+        if self.sides:
+            borne = tuple(side.forces(lower if side.sign > 0 else upper) for side in self.sides)
+            at_corners = np.zeros(simplices.dofs.shape)
+            for side, one in zip(self.sides, borne, strict=True):
+                force = force + side.sign * one
+                np.add.at(at_corners, self.parts.cells, side.sign * one)
+            drops += patches.gather(at_corners)[0]
+            lower, upper = np.zeros(patches.owned), np.zeros(patches.owned)
         (lower, push), (upper, pull) = (
             self._in_cells(self._along_the_boundary(values, touches), gap)
             for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
@@ -191,7 +216,7 @@ class EquilibrationP1(ABC):
         normal, incompatible = self._on_patches(drops, beta, force)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
-            normal=normal, incompatible=incompatible, averaged=averaged, force=force,
+            normal=normal, incompatible=incompatible, averaged=averaged, force=given_force, contact=borne,
         )  # fmt: skip
 
     def _drops(self, outside: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -286,5 +311,9 @@ def unknown_effects(data: Data) -> list[Effect]:
     """The effects of which error bounds know nothing; of several foundations all but the first."""
     others = other_effects(data)
     foundation = next((effect for effect in others if effect.reaction is not None), None)
-    known = [effect for effect in others if effect.part_load is not None or effect.part_reaction is not None]
+    known = [
+        effect
+        for effect in others
+        if effect.part_load is not None or effect.part_reaction is not None or effect.point_forces
+    ]
     return [effect for effect in others if effect is not foundation and effect not in known]

@@ -18,7 +18,8 @@ from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
-from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
 
 # where u may touch; what counts is the distance to the nodal interpolant
@@ -35,7 +36,8 @@ class ObstacleExcess:
     Attributes:
         sign: 1 for a lower obstacle, -1 for an upper one.
         nodal: sign times its nodal values at local dofs.
-        mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell.
+        mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell, with the weight of
+            integrals if they have one.
         cover_energy: ||grad||^2 in each cell of what is added to the state beside the boundary (see `lift`).
         cover_volume: Its integral.
         cover_height: A bound of it.
@@ -100,10 +102,21 @@ class ObstacleExcess:
             side = group.upper if self.sign > 0 else -group.lower
             top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
             group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
-            share = np.where(known, group.share * (coefficient.mean(axis=1) - group.rest), LOWEST)
+            share = np.where(known, group.share * self._mean(group, coefficient, cells), LOWEST)
             mean += np.bincount(group.rows, share, len(mean))
         self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
         self._top[cells] = pieces.upper if self.sign > 0 else -pieces.lower
+
+    def _mean(self, group: Group, coefficient: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """A lower bound of the mean on parts of some cells."""
+        simplices = self.simplices
+        if simplices.radius is None:
+            return coefficient.mean(axis=1) - group.rest
+        degree, rows = max(group.degree, 1), cells[group.rows]
+        points, weights = rule(simplices.dim, degree + 1)
+        weights = simplices.weights(weights, group.points(points), rows)
+        above = polynomials.evaluate(coefficient, points, degree) - group.rest[:, None]
+        return integrals(above, weights) * simplices.area[rows] / simplices.size[rows]
 
     def _above(self, group: Group, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""

@@ -18,11 +18,11 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import Load
+from fenicsx_obstacle.estimation.cell_data import Load, part_weight
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
-from fenicsx_obstacle.estimation.simplices import Simplices, sums
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, sums
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1
@@ -32,18 +32,21 @@ PARTS = 2**14  # of cells, in all
 DEEPEST = 4
 
 
-def poincare(x: np.ndarray, area: np.ndarray) -> np.ndarray:
+def poincare(x: np.ndarray, area: np.ndarray, *, weighted: bool = False) -> np.ndarray:
     """C with ||v|| <= C ||grad v|| for functions of mean zero in convex cells.
 
     It is at most diameter/pi (Payne and Weinberger 1960, Bebendorf 2003). In triangles it is at most diameter/j_11
     (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
-    the right isosceles one with legs of length 1; an affine map multiplies it by its norm at most.
+    the right isosceles one with legs of length 1; an affine map multiplies it by its norm at most. Of integrals with a
+    linear weight r >= 0 it is at most diameter/pi too, by the inequality for the convex sets {(x, t): 0 < t < s r(x)},
+    s -> 0, and functions of x alone.
 
     Args:
         x: Corners, shape (cells, d + 1, d).
         area: |T|.
+        weighted: Whether integrals have such a weight.
     """
-    if x.shape[2] != 2:
+    if x.shape[2] != 2 or weighted:
         return longest_edges(x) / np.pi
     sides = [sums((x[:, (k + 2) % 3] - x[:, (k + 1) % 3]) ** 2) for k in range(3)]
     whole = sides[0] + sides[1] + sides[2]
@@ -83,11 +86,16 @@ class Oscillation:
         count, dim = len(area), simplices.dim
         self.poincare = np.empty(count)
         for block in blocks(count):
-            self.poincare[block] = poincare(simplices.x[block], area[block])
+            self.poincare[block] = poincare(simplices.x[block], area[block], weighted=simplices.radius is not None)
         self.norm, self.rest, self.second, self.beyond = (np.zeros(count) for _ in range(4))
         self.first = np.zeros((dim, count))
         self._moments = self._mean = None
         if load.pieces is None or value is None:
+            return
+        if simplices.radius is not None:
+            self._moments = load.moments * (area / simplices.size)[:, None]
+            self.norm, self._mean = self.poincare * load.oscillation, sums(self._moments) / area
+            self.beyond = self._beyond_linear(load.pieces.groups, self._mean)
             return
         squares = np.zeros(count)
         for group in load.pieces.groups:
@@ -130,7 +138,27 @@ class Oscillation:
             return np.zeros((len(area), dim + 1))
         # the nodal values of Pi_1 f, by the inverse of the mass matrix
         factor = (dim + 1) * (dim + 2) / area
-        return self._moments[cells] * factor[:, None] - ((dim + 2) * self._mean[cells])[:, None]
+        found = self._moments[cells] * factor[:, None] - ((dim + 2) * self._mean[cells])[:, None]
+        if self._simplices.radius is not None:  # of mean zero with the weight
+            radius = self._simplices.radius[cells]
+            found -= (sums(found * (radius + sums(radius)[:, None])) / ((dim + 2) * sums(radius)))[:, None]
+        return found
+
+    def _beyond_linear(self, groups: list[Group], mean: np.ndarray) -> np.ndarray:
+        """A bound of ||g - linear||_T with the weight of integrals."""
+        simplices = self._simplices
+        linear = self.linear(slice(None))
+        squares, rests = np.zeros(len(linear)), np.zeros(len(linear))
+        for whole in groups:
+            points, weights = rule(simplices.dim, 2 * max(whole.degree, 1) + 1)
+            for block in blocks(len(whole.rows)):
+                part = whole[block]
+                there = mean[part.rows, None] + polynomials.combined(part.points(points), linear[part.rows])
+                with_weight = simplices.weights(weights, part.points(points), part.rows)
+                part.add_to(squares, part.share * integrals((part.values(points) - there) ** 2, with_weight))
+                rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
+                part.add_to(rests, part.share * part_weight(simplices, part) * rest**2)
+        return np.sqrt(simplices.area) * (np.sqrt(squares) + np.sqrt(rests))
 
     def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""

@@ -8,7 +8,8 @@ beyond that, by Poincare's and the trace inequalities in T,
 
 P being Poincare's constant of T and H the longest edge from the vertex x_E opposite to E: the integral of
 div((x - x_E) e^2) over T gives ||e||_E^2 = |E|/|T| (||e||_T^2 + 2/d int e (x - x_E) . grad e). Where there is a spring,
-(r, e)_E <= k^(-1/2) ||r||_E ||k^(1/2) e||_E may be less.
+(r, e)_E <= k^(-1/2) ||r||_E ||k^(1/2) e||_E may be less. With the weight x of axial symmetry, of which (x - x_E) . grad
+is at most itself, ||e||_T^2 has the factor q = (d + 1)/d there, and H/d is H/(d q^(1/2)) in the second inequality.
 
 The force along a facet inside is divided between its two cells.
 """
@@ -20,14 +21,16 @@ from math import inf
 
 import numpy as np
 
+from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.oscillation import poincare
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
+from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.reactions import squared_norm
 from fenicsx_obstacle.estimation.simplex_geometry import sizes
-from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals
 from fenicsx_obstacle.parallel import total
 
 # of facets by the dimension of the cells; a jump inside an edge is found to the length whose root counts
@@ -36,7 +39,7 @@ DIVISION = {2: Division(24, 1e-2, 1e-7), 3: Division(5, 1e-2, 1e-3)}
 
 @dataclass(frozen=True, eq=False)
 class PartForces:
-    """All fluxes and springs, on the facets of owned cells.
+    """All fluxes and springs, on the facets of owned cells; facets with obstacles are among them.
 
     Attributes:
         cells: The cell of each facet.
@@ -47,6 +50,7 @@ class PartForces:
         nodal: The solver's flux g and spring constant k at these, shape (2, facets, d).
         pieces: What is known of g and k; empty in one dimension, where the nodal values are all there is.
         free: Whether u is not given on the facet.
+        radius: The weight of integrals at the vertices, shape (facets, d); None where they have none.
     """
 
     simplices: Simplices
@@ -58,6 +62,12 @@ class PartForces:
     nodal: np.ndarray
     pieces: tuple[Pieces, ...]
     free: np.ndarray
+    radius: np.ndarray | None
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """The mean weight of integrals on each facet, 1 where they have none."""
+        return np.ones(len(self.cells)) if self.radius is None else self.radius.mean(axis=1)
 
     @property
     def dofs(self) -> np.ndarray:
@@ -77,7 +87,8 @@ class PartForces:
         """The solver's forces g - k u at the vertices of the cell of each facet, by the nodal rule, shape (facets, d +
         1) (local)."""
         (g, k), size = self.nodal, self.share * self.size
-        return self._at_vertices(size[:, None] / self.simplices.dim * (g - k * u[self.dofs]))
+        weight = 1.0 if self.radius is None else self.radius
+        return self._at_vertices(size[:, None] / self.simplices.dim * weight * (g - k * u[self.dofs]))
 
     def _at_vertices(self, values: np.ndarray) -> np.ndarray:
         """Values at the vertices of the facets as those of their cells, 0 opposite to the facet."""
@@ -97,7 +108,9 @@ class PartForces:
         if not self.pieces or not count:
             return np.zeros(count), np.zeros(count)
         corner, root = u[self.dofs], np.sqrt(self.size)
-        one, other = np.ones((count, dim)), force.sum(axis=1) / (self.share * self.size)
+        ratio = self.ratio
+        inverse = reciprocals(ratio)
+        one, other = np.ones((count, dim)), force.sum(axis=1) / (self.share * self.size) * inverse
         of_flux, of_spring = (pieces.groups for pieces in self.pieces)
         divided = np.zeros(count, dtype=bool)
         for group in (*of_flux, *of_spring):
@@ -105,16 +118,20 @@ class PartForces:
                 divided[group.rows] = True
         # both at the same points where neither is divided
         degree = max((group.degree for group in (*of_flux, *of_spring)), default=0) + 1
-        points, weights = rule(dim - 1, 2 * degree)
+        points, weights = rule(dim - 1, 2 * degree + (self.radius is not None))
+        if self.radius is not None:
+            weights = weights * (self.radius @ points.T)
         there = _undivided(of_flux, points, count) - _undivided(of_spring, points, count) * (corner @ points.T)
-        mean = there @ weights
-        apart = np.sqrt((there - mean[:, None]) ** 2 @ weights)
+        mean = integrals(there, weights) * inverse
+        apart = np.sqrt(integrals((there - mean[:, None]) ** 2, weights))
         rows = np.flatnonzero(divided)
         if len(rows):
-            flux, spring = _norms(of_flux, one, rows), _norms(of_spring, corner, rows)
+            flux, spring = (
+                _norms(groups, factor, rows, self.radius) for groups, factor in ((of_flux, one), (of_spring, corner))
+            )
             mean[rows], apart[rows] = flux[0] - spring[0], flux[1] + spring[1]
-        rests = _rests(of_flux, one) + _rests(of_spring, corner)
-        return root * apart, root * (np.abs(mean - other) + rests)
+        rests = _rests(of_flux, one, self.radius) + _rests(of_spring, corner, self.radius)
+        return root * apart, root * (np.sqrt(ratio) * np.abs(mean - other) + rests)
 
     def lacking(
         self, u: np.ndarray, force: np.ndarray, least_tension: np.ndarray, friedrichs: float
@@ -136,10 +153,12 @@ class PartForces:
         x, area = simplices.x[self.cells], simplices.area[self.cells]
         tip = x[np.arange(len(x)), self.sides]
         reach = np.linalg.norm(x - tip[:, None], axis=2).max(axis=1, initial=0.0)
-        slender, constant = np.sqrt(self.size / area), poincare(x, area)
-        trace = slender * np.sqrt(constant * (constant + 2 * reach / dim))
-        inside = self.share * (trace * apart + reach / dim * slender * rest) / np.sqrt(least_tension[self.cells])
-        outside = self.share * slender * rest
+        slender, constant = np.sqrt(self.size / area), poincare(x, area, weighted=self.radius is not None)
+        q = 1.0 if self.radius is None else (dim + 1) / dim
+        trace = slender * np.sqrt(constant * (q * constant + 2 * reach / dim))
+        inside = trace * apart + reach / (dim * np.sqrt(q)) * slender * rest
+        inside *= self.share / np.sqrt(least_tension[self.cells])
+        outside = self.share * slender * np.sqrt(q) * rest
         with np.errstate(divide="ignore", invalid="ignore"):
             by_spring = np.sqrt(self.share) * (apart + rest) / np.sqrt(self.springs[0])
         better = by_spring < inside + friedrichs * outside
@@ -149,12 +168,13 @@ class PartForces:
 
     def energy(self, e: np.ndarray) -> np.ndarray:
         """A bound of the integral of k e^2 over the facets of each owned cell, e a P1 function (local)."""
-        found = self.share * self.springs[1] * squared_norm(e[self.dofs], self.size)
+        most = 1.0 if self.radius is None else self.radius.max(axis=1, initial=0.0)
+        found = self.share * self.springs[1] * most * squared_norm(e[self.dofs], self.size)
         return self._in_cells(found)
 
     def energy_of(self, height: np.ndarray) -> np.ndarray:
         """The same for functions with bounds of their absolute values in the owned cells (local)."""
-        found = self.share * self.springs[1] * self.size * height[self.cells] ** 2
+        found = self.share * self.springs[1] * self.size * self.ratio * height[self.cells] ** 2
         return self._in_cells(found)
 
     def _in_cells(self, values: np.ndarray) -> np.ndarray:
@@ -164,13 +184,17 @@ class PartForces:
         return found
 
 
-def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray) -> PartForces:
-    """The fluxes and springs among some effects (collective).
+def part_forces(
+    simplices: Simplices, effects: list[Effect], held: np.ndarray, points: PointForces, bearing: np.ndarray
+) -> PartForces:
+    """The fluxes and springs among some effects, and forces at vertices (collective).
 
     Args:
         simplices: The owned cells.
         effects: Of facets with two data of the same kind the later one counts.
         held: Whether u is given on the side opposite to each vertex, shape (cells, vertices).
+        points: Forces at points.
+        bearing: Whether the side opposite to each vertex has an obstacle: it is among the facets.
     """
     data, dim = simplices.data, simplices.dim
     shape = simplices.facets.shape
@@ -183,11 +207,14 @@ def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray) -
     which = np.full((2, *shape), -1)
     for kind, fields in enumerate(given):
         for number, (_, part, _) in enumerate(fields):
-            which[kind][_on(simplices, data.facets[part])] = number
-    cells, sides = np.nonzero((which >= 0).any(axis=0))
+            which[kind][on_sides(simplices, data.facets[part])] = number
+    at_vertices = np.zeros(shape)
+    np.add.at(at_vertices, points.at_vertices[:2], points.at_vertices[2])
+    at_vertices[held] = 0.0
+    cells, sides = np.nonzero((which >= 0).any(axis=0) | (at_vertices != 0) | bearing)
     corners = (sides[:, None] + np.arange(1, dim + 1)) % (dim + 1)
     x = simplices.x[cells[:, None], corners]
-    outer = _on(simplices, data.level.boundary_facets)[cells, sides]
+    outer = on_sides(simplices, data.level.boundary_facets)[cells, sides]
     nodal, pieces = np.zeros((2, len(cells), dim)), []
     for kind, fields in enumerate(given):
         found: list[tuple[np.ndarray, Pieces]] = []
@@ -199,13 +226,16 @@ def part_forces(simplices: Simplices, effects: list[Effect], held: np.ndarray) -
                 found.append((rows, pieces_of(data, field, x[rows], cells[rows], DIVISION[dim])))
         if dim > 1:
             pieces.append(joined(found, len(cells)))
+    share = np.where(outer, 1.0, 0.5)
+    nodal[0] += (at_vertices[cells, sides] / share)[:, None]
     return PartForces(
-        simplices, cells, sides, np.where(outer, 1.0, 0.5), sizes(x) if dim > 1 else np.ones(len(cells)), corners,
+        simplices, cells, sides, share, sizes(x) if dim > 1 else np.ones(len(cells)), corners,
         nodal, tuple(pieces), ~held[cells, sides],
+        None if simplices.radius is None else simplices.radius[cells[:, None], corners],
     )  # fmt: skip
 
 
-def _on(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
+def on_sides(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
     """Whether the side opposite to each vertex is one of some local facets, which the rank of one of its two cells need
     not know, shape (cells, vertices) (collective)."""
     level, count = simplices.data.level, simplices.facets.max(initial=-1) + 1
@@ -230,27 +260,34 @@ def _undivided(groups: list[Group], points: np.ndarray, count: int) -> np.ndarra
     return found
 
 
-def _norms(groups: list[Group], factor: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _norms(
+    groups: list[Group], factor: np.ndarray, rows: np.ndarray, radius: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """On some facets the mean of a datum times a linear function, and the root of the mean square of the difference."""
     count, found = len(factor), []
     chosen, means, squares = np.zeros(count, dtype=bool), np.zeros(count), np.zeros(count)
     chosen[rows] = True
     for group in groups:
         part = group[np.flatnonzero(chosen[group.rows])]
-        points, weights = rule(factor.shape[1] - 1, 2 * (part.degree + 1))
+        points, weights = rule(factor.shape[1] - 1, 2 * (part.degree + 1) + (radius is not None))
+        if radius is not None:
+            weights = weights * polynomials.combined(part.points(points), radius[part.rows])
         there = np.matmul(part.points(points), factor[part.rows][..., None])[..., 0] * part.values(points)
         found.append((part, there, weights))
-        means += np.bincount(part.rows, part.share * (there @ weights), count)
+        means += np.bincount(part.rows, part.share * integrals(there, weights), count)
+    if radius is not None:
+        means *= reciprocals(radius.mean(axis=1))
     for part, there, weights in found:
-        squares += np.bincount(part.rows, part.share * ((there - means[part.rows, None]) ** 2 @ weights), count)
+        squares += np.bincount(part.rows, part.share * integrals((there - means[part.rows, None]) ** 2, weights), count)
     return means[rows], np.sqrt(squares[rows])
 
 
-def _rests(groups: list[Group], factor: np.ndarray) -> np.ndarray:
+def _rests(groups: list[Group], factor: np.ndarray, radius: np.ndarray | None) -> np.ndarray:
     """The root of the mean square of a bound of what a datum is beyond its polynomials, times a linear function."""
     squares = np.zeros(len(factor))
     for group in groups:
         rest = np.where(group.rest < inf, group.rest, 0.0)  # `Hypotheses` has a word about these
         size = np.abs(factor[group.rows]).max(axis=1, initial=0.0)
-        squares += np.bincount(group.rows, group.share * (rest * size) ** 2, len(factor))
+        weight = 1.0 if radius is None else radius[group.rows].max(axis=1, initial=0.0)
+        squares += np.bincount(group.rows, group.share * weight * (rest * size) ** 2, len(factor))
     return np.sqrt(squares)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import TENSION, in_cells, of_solver
+from fenicsx_obstacle.estimation.cell_data import TENSION, in_cells, of_solver, part_weight
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.simplices import Simplices, sums
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, sums
 
 
 class Reaction:
@@ -35,7 +35,7 @@ class Reaction:
         middle = np.full((1, corners), 1 / corners)
         self.least = self.most = self._of_solver = of_solver(simplices, simplices.data, value, middle)[:, 0]
         parts = [value] if value.parts is None else list(value.parts.values())
-        if all(part.uniform for part in parts):
+        if simplices.radius is None and all(part.uniform for part in parts):
             return
         self.pieces = in_cells(simplices, value, TENSION)
         self.least = np.where(np.isfinite(self.pieces.lower), np.maximum(self.pieces.lower, 0.0), 0.0)
@@ -44,7 +44,7 @@ class Reaction:
     def forces(self, u: np.ndarray) -> np.ndarray:
         """The solver's forces at the corners of cells, shape (cells, d + 1) (local)."""
         simplices = self._simplices
-        return (self._of_solver * simplices.area / (simplices.dim + 1))[:, None] * u[simplices.dofs]
+        return (self._of_solver * simplices.size / (simplices.dim + 1))[:, None] * u[simplices.dofs]
 
     def beyond(self, u: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Norms over each cell of what k u is beyond the solver's, u a P1 function by its values at local dofs (local).
@@ -62,26 +62,31 @@ class Reaction:
         if self.pieces is None:
             return np.sqrt(squared_norm(k[:, None] * (corner - mean[:, None]) - linear, area)), np.zeros(len(area))
         means, squares, rests = (np.zeros(len(area)) for _ in range(3))
+        ratio = simplices.size / area
         parts = [group[block] for group in self.pieces.groups for block in blocks(len(group.rows))]
         values = []
         for part in parts:
-            points, weights = rule(dim, 2 * (part.degree + 1))
+            points, weights = rule(dim, 2 * (part.degree + 1) + (simplices.radius is not None))
             there = part.points(points)
+            weights = simplices.weights(weights, there, part.rows)
             product = np.matmul(there, corner[part.rows][..., None])[..., 0] * part.values(points)
-            means += np.bincount(part.rows, part.share * (product @ weights), len(area))
+            means += np.bincount(part.rows, part.share * integrals(product, weights), len(area))
             values.append((product - np.matmul(there, linear[part.rows][..., None])[..., 0], weights))
+        means /= ratio
         for part, (there, weights) in zip(parts, values, strict=True):
-            found = (there - means[part.rows, None]) ** 2 @ weights
+            found = integrals((there - means[part.rows, None]) ** 2, weights)
             squares += np.bincount(part.rows, part.share * found, len(area))
             rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
             size = np.abs(corner[part.rows]).max(axis=1, initial=0.0)
-            rests += np.bincount(part.rows, part.share * (rest * size) ** 2, len(area))
+            weight = part_weight(simplices, part)
+            rests += np.bincount(part.rows, part.share * weight * (rest * size) ** 2, len(area))
         root = np.sqrt(area)
-        return root * np.sqrt(squares), root * (np.abs(means - k * mean) + np.sqrt(rests))
+        return root * np.sqrt(squares), root * (np.sqrt(ratio) * np.abs(means - k * mean) + np.sqrt(rests))
 
     def energy(self, e: np.ndarray) -> np.ndarray:
         """A bound of the integral of k e^2 over each cell, e a P1 function by its values at local dofs (local)."""
-        return self.most * squared_norm(e[self._simplices.dofs], self._simplices.area)
+        simplices = self._simplices
+        return self.most * simplices.most_weight * squared_norm(e[simplices.dofs], simplices.area)
 
 
 def squared_norm(corner: np.ndarray, size: np.ndarray) -> np.ndarray:

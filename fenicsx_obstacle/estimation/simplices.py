@@ -7,13 +7,15 @@ from functools import reduce
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle import releases
+from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.parents import EDGES
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
+
+ON_AXIS = 1e-12  # relative to the largest distance from it
 
 
 class Simplices:
@@ -27,6 +29,9 @@ class Simplices:
         facets: Local facet opposite to each vertex, shape (cells, d + 1).
         area: Length, area or volume |T|, shape (cells,).
         middle: The mean of the corners, shape (cells, d).
+        radius: Distance of the vertices from the axis where that is the weight of all integrals, shape (cells, d + 1);
+            None where they have none.
+        size: Integral of the weight over each cell; |T| without one.
         normal: d |T| grad phi_i = the facet opposite to vertex i as a vector that points inward; by coordinates, shape
             (d, cells, d + 1).
     """
@@ -45,6 +50,28 @@ class Simplices:
         self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
         self.normal, self.area = inward(self.x), np.abs(signed)
         self.middle = np.stack([sums(self.x[:, :, k]) for k in range(self.dim)], axis=1) / (self.dim + 1)
+        self.radius: np.ndarray | None = None
+        self.size = self.area
+        if data.axial:
+            radius = self.x[:, :, 0]
+            self.radius = np.where(np.abs(radius) <= ON_AXIS * radius.max(initial=0.0), 0.0, radius)
+            self.size = self.area * sums(self.radius) / (self.dim + 1)
+
+    def weights(self, weights: np.ndarray, points: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Weights of a quadrature in cells, of shape (points,), with the weight of integrals, if any, as a factor: then
+        of shape (cells, points).
+
+        Args:
+            weights: Of the quadrature.
+            points: Barycentric coordinates, shape (cells or 1, points, d + 1).
+            cells: Which.
+        """
+        return weights if self.radius is None else weights * polynomials.combined(points, self.radius[cells])
+
+    @property
+    def most_weight(self) -> np.ndarray | float:
+        """The largest weight of integrals in each cell, 1 where they have none."""
+        return 1.0 if self.radius is None else self.radius.max(axis=1, initial=0.0)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Values at vertices in the mesh's order, shape (cells, d + 1, ...), in the order here."""
@@ -131,6 +158,16 @@ def previous(values: np.ndarray) -> np.ndarray:
 def sums(values: np.ndarray) -> np.ndarray:
     """Sums of values at the vertices of each cell, shape (cells, vertices)."""
     return reduce(np.add, values.T)  # several times faster than values.sum(axis=1)
+
+
+def integrals(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Of values of shape (cells, points), by weights as `Simplices.weights` has them."""
+    return values @ weights if weights.ndim == 1 else np.einsum("cp,cp->c", values, weights)
+
+
+def reciprocals(values: np.ndarray) -> np.ndarray:
+    """1/values, 0 where a value is 0."""
+    return np.divide(1.0, values, out=np.zeros(values.shape), where=values != 0)
 
 
 def lattice(parts: int) -> np.ndarray:

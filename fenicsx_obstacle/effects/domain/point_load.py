@@ -20,7 +20,7 @@ class PointLoad(Effect):
 
     Each point loads the vertices of its cell by their barycentric coordinates there. In one dimension u stays exact at
     the vertices; in two u ~ -F ln(distance)/(2 pi tension) near the point, whose energy is infinite: the L2 error is of
-    order 1 (Scott 1973), and there is no bound of the energy error.
+    order 1 (Scott 1973), and there is no bound of the energy error but on intervals.
 
     Attributes:
         value: Coordinates and force of each point.
@@ -34,6 +34,7 @@ class PointLoad(Effect):
     unit = "force"
     dimension = (0, 1, 1)  # of the force, on a plane mesh
     no_bound = "the error bound does not cover point loads, whose energy is infinite but on intervals"
+    no_bound_from = 2
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PointLoad:
@@ -65,6 +66,10 @@ class PointLoad(Effect):
     @property
     def text(self) -> str:
         return ", ".join(f"{force:g} at ({', '.join(f'{x:g}' for x in at)})" for at, force in self.value)
+
+    @property
+    def point_forces(self) -> tuple[tuple[tuple[float, ...], float], ...]:
+        return self.value
 
     def push(self, data: Sampler) -> tuple[float, float]:
         forces = [force for _, force in self.value]

@@ -6,7 +6,10 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle.verification.hard.families import (
     anisotropic,
+    axial,
+    bearings,
     boundary_values,
+    concentrated,
     conditions,
     curves,
     discs,
@@ -41,6 +44,10 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "touching": touching.touching(),
     "supported": supported.supported(),
     "anisotropic": anisotropic.anisotropic(),
+    "axial": axial.axial(),
+    "bearings": bearings.bearings(),
+    "loaded string": concentrated.loaded_strings(),
+    "loaded line": concentrated.loaded_lines(),
     "tetrahedra": solids.tetrahedra(),
 }
 KNOWN: dict[str, st.SearchStrategy[Family]] = {

@@ -1,0 +1,176 @@
+"""Obstacles on parts of the boundary, or along curves and surfaces inside.
+
+There the contact force is a force on facets, and in the equilibrated flux like a load there: at a node it is
+distributed to the facets around it, and on a facet E with the force F the multiplier is F/|E|. Its part of the bound is
+F times the mean of the distance of v_h to the obstacle on E. v_h is raised at the vertices of a facet by what the
+obstacle is above its nodal interpolant there; not at vertices where u is given.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces, on_sides
+from fenicsx_obstacle.estimation.patches import Patches
+from fenicsx_obstacle.estimation.pieces import Group, joined, pieces_of
+from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals, with_ghosts
+from fenicsx_obstacle.parallel import largest, total
+
+ROUND_OFF = 1e-14  # relative to the values of u
+
+
+class BoundaryObstacle:
+    """One obstacle on facets, times -1 for an upper obstacle.
+
+    Attributes:
+        sign: 1 for a lower obstacle, -1 for an upper one.
+        rows: Its facets among those of `parts`.
+        nodal: sign times its nodal values at local dofs, minus infinity at the others.
+        lifted: The same of a P1 obstacle that is nowhere below it, but beside vertices where u is given.
+        sampled: Whether it is known at samples only, on any rank.
+        unbounded: Whether it may be infinite on a facet of each cell.
+    """
+
+    def __init__(self, sign: float, parts: PartForces, patches: Patches, which: np.ndarray, fields: list[Field]):
+        """Enclose it (collective).
+
+        Args:
+            sign: See the attributes.
+            parts: Has its facets.
+            patches: The cells around the vertices.
+            which: The number of the field on the side opposite to each vertex, -1 where there is none, shape (cells,
+                vertices).
+            fields: The obstacle on parts of the boundary.
+        """
+        self.sign, self._parts, self._patches = sign, parts, patches
+        simplices, data = parts.simplices, parts.simplices.data
+        self._dim, comm = simplices.dim, data.level.comm
+        obstacle = data.lower if sign > 0 else data.upper
+        assert obstacle is not None
+        self.nodal = sign * obstacle.x.array
+        self._heights = max(largest(comm, np.abs(self.nodal[np.isfinite(self.nodal)])), 0.0)
+        number = which[parts.cells, parts.sides]
+        self.rows = np.flatnonzero(number >= 0)
+        self._dofs, cells = parts.dofs[self.rows], parts.cells[self.rows]
+        self._share = (parts.share * parts.size * parts.ratio)[self.rows] / self._dim
+        self._weigh(simplices)
+        self.unbounded, self.sampled = np.zeros(len(simplices.area), dtype=bool), False
+        self.lifted, self._groups = self.nodal, list[Group]()
+        if self._dim == 1:  # facets are points
+            return
+        x, found = simplices.x[cells[:, None], parts.corners[self.rows]], []
+        for k, field in enumerate(fields):
+            there = np.flatnonzero(number[self.rows] == k)
+            found.append((there, pieces_of(data, field, x[there], cells[there], DIVISION[self._dim])))
+        pieces = joined(found, len(cells))
+        self._groups, self.sampled = pieces.groups, total(comm, int(pieces.sampled)) > 0
+        self.unbounded[cells[~np.isfinite(pieces.upper if sign > 0 else pieces.lower)]] = True
+        self._least = np.where(np.isfinite(pieces.lower if sign > 0 else pieces.upper),
+                               pieces.lower if sign > 0 else -pieces.upper, -1e300)  # fmt: skip
+        above = np.maximum(self._highest(self.nodal), 0.0)
+        raised = np.zeros(simplices.dofs.shape)
+        np.maximum.at(raised, (cells[:, None], parts.corners[self.rows]), above[:, None])
+        self.lifted = self.nodal + with_ghosts(data.level.V, patches.largest(patches.gather(raised)[0]))
+
+    def _weigh(self, simplices: Simplices) -> None:
+        """The size of the facets around each node (collective)."""
+        shares = self._in_cells(np.repeat(self._share[:, None], self._dim, axis=1))
+        own = self._patches.at_vertices(self._patches.gather(shares)[0])
+        self._inverse = with_ghosts(simplices.data.level.V, reciprocals(own))
+
+    def _in_cells(self, values: np.ndarray) -> np.ndarray:
+        """Values at the vertices of the facets, shape (rows, d), summed at those of the cells."""
+        parts, found = self._parts, np.zeros(self._parts.simplices.dofs.shape)
+        np.add.at(found, (parts.cells[self.rows][:, None], parts.corners[self.rows]), values)
+        return found
+
+    def forces(self, multiplier: np.ndarray) -> np.ndarray:
+        """Contact forces by vertices of the cell of each facet of `parts`, shape (facets, d + 1) (collective).
+
+        Args:
+            multiplier: Of owned nodes, >= 0; times `Patches.mass` it is the force there.
+        """
+        nodal = with_ghosts(self._parts.simplices.data.level.V, multiplier * self._patches.mass) * self._inverse
+        found = np.zeros((len(self._parts.cells), self._dim + 1))
+        found[self.rows[:, None], self._parts.corners[self.rows]] = nodal[self._dofs] * self._share[:, None]
+        return found
+
+    def gaps(self, v: np.ndarray) -> tuple[np.ndarray, float]:
+        """Bounds of the mean distance of a P1 function above the obstacle on each facet, and of how far it is below it
+        anywhere, on this rank (local).
+
+        Args:
+            v: sign times its values at local dofs.
+        """
+        corner = v[self._dofs]
+        if self._dim == 1:
+            gap = corner[:, 0] - self.nodal[self._dofs[:, 0]]
+            return np.maximum(gap, 0.0), float(np.max(-gap, initial=0.0))
+        parts, mean = self._parts, np.zeros(len(self.rows))
+        for group in self._groups:
+            coefficient, _ = self._above(group, corner)
+            degree = max(group.degree, 1)
+            points, weights = rule(self._dim - 1, degree + 1)
+            if parts.radius is not None:
+                weights = weights * polynomials.combined(group.points(points), parts.radius[self.rows][group.rows])
+            below = integrals(polynomials.evaluate(coefficient, points, degree), weights)
+            total_weight = weights.sum() if weights.ndim == 1 else weights.sum(axis=1)
+            known = np.isfinite(group.rest)
+            far = corner[group.rows].max(axis=1, initial=-np.inf) - self._least[group.rows]
+            gap = np.where(known, np.where(known, group.rest, 0.0) * total_weight - below, far * total_weight)
+            mean += np.bincount(group.rows, group.share * gap, len(mean))
+        mean *= reciprocals(parts.ratio[self.rows])
+        return np.maximum(mean, 0.0), float(np.max(self._highest(v), initial=0.0))
+
+    def _highest(self, linear: np.ndarray) -> np.ndarray:
+        """Bounds of the obstacle above a P1 function on each facet (local)."""
+        corner, highest = linear[self._dofs], np.full(len(self.rows), -np.inf)
+        for group in self._groups:
+            coefficient, margin = self._above(group, corner)
+            known = np.isfinite(group.rest)
+            top = polynomials.largest(coefficient, self._dim, max(group.degree, 1)) + np.where(known, group.rest, 0.0)
+            side = group.upper if self.sign > 0 else -group.lower
+            bounded = np.isfinite(side)  # `Certification` has a word about others
+            top = np.where(known | ~bounded, top, side - corner[group.rows].min(axis=1, initial=np.inf))
+            group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
+        return highest
+
+    def _above(self, group: Group, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
+        degree, coefficient = group.above(corner, self.sign)
+        size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(corner[group.rows]))
+        return coefficient, polynomials.round_off(size[:, None], self._dim, degree) + ROUND_OFF * self._heights
+
+
+class BoundaryObstacles:
+    """The sides that have obstacles, of all cells (collective)."""
+
+    def __init__(self, simplices: Simplices):
+        """Find them.
+
+        Args:
+            simplices: The owned cells.
+        """
+        data = simplices.data
+        self.given: list[tuple[float, np.ndarray, list[Field]]] = []
+        if not data.thin:
+            return
+        for sign, key in ((1.0, "lower"), (-1.0, "upper")):
+            which, fields = np.full(simplices.facets.shape, -1), list[Field]()
+            for number, part in enumerate(data.model.boundary):
+                field = getattr(part, key)
+                if field is not None:
+                    which[on_sides(simplices, data.facets[number])] = len(fields)
+                    fields.append(field)
+            if fields:
+                self.given.append((sign, which, fields))
+
+    def on(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Whether a side has one."""
+        found = np.zeros(shape, dtype=bool)
+        for _, which, _ in self.given:
+            found |= which >= 0
+        return found
