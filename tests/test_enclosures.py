@@ -204,12 +204,13 @@ def test_slopes_at_singular_points_are_infinite():
 
 
 def check_linear(text, x, seed):
-    """Values at random points are as near to the linear function as its rest says, whatever conditions do."""
+    """Values at random points are as near to the linear function as its rest says, whatever conditions do, and so is
+    the slope of the difference, except where values jump."""
     formula, cells = SCENE.formula(text, "here"), Cells(SCENE, x[None])
     found = cells.once(formula)
     if not found.finite[0]:
         return
-    at_corners, rest, _ = linear(cells, formula)
+    at_corners, rest, steep = linear(cells, formula)
     weights = np.random.default_rng(seed).dirichlet(np.ones(3), 200)
     points = np.zeros((3, 200))
     points[:2] = (weights @ x).T
@@ -217,7 +218,19 @@ def check_linear(text, x, seed):
     if np.isnan(values).any():  # conditions that are undecided guard what they choose from, if they are written to
         assert "where" in text
         return
-    slack = 1e-9 * (1 + np.abs(values).max() + np.abs(at_corners).max())
+    size = 1 + np.abs(values).max() + np.abs(at_corners).max()
+    slack = 1e-9 * size
+    others = np.roll(weights, 1, axis=0)
+    changes = []
+    for step in (1e-6, 5e-7):
+        moved = (1 - step) * weights + step * others
+        near = np.zeros((3, 200))
+        near[:2] = (moved @ x).T
+        change = SCENE.at_points(formula, near) - values - (moved - weights) @ at_corners[0]
+        changes.append((np.abs(change), np.linalg.norm(near - points, axis=0)))
+    (far, distance), (close, _) = changes
+    jumps = (close > 0.9 * far) | (close < 0.1 * far)
+    assert (jumps | np.isnan(far) | (far <= steep[0] * distance + 1e-13 * size)).all(), (text, steep)
     assert np.isinf(rest[0]) or np.abs(weights @ at_corners[0] - values).max() <= rest[0] + slack, (text, rest)
 
 
@@ -245,10 +258,12 @@ def test_linear_functions_are_near(text, x, seed):
 
 def test_smooth_transitions_cost_second_order():
     """Across a kink the rest falls like h, where branches meet with one slope like h^2, across a jump it stays."""
-    for text, rate in (("abs(x - 0.01)", 1), ("y + max(x - 0.01, 0)^2", 2), ("where(x < 0.01, 1, 2)", 0),
-                       ("where(x < 0, exp(x), 1 + x)", 2), ("exp(y)*where(x > 0, x^2, 0)", 2)):  # fmt: skip
+    for text, rate, size in (
+        ("abs(x - 0.01)", 1, 0.1), ("y + max(x - 0.01, 0)^2", 2, 0.1), ("where(x < 0.01, 1, 2)", 0, 0.1),
+        ("where(x < 0, exp(x), 1 + x)", 2, 0.1), ("exp(y)*where(x > 0, x^2, 0)", 2, 0.02),
+    ):  # fmt: skip
         rests = []
-        for h in (0.1, 0.05):
+        for h in (size, size / 2):
             formula, corners = SCENE.formula(text, "here"), h * np.array([[(-1, -1), (2, -1), (-1, 2)]])
             rests.append(linear(Cells(SCENE, corners), formula)[1][0])
         assert np.log2(rests[0] / rests[1]) == pytest.approx(rate, abs=0.15), text

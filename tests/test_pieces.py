@@ -137,6 +137,23 @@ def test_smooth_data_gain_an_order_with_the_degree(data):
         assert np.log2(rests[0] / rests[1]) == pytest.approx(rate, abs=0.25)
 
 
+@pytest.mark.parametrize("height", [0.1, 1e-3, 1e-6, 1e-9])
+def test_slopes_on_thin_parts(data, height):
+    """Where slopes count, the bound of the slope of datum minus polynomial does not grow as a part becomes thin, and
+    holds."""
+    x = np.array([[(0.3, 0.3), (0.5, 0.3), (0.4, 0.3 + height)]])
+    (group,) = pieces(data, "sin(9*x)*exp(3*y)", x, Division(0, slopes=True)).groups
+    along = polynomials.slopes(group.coefficients, 3, group.degree)
+    edges = x[0, 1:] - x[0, 0]
+    inside = np.random.default_rng(0).dirichlet(np.ones(3), 200)
+    gradients = np.linalg.solve(edges, polynomials.evaluate((along[:, 1:] - along[:, :1])[0], inside, group.degree - 1))
+    a, b = (inside @ x[0]).T
+    true = np.stack([9 * np.cos(9 * a) * np.exp(3 * b), 3 * np.sin(9 * a) * np.exp(3 * b)])
+    off = np.linalg.norm(gradients - true, axis=0).max()
+    assert off <= group.steep[0] + 1e-6
+    assert group.steep[0] < 100  # of a gradient of 22 at most
+
+
 def test_the_rule_of_parts_is_that_of_the_cell(data):
     """The mean of a discontinuous load over a cell, whose parts are integrated, is the exact one."""
     x = np.array([[(0, 0), (1, 0), (0, 1)]])

@@ -174,11 +174,12 @@ class ObstacleExcess:
         """The excess of the obstacle in cells at nodes where u is given, which cannot be raised (collective).
 
         It is the positive part of obstacle - state - cones of boundary values, which is 0 on the boundary. Its gradient
-        is bounded on those parts of the cells where it may be positive.
+        is bounded on those parts of the cells where it may be positive: with the largest slope of the cones there, or
+        with their energy in the whole cell.
         """
         simplices, comm = self.simplices, self.simplices.data.level.comm
         self.cover_volume[:] = self.cover_energy[:] = self.cover_height[:] = 0.0
-        owner = np.flatnonzero(beside)
+        owner, without = np.flatnonzero(beside), np.zeros(len(simplices.area))  # the cones
         count, times = simplices.dim + 1, 2**simplices.dim
         corners, inside = simplices.x[owner], np.broadcast_to(np.eye(count), (len(owner), count, count))
         for split in range(BESIDE + 1):
@@ -199,11 +200,15 @@ class ObstacleExcess:
                     np.add.at(self.cover_volume, owner[rows], measure * height.mean(axis=1))
                     np.maximum.at(self.cover_height, owner[rows], height.max(axis=1, initial=0.0))
                     np.add.at(self.cover_energy, owner[rows], measure * steepness)
+                    steepness = group[open_].steepness(coefficient[open_], corners, np.zeros(len(rows)))
+                    np.add.at(without, owner[rows], measure * steepness)
             uncovered = np.count_nonzero(above)
             if last:
                 break
             owner = np.repeat(owner[above], times)
             corners, inside = polynomials.halved(corners[above]), polynomials.halved(inside[above])
+        of_cones = self.dirichlet.energy(np.ones(len(without)))
+        self.cover_energy = np.minimum(self.cover_energy, (np.sqrt(without) + np.sqrt(of_cones)) ** 2)
         jumps = total(comm, uncovered) > 0 and not self._field.continuous
         self.sampled = self._of_samples or jumps
 

@@ -50,6 +50,8 @@ class Division:
         degree: Of interpolants: 4, or 2 where what counts is the distance to linear functions.
         length: Where the mean of what an interpolant lacks counts times a length, beside the size of the datum times
             that of the parts: this length.
+        slopes: Whether the slope of the difference counts. On thin parts, as between two cuts, the interpolant of a
+            smooth datum may be much steeper than the datum; then a linear function is taken.
     """
 
     depth: int
@@ -57,6 +59,7 @@ class Division:
     share: float = 1e-6
     degree: int = 4
     length: float = np.inf
+    slopes: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,8 +420,8 @@ class _Near:
             at_corners, rest, steep = known.linear(cut)
             near = rest < BETTER * self.rest[cut]
             self._take(1, cut[near], at_corners[near], rest[near], steep[near])
-            if continuous and not near.all():
-                far = cut[~near]
+            far = cut[~near] if continuous else cut[~near & smooth[cut]]
+            if len(far):
                 self.steep[far] = bounds.derivative(1)[far]
 
     def _half(self) -> np.ndarray:
@@ -442,8 +445,12 @@ class _Near:
         far = ~good
         if far.any():
             there = self._known.some(rows[far]).once() if good.any() else bounds
-            fifth = there.derivative(5) if good.any() else there.derivative(5)[rows]
-            self._near(4, rows[far], fifth, size[far], height[far])
+            second, fifth = (there.derivative(k) if good.any() else there.derivative(k)[rows] for k in (2, 5))
+            kept = np.ones(len(fifth), dtype=bool)
+            if division.slopes:  # linear functions with nearly the gradient of the datum need no height
+                kept = _steepness(self._corners, 4, size[far], height[far], fifth) <= 2 * size[far] * second
+            chosen = np.flatnonzero(far)[kept]
+            self._near(4, rows[chosen], fifth[kept], size[chosen], height[chosen])
 
     def _near(self, degree: int, rows: np.ndarray, bound: np.ndarray, size: np.ndarray, height: np.ndarray) -> None:
         """Let interpolants stand for the datum where they are nearer than the middle of its bounds.
@@ -455,9 +462,8 @@ class _Near:
             size: Of the longest edge.
             height: The least one; thin parts may have none, up to round-off.
         """
-        scale = np.multiply(size ** (degree + 1), bound, out=np.full(len(rows), np.inf), where=np.isfinite(bound))
-        rest = polynomials.REMAINDER[self._corners][degree] * scale
-        steep = _quotient(polynomials.STEEPNESS[self._corners][degree] * scale, height, np.inf)
+        rest = polynomials.REMAINDER[self._corners][degree] * _scale(degree, size, bound)
+        steep = _steepness(self._corners, degree, size, height, bound)
         better = rest < self.rest[rows]
         self._interpolate(degree, rows[better], rest[better], steep[better])
 
@@ -515,6 +521,16 @@ class _Near:
             values = self._known.values(0, chosen[infinite])[:, 0]
             middle[infinite] = np.where(np.isfinite(values), values, 0.0)
         yield 0, False, chosen, middle[:, None]
+
+
+def _scale(degree: int, size: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """size^(degree + 1) times a bound of the derivative of that order, infinite where none is known."""
+    return np.multiply(size ** (degree + 1), bound, out=np.full(len(size), np.inf), where=np.isfinite(bound))
+
+
+def _steepness(corners: int, degree: int, size: np.ndarray, height: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """Bound of the gradient of a datum minus its interpolant; the arguments are those of `_Near._near`."""
+    return _quotient(polynomials.STEEPNESS[corners][degree] * _scale(degree, size, bound), height, np.inf)
 
 
 def _quotient(a: np.ndarray, b: np.ndarray, otherwise: float) -> np.ndarray:

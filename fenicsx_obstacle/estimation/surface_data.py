@@ -34,8 +34,9 @@ from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-FACETS = Division(4, 1e-2, 1e-3)
+FACETS = Division(4, 1e-2, 1e-3, slopes=True)
 HALVED = 3  # subdivisions of facets on which the bound of the slope of e' is above
+MIN_DEPTH = 2  # of the division of the smallest ones, along the line where a condition changes and beside it
 STEEP = 0.02  # this fraction of the slope of d
 MAX_PARTS = 100_000  # of facets; no subdivision beyond
 ROUND_OFF = 1e-14  # relative to the values of u
@@ -269,7 +270,8 @@ class SurfaceData(BoundaryValues):
         lower, upper, share = [], [], 1.0
         for split in range(HALVED + 1):
             last = split == HALVED or 4 * len(owner) > MAX_PARTS
-            pieces = pieces_of(self.simplices.data, part.value, inside @ part.x[owner], part.cells[owner], FACETS)
+            division = replace(FACETS, depth=max(FACETS.depth - split, MIN_DEPTH))
+            pieces = pieces_of(self.simplices.data, part.value, inside @ part.x[owner], part.cells[owner], division)
             self._samples += int(pieces.sampled)
             lower.append(pieces.lower)
             upper.append(pieces.upper)

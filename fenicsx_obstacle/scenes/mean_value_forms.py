@@ -2,13 +2,14 @@
 
 On a cell with the middle c a formula is within C + G (x - c), C and G intervals: G bounds the gradient of every branch
 that may hold somewhere in the cell, C the values of these branches at c. Where branches meet smoothly G is narrow;
-where they jump C is wide. Continuity is not assumed.
+where they jump C is wide. Continuity is not assumed. Products and quotients take bounds over the whole cell for G: the
+values at c would be enough for C + G (x - c), but not for the gradient.
 """
 
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 ZERO, ONE = constant(0.0), constant(1.0)
 EITHER = intervals.of_bounds(-1.0, 1.0, 0)
+UNKNOWN = intervals.of_bounds(-np.inf, np.inf, 0)
 
 
 @dataclass(frozen=True)
@@ -108,13 +110,17 @@ class _Forms:
         self._middle[:, : cells.corners.shape[2]] = cells.corners.mean(axis=1)
 
     def form(self, formula: Formula, node: ast.expr) -> Form:
-        """The mean value form of a node; if there is no rule for it, C is its enclosure and G is 0."""
+        """The mean value form of a node; C is its enclosure and G is 0 if it is constant between jumps."""
         match node:
             case ast.Name(id=name):
                 if name not in self._known:
                     self._known[name] = self._name(name)
                 return self._known[name]
-            case ast.BinOp(left=left, op=op, right=right) if type(op) is not ast.Mod:
+            case ast.BinOp(left=left, op=ast.Mod(), right=right):
+                one, by = self.form(formula, left), self._walk.number(formula, right)
+                slopes = [_hull(slope, ZERO) if by.is_number else UNKNOWN for slope in one.slopes]
+                return Form(self._walk.number(formula, node), tuple(slopes))
+            case ast.BinOp(left=left, op=op, right=right):
                 return self._operation(formula, BINARY[type(op)], left, right)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 inner = self.form(formula, operand)
@@ -141,17 +147,16 @@ class _Forms:
             axis = "xyz".index(name)
             return Form(_point(self._middle[:, axis]), self._along(*(ONE if axis == k else ZERO for k in range(3))))
         if name == "distance":
-            return Form(self._walk.name(name), self._none)
+            return Form(self._walk.name(name), tuple(EITHER for _ in self._none))
         if name == "r":
             r = self._walk.name("r")
-            slopes = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xyz")
-            return Form(_point(np.sqrt(x**2 + y**2 + z**2)), self._along(*slopes))
+            along = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xyz")
+            return Form(_point(np.sqrt(x**2 + y**2 + z**2)), self._along(*along))
         if name == "theta":
-            if not self._walk.name(name).whole.all():
-                return Form(self._walk.name(name), self._none)
             r = intervals.hypot(self._walk.name("x"), self._walk.name("y"))
             over_x, over_y = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xy")
-            return Form(_point(np.arctan2(y, x)), self._along(negative(divide(over_y, r)), divide(over_x, r), ZERO))
+            slopes = self._along(negative(divide(over_y, r)), divide(over_x, r), ZERO)
+            return _unless_cut(self._walk.name(name), Form(_point(np.arctan2(y, x)), slopes))
         defined = self._walk.cells.vocabulary.define[name]
         return self.form(defined, defined.tree)
 
@@ -168,19 +173,20 @@ class _Forms:
             case "-":
                 return self._pairwise(one, other, lambda p, q: _sum(p, negative(q)))
             case "*":
-                # f g - C_f C_g = (f - C_f) g + C_f (g - C_g)
-                slopes = [_sum(_product(p, b), _product(one.value, q)) for p, q in _pairs(one, other)]
+                # f g - C_f C_g = (f - C_f) g + C_f (g - C_g), and grad(f g) = g grad f + f grad g
+                a = a if a.is_number else _hull(a, one.value)
+                slopes = [_sum(_product(p, b), _product(a, q)) for p, q in _pairs(one, other)]
                 return Form(multiply(one.value, other.value), tuple(slopes))
             case "/":
-                # f/g - C_f/C_g = (f - C_f)/g - C_f (g - C_g)/(g C_g)
-                factor = divide(one.value, multiply(b, other.value))
+                # f/g - C_f/C_g = (f - C_f)/g - C_f (g - C_g)/(g C_g), and grad(f/g) = grad f/g - f grad g/g^2
+                factor = divide(_hull(a, one.value), multiply(b, _hull(b, other.value)))
                 slopes = [
                     _sum(_product(p, divide(ONE, b)), negative(_product(factor, q))) for p, q in _pairs(one, other)
                 ]
                 return Form(divide(one.value, other.value), tuple(slopes))
         if not b.is_number:
             power = self._walk.number(formula, ast.BinOp(left=left, op=ast.Pow(), right=right))
-            return Form(power, self._none)
+            return Form(power, tuple(UNKNOWN for _ in one.slopes))
         exponent = float(b.lower)
         outer = multiply(b, intervals.raised(a, constant(exponent - 1))) if exponent else ZERO
         return _through(one, intervals.raised(one.value, b), outer)
@@ -219,19 +225,34 @@ class _Forms:
         if name == "hypot":
             weights = [divide(a, found).clipped(-1.0, 1.0), divide(b, found).clipped(-1.0, 1.0)]
             value = intervals.hypot(one.value, other.value)
-        elif found.whole.all():
+        else:
             square = add(intervals.power(a, 2), intervals.power(b, 2))
             weights = [divide(b, square), negative(divide(a, square))]
             value = intervals.atan2(one.value, other.value)
-        else:
-            return Form(found, tuple(ZERO for _ in one.slopes))
         slopes = [_sum(_product(weights[0], p), _product(weights[1], q)) for p, q in _pairs(one, other)]
-        return Form(value, tuple(slopes))
+        form = Form(value, tuple(slopes))
+        return form if name == "hypot" else _unless_cut(found, form)
 
 
 def _point(values: np.ndarray) -> Enclosure:
     """Enclosure of numbers that are known up to round-off."""
     return add(intervals.of_bounds(values, values, 0), intervals.of_bounds(-1e-15, 1e-15, 0))
+
+
+def _hull(a: Enclosure, b: Enclosure) -> Enclosure:
+    """Bounds of both."""
+    return replace(a, lower=np.minimum(a.lower, b.lower), upper=np.maximum(a.upper, b.upper))
+
+
+def _unless_cut(found: Enclosure, form: Form) -> Form:
+    """A form; where a cut runs through a cell C are the bounds over it, so that 0 belongs to G."""
+
+    def either(of_whole: Enclosure, of_cut: Enclosure) -> Enclosure:
+        lower = np.where(found.whole, of_whole.lower, of_cut.lower)
+        return replace(of_whole, lower=lower, upper=np.where(found.whole, of_whole.upper, of_cut.upper))
+
+    value = replace(either(form.value, found), defined=found.defined)
+    return Form(value, tuple(either(slope, _hull(slope, ZERO)) for slope in form.slopes))
 
 
 def _through(inner: Form, value: Enclosure, outer: Enclosure) -> Form:
