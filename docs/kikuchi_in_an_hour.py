@@ -11,7 +11,8 @@
 # This notebook goes through the paper of N. Kikuchi, *Convergence of a penalty-finite element approximation for an
 # obstacle problem*, Numer. Math. 37 (1981) 105-120. Numbers such as (3.4) are those of the paper. The meshes are
 # coarse, so that each code cell runs in seconds. Statements about errors, orders and counts are checked by `assert`.
-# Each section has exercises.
+# Each section has exercises. The asserts and pictures are written for the given data. Where an exercise changes the
+# data, remove those that no longer apply.
 #
 # `.venv/bin/python docs/kikuchi_in_an_hour.py` runs the file as a script, on any number of ranks, and writes the
 # pictures to `out/kikuchi`. Spyder and VS Code run single cells. To make a notebook, run
@@ -380,7 +381,8 @@ keep(page, "6_stall")
 #
 # The contact set of the exact solution begins at $x = a$. With the penalty contact begins too early, at about
 # $a - \sqrt\varepsilon$, and the pressure rises over the width $\sqrt\varepsilon$. Let
-# $z = (x - \alpha)/\sqrt\varepsilon > 0$ in this layer on the left. To leading order:
+# $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures are 0, and the slopes agree to
+# leading order. For $z > 0$, to leading order:
 #
 # - $p_\varepsilon = -f(1 - e^{-z})$, while p jumps from 0 to $-f$ at $z = 1$;
 # - $u_\varepsilon' = \sqrt\varepsilon f e^{-z}$, while $u' = \sqrt\varepsilon f (1 - z)^+$.
