@@ -381,8 +381,8 @@ keep(page, "6_stall")
 #
 # The contact set of the exact solution begins at $x = a$. With the penalty contact begins too early, at about
 # $a - \sqrt\varepsilon$, and the pressure rises over the width $\sqrt\varepsilon$. Let
-# $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures are 0, and the slopes agree to
-# leading order. For $z > 0$, to leading order:
+# $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures are 0, and the slopes agree
+# to leading order. For $z > 0$, to leading order:
 #
 # - $p_\varepsilon = -f(1 - e^{-z})$, while p jumps from 0 to $-f$ at $z = 1$;
 # - $u_\varepsilon' = \sqrt\varepsilon f e^{-z}$, while $u' = \sqrt\varepsilon f (1 - z)^+$.
