@@ -10,7 +10,9 @@ import numpy as np
 
 def volumes(corners: np.ndarray) -> np.ndarray:
     """Lengths, areas or volumes of simplices given by their corners (n, vertices, 3); 1 for points."""
-    return spanned(corners[:, 1:] - corners[:, :1]) / factorial(corners.shape[1] - 1)
+    edges = corners[:, 1:] - corners[:, :1]
+    gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
+    return np.sqrt(np.maximum(gram, 0.0)) / factorial(corners.shape[1] - 1)
 
 
 def spanned(edges: np.ndarray) -> np.ndarray:
