@@ -16,12 +16,10 @@ def volumes(corners: np.ndarray) -> np.ndarray:
 
 
 def spanned(edges: np.ndarray) -> np.ndarray:
-    """What 0 to 3 vectors span, shape (n, vectors, 3): 1, their length, or area or volume of a parallelepiped.
+    """What 1 to 3 vectors span, shape (n, vectors, 3): their length, or area or volume of a parallelepiped.
 
     Accurate for vectors that are nearly parallel, which a determinant of their inner products is not.
     """
-    if edges.shape[1] == 0:
-        return np.ones(len(edges))
     if edges.shape[1] == 1:
         return lengths(edges[:, 0])
     (a, b, c), (u, v, w) = edges[:, 0].T, edges[:, 1].T

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.verification.hard.families.closed import ClosedForm, Line, Piecewise, everywhere, expression, x, y
+from fenicsx_obstacle.verification.hard.families.closed import ClosedForm, Piecewise, everywhere, expression, x, y
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.integrals import energy_error
 from fenicsx_obstacle.verification.hard.families.meshes import DIAGONALS
@@ -122,10 +122,6 @@ class Bearings(ClosedForm):
         off = field.at(nodes.cells, nodes.points[:, None])[:, 0] - self.u()[0].at(px, py)
         more = float(self.foundation) * field.comm.allreduce(float(nodes.weights @ (weight(px) * off**2)))
         return float(np.hypot(error, np.sqrt(more))), norm
-
-    def curves(self) -> list[Line]:  # type: ignore[override]
-        """None: u and the tension are smooth."""
-        return []
 
 
 @st.composite

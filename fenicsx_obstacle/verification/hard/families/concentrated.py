@@ -30,6 +30,7 @@ from fenicsx_obstacle.verification.hard.families.closed import (
 )
 from fenicsx_obstacle.verification.hard.families.elements import Field
 from fenicsx_obstacle.verification.hard.families.family import Family, Judgement, toml
+from fenicsx_obstacle.verification.hard.families.meshes import shifts
 from fenicsx_obstacle.verification.hard.families.strategies import place, power
 from fenicsx_obstacle.verification.hard.families.supported import SHAPES
 
@@ -190,8 +191,7 @@ def lined(comm: MPI.Comm, cells: int, slope: float, stretch: float, scatter: flo
     tags = dmesh.meshtags(mesh, 1, facets, np.ones(len(facets), dtype=np.int32))
     x = mesh.geometry.x
     inside = np.all(np.abs(x[:, :2]) < 1 - h / 2, axis=1) & (np.abs(x[:, 0]) > h / 4)
-    mixed = np.sin(np.rint(x[:, :2] / h) @ np.array([[12.9898, 39.346], [78.233, 11.135]])) * 43758.5453
-    x[:, :2] += scatter * h * (2 * (mixed - np.floor(mixed)) - 1) * inside[:, None]
+    x[:, :2] += scatter * h * shifts(x[:, :2] / h) * inside[:, None]
     x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
     return mesh, tags
 

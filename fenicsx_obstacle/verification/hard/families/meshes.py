@@ -19,6 +19,12 @@ RECTANGLES = (
 DIAGONALS = ("right", "left", "crossed", "union-jack")
 
 
+def shifts(places: np.ndarray) -> np.ndarray:
+    """Two numbers between -1 and 1 that look random, for each place of a grid (n, 2); the same on every rank."""
+    mixed = np.sin(np.rint(places) @ np.array([[12.9898, 39.346], [78.233, 11.135]])) * 43758.5453
+    return np.asarray(2 * (mixed - np.floor(mixed)) - 1)
+
+
 def skewed(
     comm: MPI.Comm, cells: int, side: float, slope: float, stretch: float, scatter: float, middle: bool = False
 ) -> dmesh.Mesh:
@@ -37,9 +43,7 @@ def skewed(
                                   ghost_mode=releases.FACET_GHOSTS)  # fmt: skip
     x, h = mesh.geometry.x, side / cells
     inside = np.all((x[:, :2] > h / 2) & (x[:, :2] < side - h / 2), axis=1)
-    place = np.rint(x[:, :2] / h)  # the same for a vertex on every rank
-    mixed = np.sin(place @ np.array([[12.9898, 39.346], [78.233, 11.135]])) * 43758.5453
-    x[:, :2] += scatter * h * (2 * (mixed - np.floor(mixed)) - 1) * inside[:, None]
+    x[:, :2] += scatter * h * shifts(x[:, :2] / h) * inside[:, None]
     x[:, :2] -= side / 2 if middle else 0.0
     x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
     return mesh
