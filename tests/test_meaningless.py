@@ -231,11 +231,15 @@ def test_nearly_singular_drift_is_rejected(eps, force):
         solve(string_in_a_trap(eps, force=force))
 
 
-@pytest.mark.parametrize("n", slow_except([50, 400], 50))
-def test_nearly_singular_drift_is_found_where_u_is_small(n):
-    """A load without symmetric part leaves the exact u small, yet round-off adds the nearly singular part."""
+@pytest.mark.parametrize("eps", slow_except([0.05, 0.06, 0.08], 0.05))
+@pytest.mark.parametrize("n", slow_except([50, 400, 401, 777, 1000], 50, 401))
+def test_nearly_singular_drift_is_found_where_u_is_small(n, eps):
+    """A load without symmetric part leaves the exact u small, yet round-off adds the nearly singular part.
+
+    How much it adds, and what the factors of the matrix show of it, changes with every cell and every rank.
+    """
     with pytest.raises(NotConverged, match=UNDETERMINED):
-        solve(string_in_a_trap(0.05, "sin(2*pi*x)", n))
+        solve(string_in_a_trap(eps, "sin(2*pi*x)", n))
 
 
 @pytest.mark.parametrize("eps", slow_except([0.5, 0.2, 0.15], 0.2))

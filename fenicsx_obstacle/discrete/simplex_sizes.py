@@ -11,8 +11,8 @@ import numpy as np
 def volumes(corners: np.ndarray) -> np.ndarray:
     """Lengths, areas or volumes of simplices given by their corners (n, vertices, 3); 1 for points."""
     edges = corners[:, 1:] - corners[:, :1]
-    gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
-    return np.sqrt(np.maximum(gram, 0.0)) / factorial(corners.shape[1] - 1)
+    dim = edges.shape[1]
+    return spanned(edges) / factorial(dim) if dim else np.ones(len(corners))
 
 
 def spanned(edges: np.ndarray) -> np.ndarray:

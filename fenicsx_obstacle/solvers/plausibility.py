@@ -23,6 +23,7 @@ NEAR = 1e-8  # of the values of the data: not beyond them
 NO_SOLUTION = "which no solution does"  # part of the message
 MAX_DEPTH = 2.0  # in a patch of cells of Pe = 1 all drift flows out by about so much
 TRAPPED = 100.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
+BY_RESIDUAL = {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_norm_type": "unpreconditioned", "ksp_rtol": 1e-4}
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
 
 
@@ -159,8 +160,10 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float | None:
-    """The largest displacement by forces at owned dofs, with contact nodes fixed; None without convergence
-    (collective)."""
+    """The largest displacement by forces at owned dofs, with contact nodes fixed (collective).
+
+    Infinite where even a direct solver finds none: A is singular to round-off. None where no direct solver was tried.
+    """
     problem.nodal.add_penalty_diagonal(problem.A, np.where(active != 0, np.inf, 0.0))
     x, b = problem.A.createVecs()
     b.array[:] = np.where(problem.fixed | (active != 0), 0.0, forces)
@@ -168,17 +171,23 @@ def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float
     most = largest(problem.level.comm, np.abs(x.array_r))
     for vector in (x, b):
         vector.destroy()
-    return most if solved else None
+    if solved:
+        return most
+    return np.inf if problem.level.dofs <= LARGEST else None
 
 
 def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:
-    """Solve A x = b; whether that was possible (collective)."""
+    """Solve A x = b; whether that was possible (collective).
+
+    Judged by b - A x itself: a preconditioner hardly sees a direction that A is nearly singular in, and the factors
+    of such an A have pivots of pure round-off, so that one solve with them may miss x by a factor of 1000.
+    """
     ways: list[Mapping[str, Any]] = [GENERAL, DIRECT] if problem.level.dofs <= LARGEST else [GENERAL]
     for options in reversed(ways) if direct_first(problem.level.dofs) else ways:
         ksp = PETSc.KSP().create(problem.level.comm)
         ksp.setOperators(problem.A)
         ksp.setOptionsPrefix("sensitivity_")
-        with defaults("sensitivity_", {**options, "ksp_rtol": 1e-4}):
+        with defaults("sensitivity_", {**options, **BY_RESIDUAL}):
             ksp.setFromOptions()
         solved = attempt(partial(ksp.solve, b, x), ksp, b, x) and ksp.getConvergedReason() > 0
         ksp.destroy()
