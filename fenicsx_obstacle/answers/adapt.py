@@ -118,8 +118,19 @@ def solve(
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
         answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False,
                                 uncertainty=uncertainty)  # fmt: skip
+        if bound:
+            answer = _with_outputs(answer, context)
         context.forget_levels()
         return context.measured(answer)
+
+
+def _with_outputs(answer: Answer, context: SolverContext) -> Answer:
+    """The answer with guaranteed errors of linear output quantities, if the scene has any quantities (collective)."""
+    if not context.scene.report:
+        return answer
+    from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs  # only where a scene names some
+
+    return with_guaranteed_outputs(answer, context)
 
 
 class Refinement:
@@ -252,7 +263,7 @@ class _Adaptation(Refinement):
                     break
             if yardstick:
                 answer = context.answer(self.options, yardstick=True, bound=True, errors=False)
-            answer = context.measured(answer)
+            answer = context.measured(_with_outputs(answer, context))
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
         seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}

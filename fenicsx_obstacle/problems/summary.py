@@ -58,6 +58,8 @@ def summary(record: Mapping[str, Any], title: str) -> str:
         most = "at most" if b["words"].startswith("certified") else "about"
         times = _effectivity(r["bound"])
         lines.append(f"  energy error {most} {b['total']:.4g}{relative} ({parts}); {b['words']}{times}")
+        if b.get("energy") is not None and b["words"].startswith("certified"):
+            lines.append("  energy of the exact solution between {:.8g} and {:.8g}".format(*b["energy"]))
     if (goal := r.get("goal")) is not None:
         lines.append(f"  {goal['name']} = {with_error(goal['value'], goal['error'])} ({goal['words']})")
     lines += _enclosure(r) + _tolerance(r)
@@ -159,8 +161,11 @@ def main_values(r: Mapping[str, Any]) -> list[str]:
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
     """The values of [report], by name; extremes with their places."""
     places, found, goal = record.get("report_places", {}), {}, record.get("goal", {})
+    guaranteed = record.get("bound", {}).get("outputs", {})
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
+        if name in guaranteed:
+            where = f" (error at most {guaranteed[name]['error']:.2g})"
         if value is None:
             found[name] = "not finite"
         elif name == goal.get("name"):

@@ -178,6 +178,14 @@ class Scene(Vocabulary):
         """
         raw = msgspec.to_builtins(self.tables)
         set_values(raw, {str(key): value for key, value in changes.items()}, self.source)
+        return self.with_tables(raw)
+
+    def with_tables(self, raw: dict[str, Any]) -> Scene:
+        """A scene on the same mesh with other tables, as in TOML.
+
+        Raises:
+            InputError: If a key is unknown or a value does not fit it.
+        """
         new = Scene.__new__(Scene)
         new._fill(raw, self.source, self.folder, self.own_mesh, self.objects)
         return new

@@ -278,6 +278,8 @@ def _bound(bound: Mapping[str, Any]) -> list[tuple[str, str | list[str]]]:
     known.append(("it is", bound["words"]))
     known += [(f"part: {part}", f"{bound[part]:.4g}: {words}") for part, words in _PARTS.items()]
     known.append(("formula", _FORMULA))
+    if bound.get("energy") is not None and bound["words"].startswith("certified"):
+        known.append(("energy of the exact solution", "between {:.8g} and {:.8g}".format(*bound["energy"])))
     if bound["effectivity"] is not None:
         known.append(("bound over true error", f"{bound['effectivity']:.3g}"))
     return known

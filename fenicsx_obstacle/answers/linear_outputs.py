@@ -1,0 +1,182 @@
+"""Guaranteed errors of output quantities that are linear in u.
+
+Let Q(v) be a sum of int (q v + s) over the domain or materials, q and s polynomials. Where the error bound B of u_h is
+certified,
+
+    |Q(u) - Q(u_h)| <= ||Q||_* B,   ||Q||_* = sup Q_0(v)/||v|| = ||z||,   Q_0(v) = int q v,
+
+v = 0 where u is given, and z solves the linear problem a(z, v) = int q v of the same tension, foundation and springs.
+The error bound of z_h on the same mesh gives ||z|| <= ||z_h|| + B_z. The values Q(u_h) are exact, because so is the
+quadrature of [report] for such integrands.
+"""
+
+from __future__ import annotations
+
+import ast
+from contextlib import closing
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.estimation.quadrature import DEGREE
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.scene import Scene
+
+BILINEAR = ("tension", "foundation")  # effects that are part of a
+CERTIFIED = "certified"
+
+
+def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
+    """The answer with `record["bound"]["outputs"]`: value and guaranteed error of each linear quantity (collective).
+
+    Empty where the bound is not certified, or no quantity is such an integral.
+
+    Args:
+        answer: With a bound.
+        context: Made it.
+    """
+    bound, scene, found = answer.bound, context.scene, dict[str, dict[str, float]]()
+    assert bound is not None
+    if bound.words.startswith(CERTIFIED) and not context.problem.model.radial:
+        for name, formula in scene.report.items():
+            raw = _dual(scene, formula, context.problem.level)
+            norm = None if raw is None else _norm(scene, raw, context.problem.level)
+            if norm is not None:
+                found[name] = {"value": answer.record["report"][name], "error": norm * bound.total}
+    return replace(answer, record={**answer.record, "bound": {**answer.record["bound"], "outputs": found}})
+
+
+def _norm(scene: Scene, raw: dict[str, Any], level: Level) -> float | None:
+    """An upper bound of ||z||; None where there is no certified one (collective)."""
+    try:
+        with closing(SolverContext(scene.with_tables(raw), level.comm, level)) as linear:
+            bound = linear.answer(bound=True, errors=False).bound
+    except (InputError, NotConverged):
+        return None
+    assert bound is not None
+    if not bound.words.startswith(CERTIFIED):
+        return None
+    return bound.total if bound.relative is None else bound.total / bound.relative + bound.total
+
+
+def _dual(scene: Scene, formula: Formula, level: Level) -> dict[str, Any] | None:
+    """Tables of the scene whose solution is z; None if the quantity is not linear, or not integrated exactly."""
+    integrals = _integrals(scene, formula.tree, "1") or []
+    everywhere, loads, linear = "0", dict.fromkeys(level.groups, "0"), False
+    for part, factor, integrand in integrals:
+        degrees = _degrees(scene, integrand)
+        if degrees is None or degrees[0] > 1 or degrees[1] + scene.pair.degree - 1 > DEGREE:
+            return None
+        at_one, at_zero = (ast.unparse(_AtHeight(u).visit(deepcopy(integrand))) for u in (1.0, 0.0))
+        term = f" + {factor}*(({at_one}) - ({at_zero}))"
+        if part is None:
+            everywhere += term
+        elif part in loads:
+            loads[part] += term
+        else:  # a curve or a part of the boundary
+            return None
+        linear = linear or degrees[0] == 1
+    if not linear:
+        return None
+    raw = msgspec.to_builtins(scene.tables)
+    raw |= {"obstacle": {}, "exact": None, "report": {}, "profile": {}}
+    raw["effects"] = {key: value for key, value in raw["effects"].items() if key in BILINEAR}
+    raw["effects"]["load"] = everywhere
+    if any(part is not None for part, _, _ in integrals):
+        raw["effects"]["load"] = {key: f"{load} + {everywhere}" for key, load in loads.items()}
+    raw["boundary"] = [found for table in raw["boundary"] if (found := _homogeneous(table)) is not None]
+    return raw
+
+
+def _integrals(scene: Scene, node: ast.expr, factor: str) -> list[tuple[str | None, str, ast.expr]] | None:
+    """Part of the mesh, factor and integrand of each integral in a sum of such; None if it is another expression."""
+    match node:
+        case ast.Call(func=ast.Name(id="integral"), args=[integrand]):
+            return [(None, factor, integrand)]
+        case ast.Call(func=ast.Name(id="integral"), args=[integrand, ast.Constant(value=str(part))]):
+            return [(part, factor, integrand)]
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return _integrals(scene, operand, f"-{factor}")
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as operation, right=right):
+            sign = "-" if isinstance(operation, ast.Sub) else ""
+            found = [_integrals(scene, left, factor), _integrals(scene, right, sign + factor)]
+            return None if found[0] is None or found[1] is None else found[0] + found[1]
+        case ast.BinOp(left=left, op=ast.Mult(), right=right) if _is_number(scene, left):
+            return _integrals(scene, right, f"{factor}*({ast.unparse(left)})")
+        case ast.BinOp(left=left, op=ast.Mult(), right=right) if _is_number(scene, right):
+            return _integrals(scene, left, f"{factor}*({ast.unparse(right)})")
+        case ast.BinOp(left=left, op=ast.Div(), right=right) if _is_number(scene, right):
+            return _integrals(scene, left, f"{factor}/({ast.unparse(right)})")
+    return [] if _is_number(scene, node) else None
+
+
+def _is_number(scene: Scene, node: ast.expr) -> bool:
+    """Whether an expression has a value without the solution."""
+    names = {one.id for one in ast.walk(node) if isinstance(one, ast.Name)}
+    return not any(isinstance(one, ast.Call) for one in ast.walk(node)) and all(
+        name in scene.known_names and scene.is_constant(name) for name in names
+    )
+
+
+def _homogeneous(table: dict[str, Any]) -> dict[str, Any] | None:
+    """A table of [[boundary]] without obstacles and fluxes, and with 0 where u is given; None if nothing is left."""
+    kept: dict[str, Any] = {key: table[key] for key in ("on", "where", "spring") if key in table}
+    if "value" in table:
+        kept["value"] = 0.0
+    return kept if {"value", "spring"} & set(kept) else None
+
+
+class _AtHeight(ast.NodeTransformer):
+    """Replaces u by a number."""
+
+    def __init__(self, u: float):
+        self.u = u
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        return ast.copy_location(ast.Constant(self.u), node) if node.id == "u" else node
+
+
+def _degrees(scene: Scene, node: ast.expr) -> tuple[int, int] | None:
+    """Degree of an expression in u, and in u and the coordinates together; None if it is no polynomial of them."""
+    match node:
+        case ast.Constant():
+            return 0, 0
+        case ast.Name(id="u"):
+            return 1, 1
+        case ast.Name(id="x" | "y" | "z"):
+            return 0, 1
+        case ast.Name(id=name) if name in scene.define:
+            return _degrees(scene, scene.define[name].tree)
+        case ast.Name(id=name) if name in scene.known_names and scene.is_constant(name):
+            return 0, 0
+        case ast.UnaryOp(operand=operand):
+            return _degrees(scene, operand)
+        case ast.BinOp(left=left, op=operation, right=right):
+            return _of_operation(scene, operation, right, _degrees(scene, left), _degrees(scene, right))
+    return None
+
+
+def _of_operation(
+    scene: Scene, operation: ast.operator, right: ast.expr, a: tuple[int, int] | None, b: tuple[int, int] | None
+) -> tuple[int, int] | None:
+    """The degrees of a sum, product, quotient or power, from those of both sides."""
+    if a is None or b is None:
+        return None
+    match operation:
+        case ast.Add() | ast.Sub():
+            return max(a[0], b[0]), max(a[1], b[1])
+        case ast.Mult():
+            return a[0] + b[0], a[1] + b[1]
+        case ast.Div() if b[1] == 0:
+            return a
+        case ast.Pow():
+            match right:
+                case ast.Constant(value=int(power)) if power >= 0:
+                    return power * a[0], power * a[1]
+    return None
