@@ -266,8 +266,16 @@ def _caret(formula: Formula, column: int, message: str) -> str:
     return f"{formula.place}: {message}\n    {text}\n    {' ' * column}^"
 
 
+def _power(base: Any, exponent: Any) -> Any:
+    """np.power, which takes 20 times as long for a square as a product, and 10 times as long for a cube."""
+    if np.ndim(exponent) == 0 and exponent in (2.0, 3.0):
+        square = np.multiply(base, base)
+        return square if exponent == 2.0 else np.multiply(square, base)
+    return np.power(base, exponent)
+
+
 NUMPY: dict[str, Callable[..., Any]] = {
-    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "^": np.power, "%": np.mod,
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "^": _power, "%": np.mod,
     "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
     "and": np.logical_and, "or": np.logical_or, "not": np.logical_not, "where": np.where,
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
