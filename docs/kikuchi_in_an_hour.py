@@ -11,15 +11,14 @@
 # This notebook goes through the paper of N. Kikuchi, *Convergence of a penalty-finite element approximation for an
 # obstacle problem*, Numer. Math. 37 (1981) 105-120. Numbers such as (3.4) are those of the paper. The meshes are
 # coarse, so that each code cell runs in seconds. Statements about errors, orders and counts are checked by `assert`.
-# Each section has exercises. The asserts and pictures are written for the given data. Where an exercise changes the
-# data, remove those that no longer apply.
+# Each section has exercises. If an exercise changes the data, remove the asserts that no longer apply.
 #
 # `.venv/bin/python docs/kikuchi_in_an_hour.py` runs the file as a script, on any number of ranks, and writes the
 # pictures to `out/kikuchi`. Spyder and VS Code run single cells. To make a notebook, run
 # `.venv/bin/pip install jupyterlab jupytext`, then `.venv/bin/jupytext --to notebook docs/kikuchi_in_an_hour.py`.
 #
-# First run the next code cell, which has imports and helper functions. After it the sections can be run in any order.
-# The first run compiles forms and takes longer.
+# First run the next code cell, which has imports and helper functions. After that the sections can be run in any order.
+# The first run takes longer, because forms are compiled.
 
 # %%
 from itertools import pairwise
@@ -42,13 +41,13 @@ COMM = MPI.COMM_WORLD
 plt.rcParams.update({"axes.prop_cycle": plt.cycler(color=COLOURS), "figure.constrained_layout.use": True})
 plt.rcParams.update({"figure.figsize": (9, 3.3), "legend.fontsize": 8})
 
-# a string of unit tension, load f = 8, below the flat obstacle u <= c: contact for a <= x <= 1 - a
+# a string with tension 1 and load f = 8, below the flat obstacle u <= c: contact for a <= x <= 1 - a
 f, c = 8.0, 0.3
 a = np.sqrt(2 * c / f)
 string = Scene(title="string", mesh={"shape": "interval", "cells": 32}, tension=1, load=f, upper=c)
 
-# a radially symmetric membrane on the unit disk, f = 4, below the same obstacle: contact for r <= A. It is computed on
-# the square inscribed in the disk, with the exact solution as boundary value
+# a membrane on the unit disk with load f = 4, below the same obstacle: contact for r <= A. It is computed on the square
+# inscribed in the disk, and the exact solution, which is radially symmetric, is the boundary value
 side = ["-sqrt(0.5)", "sqrt(0.5)"]
 disk = Scene(
     title="disk",
@@ -93,17 +92,20 @@ def keep(page, name):
 # %% [markdown]
 # ## 1. The penalised problem and its contact pressure
 #
-# The obstacle problem is: find $u \le g$ with $-u'' = f + p$, where the contact pressure $p \le 0$ vanishes wherever
-# $u < g$. The penalty method replaces the constraint by a force that grows with the penetration: find $u \in V_h$ with
+# Let u be the deflection of a string with u = 0 at both ends, f the load, and g the obstacle above it. The obstacle
+# problem is: find $u \le g$ with $-u'' = f + p$, where the contact pressure $p \le 0$ vanishes wherever $u < g$.
+#
+# The penalty method replaces the constraint by a force that grows with the penetration. With
+# $a(u, v) = \int u' v'$ and $f(v) = \int f v$, find $u$ in the finite element space $V_h$ such that
 #
 # $$ a(u, v) + \frac1\varepsilon\, I((u-g)^+, v) = f(v) \quad \text{for all } v \in V_h. \qquad (3.4) $$
 #
-# I is a quadrature rule whose points are the nodes (3.5). The penalty therefore acts on each node separately. Its force
-# per area at a node is the pressure there: $p_i = -(u-g)^+(x_i)/\varepsilon$, (3.7)-(3.8). There is no additional
-# unknown.
+# I is a quadrature rule whose points are the nodes $x_i$ (3.5). The penalty therefore acts on each node separately. Its
+# force per length at a node is the contact pressure there: $p_i = -(u-g)^+(x_i)/\varepsilon$, (3.7)-(3.8). There is no
+# additional unknown.
 #
-# **Exercise 1.1.** Solve for $\varepsilon$ = 1e-2 and 1e-4. By which factor does the penetration change, and why not
-# exactly by 100?
+# **Exercise 1.1.** Solve for $\varepsilon$ = 1e-2 and 1e-4. By which factor does the penetration change? Why is the
+# factor not exactly 100?
 #
 # **Exercise 1.2.** Replace `upper=c` by `lower=-c` and f by -f in `string`. Which signs change in (3.4) and in the
 # pressure?
@@ -148,16 +150,17 @@ keep(page, "1_string")
 # %% [markdown]
 # ## 2. eps tends to 0 on a fixed mesh
 #
-# Let $u_h$, $p_h$ be the solution of the discrete inequality (3.19); SNES VI computes it. Let $u_\varepsilon$,
-# $p_\varepsilon$ be the solution of (3.4) and its pressure. Theorem 3.3 states that
+# Let $u_h$, $p_h$ be the solution and the pressure of the discrete inequality (3.19), computed by SNES VI. Let
+# $u_\varepsilon$, $p_\varepsilon$ be the solution and the pressure of (3.4). $\|\cdot\|_0$ and $\|\cdot\|_1$ are the
+# norms of $L^2$ and $H^1$. Theorem 3.3 states that
 #
 # $$ \|u_\varepsilon - u_h\|_1 \le C \varepsilon/h, \qquad \|p_\varepsilon - p_h\|_0 \le C \varepsilon/h^2.
 #    \qquad (5.5) $$
 #
 # The picture below shows that both errors are of order $\varepsilon$ for small $\varepsilon$. For $\varepsilon > h^2$
 # they do not depend on the mesh, and the bound (5.5) is not sharp. The orders in $\varepsilon$ are then about 3/4 for u
-# and 1/4 for p; section 7 explains them. For every $\varepsilon$,
-# $|u_\varepsilon - u_h| \le \varepsilon \max|p_h|$ at every node, because the stiffness matrix is an M-matrix.
+# and 1/4 for p. Section 7 explains these orders. Since the stiffness matrix is an M-matrix,
+# $|u_\varepsilon - u_h| \le \varepsilon \max|p_h|$ at every node and for every $\varepsilon$.
 #
 # **Exercise 2.1.** Repeat with `cells=64` and `cells=1024`. How does the value of $\varepsilon$ at which the order
 # changes depend on h?
@@ -190,15 +193,16 @@ keep(page, "2_eps")
 # %% [markdown]
 # ## 3. h tends to 0, and eps with it
 #
-# This section compares with the exact solution. The discrete inequality has order 1 for u in $H^1$ (5.6), and order 1
-# for p in $\|\cdot\|_1^*$, the dual norm of $H^1_0$ (5.8). The penalty with $\varepsilon = h^2$ has the same orders
-# (5.9). With $\varepsilon = h$ the orders are lower, because the error of the penalty dominates. For u it is about
-# $\varepsilon^{3/4}$, since the pressure jumps at the free boundary.
+# This section compares computed with exact solutions. For the discrete inequality, the error of u in $H^1$ has order 1
+# (5.6), and so has the error of p in the dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, $v \in H^1_0$ (5.8). The
+# penalty method with $\varepsilon = h^2$ has the same orders (5.9). With $\varepsilon = h$ the orders are lower,
+# because the error of the penalty dominates. For u this error is about $\varepsilon^{3/4}$, since the pressure jumps at
+# the free boundary.
 #
 # **Exercise 3.1.** What is the smallest power k for which $\varepsilon = h^k$ gives order 1 for u? Use section 2, then
 # test your answer.
 #
-# **Exercise 3.2.** Add `errors.l2` to `keys`. Which $\varepsilon$ does order 2 need?
+# **Exercise 3.2.** Add `errors.l2` to `keys`. Which $\varepsilon$ gives order 2 of the $L^2$ error?
 
 # %%
 cells, keys = [16, 32, 64], ("errors.h1", "errors.pressure_dual")
@@ -223,23 +227,23 @@ row[1].legend(loc="center left", bbox_to_anchor=(1, 0.5))
 keep(page, "3_h")
 
 # %% [markdown]
-# ## 4. Stability: lost in L2, kept in the dual norm
+# ## 4. Stability in L2 and in the dual norm
 #
-# The inf-sup condition (3.18) of $V_h$ and the pressure space $Q_h$ asks for $\alpha_h > 0$ with
+# The inf-sup condition of $V_h$ and the pressure space $Q_h$ is
 #
-# $$ \sup_{v \in V_h} I(q, v)/\|v\|_1 \ge \alpha_h \|q\|_0 \quad \text{for all } q \in Q_h. \qquad (3.18) $$
+# $$ \sup_{v \in V_h} I(q, v)/\|v\|_1 \ge \alpha_h \|q\|_0 \quad \text{for all } q \in Q_h \qquad (3.18) $$
 #
-# The paper proves it with $\alpha_h = h/C$ for P1 (Example 2) and for Q1 with the trapezoid rule (Example 3). This
-# order is optimal: for a q that changes sign from node to node, $I(q, v)/\|v\|_1$ is at most of order $h\,\|q\|_0$ for
-# every v. This is the reason for $1/h$ and $1/h^2$ in (5.5).
+# with $\alpha_h > 0$. The paper proves it with $\alpha_h = h/C$ for P1 (Example 2) and for Q1 with the trapezoid rule
+# (Example 3). The order of $\alpha_h$ is optimal. For a q that changes sign from node to node, $I(q, v)/\|v\|_1$ is at
+# most of order $h\,\|q\|_0$ for every v. The bounds (5.5) contain $1/h$ and $1/h^2$ because $\alpha_h$ is of order h.
 #
-# The loss comes from measuring q in $L^2$: for such a q the left side of (3.18) is small, but $\|q\|_0$ is not small.
-# The dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, with v in $H^1_0$, is small for this q. Let $\beta_h$ be the
-# constant of (3.18) with $\|q\|_1^*$ in place of $\|q\|_0$. It is bounded away from 0, so that (5.8) and (5.9) lose no
-# power of h. Both constants are taken over q that are 0 at the boundary nodes, because every v in $V_h$ vanishes there.
+# In the dual norm of section 3 no power of h is lost, because the dual norm of such an oscillating q is small too. Let
+# $\beta_h$ be the constant of (3.18) with $\|q\|_1^*$ in place of $\|q\|_0$. It is bounded away from 0 as h tends to 0.
+# For this reason (5.8) and (5.9) contain no negative power of h. Both constants are computed for pressures q that are 0
+# at the boundary nodes, because every v in $V_h$ vanishes there.
 #
 # **Exercise 4.1.** Add `"P1-voronoi"` to the loop, with `"diagonal": "crossed"` in its mesh. This is P1 with the
-# Voronoi area of each node as its weight in I (see section 6). Which of the two constants changes its order?
+# Voronoi area of each node as its weight in I (see section 6). Which of the two constants then has another order in h?
 #
 # **Exercise 4.2.** Why is $\alpha_h = 0$ if q need not vanish at the boundary nodes?
 
@@ -273,9 +277,10 @@ keep(page, "4_stability")
 #
 # Example 3 also treats Q1 with the one-point Gauss rule for I. For this pair $\alpha_h$ need not be positive. The
 # penalty now acts at the centres of the cells. On $n \times n$ cells there are $n^2$ centres, but only $(n - 1)^2$
-# interior nodes. Therefore $2n - 1$ independent pressures q do no work: $I(q, v) = 0$ for all v in $V_h$. One of them
-# is a checkerboard, whose mean around each node is 0. The equations determine $p_h$ only up to such q; the condition
-# $p_h \le 0$ alone limits their size. u is as accurate as with the trapezoid rule, but the pressure is not.
+# interior nodes. Therefore the kernel, that is, the space of pressures q with $I(q, v) = 0$ for all v in $V_h$, has
+# $2n - 1$ dimensions. It contains a checkerboard, whose mean around each node is 0. The equations determine $p_h$ only
+# up to a q of the kernel, and only the condition $p_h \le 0$ limits the size of this q. u is as accurate as with the
+# trapezoid rule, but the pressure is not.
 #
 # **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that each is the sum of a
 # pressure that alternates in sign along x and one that alternates along y.
@@ -303,22 +308,25 @@ page.colorbar(image, ax=list(row))
 keep(page, "5_chessboard")
 
 # %% [markdown]
-# ## 6. The pressure may stall, and a cure
+# ## 6. A pressure that does not converge in L2, and two remedies
 #
 # Theorem 4.2 states only that $\|p - p_h\|_0$ is bounded (5.7). This is sharp on certain meshes, such as criss-cross
 # meshes, if the obstacle is curved. In contact u = g at the nodes, so that $p_i = (A g)_i/D_i - f_i$ with the stiffness
-# matrix A and the weight $D_i$ of the node in I. On a criss-cross mesh $D_i = h^2/3$ at nodes with four triangles
-# (centres of squares), and $D_i = 2h^2/3$ at nodes with eight triangles (corners); $h^2/2$ would be consistent. The
-# pressure $p_i$ therefore contains $-\Delta g$ times 3/2 or 3/4, however fine the mesh is.
+# matrix A, the weight $D_i$ of the node in I, and the load $f_i$ at the node. On a criss-cross mesh $D_i = h^2/3$ at
+# nodes with four triangles (centres of squares), and $D_i = 2h^2/3$ at nodes with eight triangles (corners of squares).
+# A consistent approximation of $-\Delta g$ by $(A g)_i/D_i$ would need $D_i = h^2/2$ at both. Instead, $(A g)_i/D_i$
+# tends to $-\Delta g$ times 3/2 at centres and times 3/4 at corners, and the pressure oscillates from node to node on
+# every mesh.
 #
-# - The factors 3/2 and 3/4 make the pressure oscillate from node to node. The penalty with $\varepsilon = h^2$ damps
-#   this oscillation; with a much smaller $\varepsilon$ it does not.
-# - With `P1-voronoi` the weight of each node is its Voronoi area, here $h^2/2$. These weights are positive, as (3.6)
-#   requires.
+# There are two remedies:
+#
+# - The penalty method with $\varepsilon = h^2$ damps this oscillation. A much smaller $\varepsilon$ does not.
+# - With the element `P1-voronoi` the weight of each node is its Voronoi area, here $h^2/2$. These weights are positive,
+#   as (3.6) requires.
 #
 # **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
 #
-# **Exercise 6.2.** Compute the factors 3/2 and 3/4 by hand for $g = x^2$: at the centre of a square and at a corner.
+# **Exercise 6.2.** Compute the factors 3/2 (centre of a square) and 3/4 (corner) by hand for $g = x^2$.
 
 # %%
 curved = Scene(
@@ -369,33 +377,34 @@ keep(page, "6_stall")
 # %% [markdown]
 # ## 7. The layer of width sqrt(eps), in closed form
 #
-# The penalised string without a mesh, $-u'' = f - (u - c)^+/\varepsilon$, has a closed-form solution. Let contact begin
-# at $x = \alpha$, and let $b = 1/2 - \alpha$.
+# The penalised equation of the string before discretisation, $-u'' = f - (u - c)^+/\varepsilon$, has a solution in
+# closed form. Let contact begin at $x = \alpha$, and let $b = 1/2 - \alpha$.
 #
 # - In contact $w = u - c$ solves $-w'' + w/\varepsilon = f$ with $w(\alpha) = 0$. By symmetry
 #   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at $\alpha$
 #   is $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
-# - Outside contact $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, which has the same value and slope at $\alpha$. The
-#   condition $u(0) = 0$ gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. Since s hardly depends on $\alpha$, a few
-#   fixed-point iterations converge.
+# - For $x < \alpha$, $u = c + s(x - \alpha) - f(x - \alpha)^2/2$, which has the same value and slope at $\alpha$. The
+#   condition $u(0) = 0$ gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. Since s hardly depends on $\alpha$, a fixed-point
+#   iteration for $\alpha$ converges in a few steps.
 #
-# The contact set of the exact solution begins at $x = a$. With the penalty contact begins too early, at about
-# $a - \sqrt\varepsilon$, and the pressure rises over the width $\sqrt\varepsilon$. Let
-# $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures are 0, and the slopes agree
-# to leading order. For $z > 0$, to leading order:
+# The contact set of the exact solution u, p begins at $x = a$. That of the penalised solution $u_\varepsilon$,
+# $p_\varepsilon$ begins earlier, at about $a - \sqrt\varepsilon$, and its pressure grows to its full size in a layer of
+# width $\sqrt\varepsilon$. Let $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures
+# are 0, and the slopes agree to leading order. For $z > 0$, to leading order:
 #
 # - $p_\varepsilon = -f(1 - e^{-z})$, while p jumps from 0 to $-f$ at $z = 1$;
 # - $u_\varepsilon' = \sqrt\varepsilon f e^{-z}$, while $u' = \sqrt\varepsilon f (1 - z)^+$.
 #
-# The layer on the right is the mirror image. For both layers together, up to higher orders,
+# The layer on the right is the mirror image. With the energy norm $\|v\|_a = a(v, v)^{1/2}$, for both layers together
+# and up to higher orders,
 #
 # $$ \|p_\varepsilon - p\|_0^2 = 2 f^2 \varepsilon^{1/2} \left[ \int_0^1 (1 - e^{-z})^2 dz + \int_1^\infty e^{-2z} dz
 #    \right] = f^2 (4/e - 1)\, \varepsilon^{1/2}, $$
 # $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \left[ \int_0^1 (e^{-z} - 1 + z)^2 dz
 #    + \int_1^\infty e^{-2z} dz \right] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
 #
-# These are the orders 3/4 and 1/4 of section 2. There is such a layer wherever the pressure jumps. With
-# $\varepsilon = h^2$ it has the width of one element.
+# The square roots have the orders 3/4 for u and 1/4 for p, as in section 2. There is such a layer wherever the pressure
+# jumps. With $\varepsilon = h^2$ it has the width of one element.
 #
 # **Exercise 7.1.** Verify the two integrals, 4/e - 1 and 5/3 - 4/e.
 #
@@ -460,13 +469,14 @@ keep(page, "7_layer")
 # ## 8. The iteration (3.4)*
 #
 # If the contact set were known, (3.4) would be linear. The iteration (3.4)* starts with the empty set as contact set.
-# In each step it solves this linear problem and takes the points with $u > g$ as the next set. It stops when a set is
-# the same as the one before: then u solves (3.4) exactly. The iteration is Newton's method for (3.4). With an M-matrix,
-# u and the sets decrease after the first step, so that the iteration ends after finitely many steps. The code below has
-# a few lines of NumPy for the string and compares them with the package's own iteration.
+# In each step it solves the linear problem of the present set. The nodes with $u > g$ are the next set. The iteration
+# stops when a set is the same as the one before. Then u solves (3.4) exactly. This iteration is Newton's method for
+# (3.4). With an M-matrix, u and the sets decrease after the first step, so that the iteration ends after finitely many
+# steps. The code below programs the iteration for the string in NumPy and compares it with the iteration of the
+# package.
 #
-# For a small $\varepsilon$ a set loses about one layer of nodes per step, so that the number of steps grows like 1/h.
-# Nested iteration starts from the contact set of the mesh twice as coarse. Its number of steps does not grow.
+# For a small $\varepsilon$ each step removes about one layer of nodes from the set, so that the number of steps grows
+# like 1/h. Nested iteration starts from the solution on a mesh twice as coarse. Its number of steps does not grow.
 #
 # **Exercise 8.1.** Start from the set of all nodes in place of the empty set. Does each set still contain the next one?
 #
