@@ -8,6 +8,7 @@ from conftest import COMM, slow_except
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.scenes import catalogue
 
 SQUARE = {"shape": "rectangle", "cells": 16}
 BUBBLE = "x*(1 - x)*y*(1 - y)"  # integral 1/36, with x 1/72; -Laplace is 2 x (1 - x) + 2 y (1 - y)
@@ -34,6 +35,20 @@ def test_string_over_an_obstacle(cells, eps):
     if eps == "auto":
         assert found["volume"]["error"] <= 3 / cells * abs(exact)
     assert "twice" not in found  # a quotient of integrals is not linear
+
+
+@pytest.mark.parametrize("eps", ["auto", "h"])
+@pytest.mark.parametrize("name", slow_except(catalogue.names(), "ball", "string_wedge"))
+def test_scenes_with_exact_solutions(name, eps):
+    """On every scene of the catalogue the guaranteed errors of two moments of u are above the true ones."""
+    scene = catalogue.scene(name)
+    weights = {"volume": "1", "moment": "(x + 0.3)^2"}
+    report = {key: f"integral({weight}*u)" for key, weight in weights.items()}
+    exact = {f"exact_{key}": f"integral({weight}*({scene.tables.exact.u}))" for key, weight in weights.items()}
+    fine = solve(scene.change({"mesh.cells": 48, "report": exact}))  # the true value by quadrature; u is not used
+    found = outputs(solve(scene.change({"mesh.cells": 12, "report": report}), eps=eps, bound=True))
+    for key in weights:
+        assert abs(found[key]["value"] - fine.report[f"exact_{key}"]) <= found[key]["error"]
 
 
 def test_the_norm_of_the_functional_is_sharp():
