@@ -379,17 +379,20 @@ keep(page, "6_stall")
 # ## 7. The layer of width sqrt(eps), in closed form
 #
 # The penalised equation of the string before discretisation,
-# $-u_\varepsilon'' = f - (u_\varepsilon - c)^+/\varepsilon$, has a solution $u_\varepsilon$ in closed form. Let contact begin at $x = \alpha$, and let $b = 1/2 - \alpha$.
+# $-u_\varepsilon'' = f - (u_\varepsilon - c)^+/\varepsilon$, has a solution $u_\varepsilon$ in closed form. Let
+# contact begin at $x = \alpha$, and let $b = 1/2 - \alpha$.
 #
 # - In contact $w = u_\varepsilon - c$ solves $-w'' + w/\varepsilon = f$ with $w(\alpha) = 0$. By symmetry
 #   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at $\alpha$
 #   is $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
 # - For $x < \alpha$, $u_\varepsilon = c + s(x - \alpha) - f(x - \alpha)^2/2$, which has the same value and slope at
-#   $\alpha$. The condition $u_\varepsilon(0) = 0$ gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. Since s hardly depends on $\alpha$, a fixed-point
+#   $\alpha$. The condition $u_\varepsilon(0) = 0$ gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. Since s hardly depends on
+#   $\alpha$, a fixed-point
 #   iteration for $\alpha$ converges in a few steps.
 #
 # Let u, p be the solution of the obstacle problem without penalty (section 1). Its contact set begins at $x = a$. The
-# contact set of the penalised solution $u_\varepsilon$, $p_\varepsilon$ begins earlier, at about $a - \sqrt\varepsilon$, and its pressure grows to its full size in a layer of
+# contact set of the penalised solution $u_\varepsilon$, $p_\varepsilon$ begins earlier, at about $a -
+# \sqrt\varepsilon$, and its pressure grows to its full size in a layer of
 # width $\sqrt\varepsilon$. Let $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures
 # are 0, and the slopes agree to leading order. For $z > 0$, to leading order:
 #
