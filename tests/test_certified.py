@@ -10,7 +10,7 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from test_bound import distance
 
-from fenicsx_obstacle import InputError, Scene, releases, solve
+from fenicsx_obstacle import InputError, Scene, polynomials, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.certification import Certification
 
@@ -263,3 +263,28 @@ def test_jumps_on_a_mesh_of_the_callers_own():
     assert "jump at (0.3" in solve(scene).record["boundary_jump"]
     with pytest.raises(InputError, match=r"jump at \(0\.3"):
         solve(scene, bound=True)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"load": 10, "foundation": 1, "upper": 0.5, "boundary": []},  # the load is borne where it acts
+        {"load": 0, "boundary": [{"on": "bottom", "value": "4*x*(1 - x)"}]},  # on 2 cells a side the flux is 0
+    ],
+)
+@pytest.mark.parametrize("cells", [2, 8])
+def test_a_flux_of_round_off_alone_is_no_sign_of_overlapping_cells(given, cells):
+    """Where the equilibrated flux is 0, what patches leave over is round-off of the forces."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": cells}, tension=1, **given)
+    assert solve(scene, bound=True).bound.words == "certified"
+
+
+def test_the_cones_of_two_edges_add_up():
+    """The bound of what boundary values are between the nodes, in a corner whose two edges have the same sign."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 1}, tension=1, load=0,
+                  boundary=[{"value": "min(1, 20*x*(1 - x) + 20*y*(1 - y))"}])  # fmt: skip
+    with closing(SolverContext(scene)) as context:
+        data = context.estimator.element.dirichlet
+        cells = np.arange(len(data.deviation))
+        points = polynomials.inner_points(3, 8)
+        assert np.all(np.abs(data.cones(cells, points)).max(axis=1) <= data.deviation)

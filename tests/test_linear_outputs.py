@@ -87,10 +87,34 @@ def test_one_material():
         assert abs(found[name]["value"] - 1 / 72) <= found[name]["error"] <= 0.01
 
 
+@pytest.mark.parametrize("eps", ["h", "h^2", "auto"])
+@pytest.mark.parametrize("boundary", [[], [{"on": "left", "flux": 0.001}], [{"on": "left", "spring": 0.1}]])
+def test_foundations_and_springs_are_in_the_norm(eps, boundary):
+    """A plate on a foundation, pressed against an upper obstacle: u is the obstacle, and int u its mean."""
+    scene = Scene(mesh={**SQUARE, "cells": 8}, tension=1, load="10 + x/10", foundation=1, upper=0.5, boundary=boundary,
+                  report={"volume": "integral(u)", "moment": "+integral(x*u)"})  # fmt: skip
+    found = outputs(solve(scene, bound=True, eps=eps))
+    for name, exact in {"volume": 0.5, "moment": 0.25}.items():
+        assert 0 < found[name]["value"] - exact <= found[name]["error"] <= 2 * (found[name]["value"] - exact) + 0.1
+
+
+@pytest.mark.parametrize("cells", [1, 2, 8])
+def test_boundary_values_between_the_nodes(cells):
+    """u = 0 at the nodes and 4 x (1 - x) between them: the part of the error that u - u_h has on the boundary."""
+    weight, steep = "(1 - y)^3", "4*x*(1 - x)"
+    scene = Scene(mesh={**SQUARE, "cells": cells}, tension=1, load=0, boundary=[{"on": "bottom", "value": steep}],
+                  report={"a": f"integral({weight}*u)", "b": "integral(u)"})  # fmt: skip
+    found = outputs(solve(scene, bound=True))
+    # u = 2/3 + terms in cos(2 k pi x), which have the mean 0
+    for name, exact in {"a": 2 / 3 / 4, "b": 2 / 3}.items():
+        assert abs(found[name]["value"] - exact) <= found[name]["error"]
+
+
 OTHER = {
     "square": "integral(u^2)", "pressure": "integral(p)", "point": "at(u, 0.5, 0.5)", "side": "integral(u, 'left')",
     "weight": "integral(exp(x)*u)", "degree": "integral(x^6*u)", "root": "sqrt(integral(u))",
     "condition": "integral(where(x > y, u, 0))", "product": "integral(u)*integral(u)", "none": "pi",
+    "denied": "integral(not u)",
 }  # fmt: skip
 
 

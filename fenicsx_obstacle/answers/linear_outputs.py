@@ -3,11 +3,13 @@
 Let Q(v) be a sum of int (q v + s) over the domain or materials, q and s polynomials. Where the error bound B of u_h is
 certified,
 
-    |Q(u) - Q(u_h)| <= ||Q||_* B,   ||Q||_* = sup Q_0(v)/||v|| = ||z||,   Q_0(v) = int q v,
+    |Q(u) - Q(u_h)| <= ||Q||_* B + |Q_0(w)|,   ||Q||_* = sup Q_0(v)/||v|| = ||z||,   Q_0(v) = int q v,
 
 v = 0 where u is given, and z solves the linear problem a(z, v) = int q v of the same tension, foundation and springs.
-The error bound of z_h on the same mesh gives ||z|| <= ||z_h|| + B_z. The values Q(u_h) are exact, because so is the
-quadrature of [report] for such integrands.
+w continues what boundary values are between the nodes (`estimation/boundary_values.py`): u - u_h - w is 0 where u is
+given, and B bounds its norm. |Q_0(w)| is at most the sum of |T| max|q| max|w| over the cells T. The error bound B_z of
+z_h on the same mesh gives ||z||^2 = Q_0(z) <= Q_0(z_h) + B_z ||z||, hence ||z|| <= B_z/2 + (B_z^2/4 + Q_0(z_h))^(1/2).
+The values Q(u_h) and Q_0(z_h) are exact, because so is the quadrature of [report] for such integrands.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import ast
 from contextlib import closing
 from copy import deepcopy
 from dataclasses import replace
+from math import sqrt
 from typing import Any
 
 import msgspec
@@ -25,6 +28,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.quadrature import DEGREE
+from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -45,36 +49,51 @@ def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
     assert bound is not None
     if bound.words.startswith(CERTIFIED) and not context.problem.model.radial:
         for name, formula in scene.report.items():
-            raw = _dual(scene, formula, context.problem.level)
-            norm = None if raw is None else _norm(scene, raw, context.problem.level)
-            if norm is not None:
-                found[name] = {"value": answer.record["report"][name], "error": norm * bound.total}
+            raw = _dual(scene, name, formula, context.problem.level)
+            error = None if raw is None else _error(scene, raw, name, context, bound.total)
+            if error is not None:
+                found[name] = {"value": answer.record["report"][name], "error": error}
     return replace(answer, record={**answer.record, "bound": {**answer.record["bound"], "outputs": found}})
 
 
-def _norm(scene: Scene, raw: dict[str, Any], level: Level) -> float | None:
-    """An upper bound of ||z||; None where there is no certified one (collective)."""
+def _error(scene: Scene, raw: dict[str, Any], name: str, context: SolverContext, energy_error: float) -> float | None:
+    """An upper bound of |Q(u) - Q(u_h)|; None where there is no certified one (collective).
+
+    Args:
+        scene: Of u.
+        raw: Tables of the scene whose solution is z.
+        name: Of Q_0 in its [report].
+        context: Of u.
+        energy_error: B.
+    """
+    level, rim = context.problem.level, context.estimator.element.dirichlet.deviation
     try:
         with closing(SolverContext(scene.with_tables(raw), level.comm, level)) as linear:
-            bound = linear.answer(bound=True, errors=False).bound
+            answer = linear.answer(bound=True, errors=False)
+            element = linear.estimator.element
     except (InputError, NotConverged):
         return None
+    bound, value = answer.bound, answer.record["report"][name]
     assert bound is not None
-    if not bound.words.startswith(CERTIFIED):
+    if not bound.words.startswith(CERTIFIED) or value is None:
         return None
-    return bound.total if bound.relative is None else bound.total / bound.relative + bound.total
+    norm = bound.total / 2 + sqrt(bound.total**2 / 4 + max(value, 0.0))
+    weights = element.equilibration.load.largest()
+    return norm * energy_error + total(level.comm, element.simplices.area * weights * rim)
 
 
-def _dual(scene: Scene, formula: Formula, level: Level) -> dict[str, Any] | None:
+def _dual(scene: Scene, name: str, formula: Formula, level: Level) -> dict[str, Any] | None:
     """Tables of the scene whose solution is z; None if the quantity is not linear, or not integrated exactly."""
     integrals = _integrals(scene, formula.tree, "1") or []
-    everywhere, loads, linear = "0", dict.fromkeys(level.groups, "0"), False
+    everywhere, loads, quantity, linear = "0", dict.fromkeys(level.groups, "0"), "0", False
     for part, factor, integrand in integrals:
         degrees = _degrees(scene, integrand)
         if degrees is None or degrees[0] > 1 or degrees[1] + scene.pair.degree - 1 > DEGREE:
             return None
         at_one, at_zero = (ast.unparse(_AtHeight(u).visit(deepcopy(integrand))) for u in (1.0, 0.0))
-        term = f" + {factor}*(({at_one}) - ({at_zero}))"
+        weight = f"({at_one}) - ({at_zero})"
+        term, where = f" + {factor}*({weight})", "" if part is None else f", {part!r}"
+        quantity += f" + {factor}*integral(u*({weight}){where})"
         if part is None:
             everywhere += term
         elif part in loads:
@@ -85,12 +104,12 @@ def _dual(scene: Scene, formula: Formula, level: Level) -> dict[str, Any] | None
     if not linear:
         return None
     raw = msgspec.to_builtins(scene.tables)
-    raw |= {"obstacle": {}, "exact": None, "report": {}, "profile": {}}
+    raw |= {"obstacle": {}, "exact": None, "report": {name: quantity}, "profile": {}}
     raw["effects"] = {key: value for key, value in raw["effects"].items() if key in BILINEAR}
     raw["effects"]["load"] = everywhere
     if any(part is not None for part, _, _ in integrals):
         raw["effects"]["load"] = {key: f"{load} + {everywhere}" for key, load in loads.items()}
-    raw["boundary"] = [found for table in raw["boundary"] if (found := _homogeneous(table)) is not None]
+    raw["boundary"] = [found for table in raw.get("boundary", []) if (found := _homogeneous(table)) is not None]
     return raw
 
 
@@ -101,8 +120,8 @@ def _integrals(scene: Scene, node: ast.expr, factor: str) -> list[tuple[str | No
             return [(None, factor, integrand)]
         case ast.Call(func=ast.Name(id="integral"), args=[integrand, ast.Constant(value=str(part))]):
             return [(part, factor, integrand)]
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return _integrals(scene, operand, f"-{factor}")
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as operation, operand=operand):
+            return _integrals(scene, operand, f"-{factor}" if isinstance(operation, ast.USub) else factor)
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as operation, right=right):
             sign = "-" if isinstance(operation, ast.Sub) else ""
             found = [_integrals(scene, left, factor), _integrals(scene, right, sign + factor)]
@@ -155,7 +174,7 @@ def _degrees(scene: Scene, node: ast.expr) -> tuple[int, int] | None:
             return _degrees(scene, scene.define[name].tree)
         case ast.Name(id=name) if name in scene.known_names and scene.is_constant(name):
             return 0, 0
-        case ast.UnaryOp(operand=operand):
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
             return _degrees(scene, operand)
         case ast.BinOp(left=left, op=operation, right=right):
             return _of_operation(scene, operation, right, _degrees(scene, left), _degrees(scene, right))

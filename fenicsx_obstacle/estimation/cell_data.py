@@ -205,6 +205,15 @@ class Load:
         self._integrate(self.pieces)
         self.missing = np.subtract(self.moments, solver, out=solver)
 
+    def largest(self) -> np.ndarray:
+        """An upper bound of |f| in each cell; infinite where none is known (collective)."""
+        value, data, count = load_of(self._simplices.data), self._simplices.data, len(self._simplices.area)
+        if value is None:
+            return np.zeros(count)
+        if self.pieces is None:
+            return np.full(count, abs(float(data.at(value, np.zeros((3, 1)))[0])))
+        return np.maximum(np.abs(self.pieces.lower), np.abs(self.pieces.upper))
+
     def forget_polynomials(self) -> None:
         """Keep no more than bounds of the load; its polynomials take much memory."""
         if self.pieces is not None:

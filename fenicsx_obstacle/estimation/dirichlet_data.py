@@ -57,7 +57,7 @@ class DirichletData(BoundaryValues):
         most: An upper bound.
         cells: Cells with an edge where d is not zero, once for each edge.
         opposite: Vertex opposite to that edge.
-        deviation: Bound of |d|, shape (all owned cells,).
+        deviation: Bound of the absolute value of the sum of the cones of a cell, shape (all owned cells,).
         volume: Integral of the cones over each cell,
         volume_rest: and how far it may be from that.
     """
@@ -106,13 +106,15 @@ class DirichletData(BoundaryValues):
         # one cone keeps between its ends, two in a corner may together leave them
         self.twice = total(comm, np.count_nonzero(np.bincount(self.cells) > 1)) > 0
         self.deviation, self.volume, self.volume_rest = (np.zeros(cells) for _ in range(3))
+        most = np.zeros(len(self.cells))
         for d in self._differences:
             cell = self.cells[d.edges]
-            np.maximum.at(self.deviation, cell, np.abs(d.coefficients).max(axis=1) + d.rest)
+            np.maximum.at(most, d.edges, np.abs(d.coefficients).max(axis=1) + d.rest)
             # (H/3) int d: the cone is (1 - t/H) d
             measure = 2 / 3 * simplices.area[cell] * d.share
             np.add.at(self.volume, cell, measure * d.coefficients.mean(axis=1))
             np.add.at(self.volume_rest, cell, measure * d.rest)
+        np.add.at(self.deviation, self.cells, most)  # the cones of two edges of a cell may have the same sign
 
     def _take(
         self, groups: list[Group], beside: np.ndarray, opposite: np.ndarray, number: int, ends: np.ndarray

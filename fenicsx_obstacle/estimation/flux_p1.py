@@ -41,7 +41,7 @@ from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, total
 
 NEAR = 0.5  # of force/tension: a larger distance costs more than what moving the force to other cells does to the flux
 STIFF = 5.0  # k |T|^(2/d)/tension, from which forces are averaged around vertices
@@ -59,6 +59,7 @@ class FluxP1:
         solver_rest: The same of the solver's own load, one value per cell: 0 where it has converged.
         normal: s: sigma = sum of s_j (x - x_j)/(d |T|) in a cell; s_j is the flux out of it opposite to vertex j.
         incompatible: Largest flux that a patch of a free vertex leaves over, 0 up to round-off.
+        forces: Largest force in a corner of a cell, whose round-off this is.
         averaged: Force per area in each cell that sigma is in balance with besides, because forces are averaged around
             vertices where foundations are stiff.
         force: Of fluxes and springs on the facets of `EquilibrationP1.parts`, by vertices of the cell.
@@ -71,6 +72,7 @@ class FluxP1:
     solver_rest: np.ndarray
     normal: np.ndarray
     incompatible: float
+    forces: float
     averaged: np.ndarray
     force: np.ndarray
     contact: tuple[np.ndarray, ...] = ()
@@ -190,7 +192,9 @@ class EquilibrationP1(ABC):
         given_force = force = self.parts.forces(u)
         outside = beta.copy()
         np.add.at(outside, self.parts.cells, force)
-        drops, averaged = self._drops(outside, self._all_moments(u))
+        moments = self._all_moments(u)
+        forces_at_most = largest(self.level.comm, np.maximum(np.abs(outside), np.abs(moments)))
+        drops, averaged = self._drops(outside, moments)
         residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
         lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
         with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
@@ -216,7 +220,8 @@ class EquilibrationP1(ABC):
         normal, incompatible = self._on_patches(drops, beta, force)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
-            normal=normal, incompatible=incompatible, averaged=averaged, force=given_force, contact=borne,
+            normal=normal, incompatible=incompatible, forces=forces_at_most, averaged=averaged, force=given_force,
+            contact=borne,
         )  # fmt: skip
 
     def _drops(self, outside: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
 from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
+from fenicsx_obstacle.parallel import largest
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class FluxP2:
         moments: Of sigma, shape (cells, 8).
         normal: Fluxes out of the edges, shape (cells, 3).
         incompatible: Largest unbalanced flux in the patch of a free vertex.
+        forces: Largest force in a corner of a cell, whose round-off this is.
     """
 
     lower: np.ndarray
@@ -48,6 +50,7 @@ class FluxP2:
     moments: np.ndarray
     normal: np.ndarray
     incompatible: float
+    forces: float
 
 
 class EquilibrationP2:
@@ -160,7 +163,8 @@ class EquilibrationP2:
         before, after = patches.walk(drops)
         round_, entering, leaving = self._solved(before, after, np.array(pulls))
         parts = patches.scatter(before + round_, after + round_, entering, leaving)
-        return FluxP2(lower, upper, rest, *self._joined(R, *parts), patches.left_over(after))
+        forces = largest(self.level.comm, np.maximum(np.abs(K), np.abs(self.load.moments)))
+        return FluxP2(lower, upper, rest, *self._joined(R, *parts), patches.left_over(after), forces)
 
     def gradients(self, u: np.ndarray) -> np.ndarray:
         """grad u_h at the vertices of each cell, shape (2, cells, 3)."""
