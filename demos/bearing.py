@@ -2,8 +2,8 @@
 # # A journal bearing
 #
 # A shaft turns in a bearing. The clearance is the difference of their radii. The eccentricity $e$ is the distance
-# between their axes, divided by the clearance. Let $\theta$ be the angle around the axis. The oil film has the thickness
-# $H = 1 + e \cos\theta$ in units of the clearance.
+# between their axes, divided by the clearance. Let $\theta$ be the angle around the axis. The thickness of the oil film
+# is $H = 1 + e \cos\theta$ in units of the clearance.
 #
 # The unknown $u$ is the pressure of the film, relative to the pressure of the air. It satisfies Reynolds' equation.
 # Where the gap opens, the film cavitates: its pressure cannot fall below the pressure of the air. Therefore $u \ge 0$.
@@ -15,7 +15,7 @@
 # The scene file `demos/bearing.toml` describes this problem for a bearing whose length is equal to its diameter. The
 # mesh is made by Gmsh from `demos/bearing.geo`. The scene has two output quantities. The *Sommerfeld number* $S$ is
 # proportional to viscosity times speed divided by the load. The *attitude* is the angle in degrees between the load and
-# the line through the narrowest gap.
+# the line through both axes.
 #
 # Run it in the clone with `.venv/bin/python demos/bearing.py`.
 

@@ -8,7 +8,8 @@
 #
 # The proof is an inequality without unknown constants. Let $u$ be the exact solution, and $\psi$ the obstacle below it.
 # Let $v_h$ be a function close to the computed solution $u_h$ that satisfies the constraint $v_h \ge \psi$. From $u_h$
-# the program constructs a multiplier $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$. Then
+# the program constructs a multiplier $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$.
+# Then
 #
 # $$ \|u - v_h\|_a \le \frac S2 + \sqrt{\frac{S^2}4 + \int \lambda\,(v_h - \psi)}, \qquad
 #    S = \|\mu^{1/2} \nabla v_h - \mu^{-1/2} \sigma\|_0 . $$

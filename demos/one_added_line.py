@@ -76,8 +76,8 @@ def newton(F, u, bc, rtol):
 # %% [markdown]
 # ## The residual, and the added line
 #
-# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$. The flux $\sigma$ is an argument of the
-# function `over_ball`. The values of $u$ on the boundary are given. The obstacle is a ball of radius 1 below $u$.
+# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$. The flux $\sigma$ is an argument of
+# the function `over_ball`. The values of $u$ on the boundary are given. The obstacle is a ball of radius 1 below $u$.
 
 
 # %%

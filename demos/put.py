@@ -48,7 +48,7 @@ delta = (above - below) / (2 * 0.004 * K)  # dV/dS at S = K
 # ## Comparison with a binomial tree
 #
 # The binomial tree of Cox, Ross and Rubinstein is a method without finite elements. Here it has 2000 steps. The code
-# compares the price $V$ and the derivative *delta* $= \partial V/\partial S$, both at $S = K$ and one year before expiry.
+# compares the price $V$ and the derivative *delta* $= \partial V/\partial S$ at $S = K$, one year before expiry.
 
 
 # %%
