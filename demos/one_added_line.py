@@ -76,7 +76,7 @@ def newton(F, u, bc, rtol):
 # %% [markdown]
 # ## The residual, and the added line
 #
-# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$. The flux $\sigma$ is an argument of
+# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$. The stress $\sigma$ is an argument of
 # the function `over_ball`. The values of $u$ on the boundary are given. The obstacle is a ball of radius 1 below $u$.
 
 
