@@ -7,10 +7,10 @@
 # damage of the previous load. At each load the damage therefore solves an obstacle problem with the lower obstacle
 # $d_{\text{old}}$.
 #
-# With the shear modulus $\mu$, the fracture energy $G_c$ and a small number $\kappa$, the energy of the model AT1
+# With the shear modulus $\mu$, the fracture energy $G_c$ and a small number $\kappa$, the total energy of the model AT1
 # (Ambrosio and Tortorelli) is
 #
-# $$ E(w, d) = \int \tfrac12 \left((1 - d)^2 + \kappa\right) \mu\,|\nabla w|^2
+# $$ F(w, d) = \int \tfrac12 \left((1 - d)^2 + \kappa\right) \mu\,|\nabla w|^2
 #    + \frac{3 G_c}{8} \int \left(\frac d\ell + \ell\,|\nabla d|^2\right), \qquad
 #    d_{\text{old}} \le d \le 1 . $$
 #
