@@ -1,17 +1,21 @@
 # %% [markdown]
 # # A journal bearing
 #
-# A shaft turns in a bearing. The eccentricity $e$ is the distance between the axes of shaft and bearing, divided by the
-# clearance. The oil film has the thickness $H = 1 + e \cos\theta$ in units of the clearance. The unknown $u$ is the
-# pressure of the film and satisfies Reynolds' equation. Where the gap opens, the film cavitates: its pressure cannot
-# fall below that of the air, so that $u \ge 0$. The multiplier $p$ of this constraint is 0 in the film, and positive
-# only where the film cavitates. The dimensionless problem on the surface of a cylinder is
+# A shaft turns in a bearing. The clearance is the difference of their radii. The eccentricity $e$ is the distance
+# between their axes, divided by the clearance. Let $\theta$ be the angle around the axis. The thickness of the oil film
+# is $H = 1 + e \cos\theta$ in units of the clearance.
+#
+# The unknown $u$ is the pressure of the film, relative to the pressure of the air. It satisfies Reynolds' equation.
+# Where the gap opens, the film cavitates: its pressure cannot fall below the pressure of the air. Therefore $u \ge 0$.
+# The multiplier $p$ of this constraint is 0 in the film. It is positive only where the film cavitates. The
+# dimensionless problem on the surface of a cylinder is
 #
 # $$ -\nabla \cdot (H^3 \nabla u) = 6 e \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$
 #
-# The scene file `demos/bearing.toml` has this problem, with a mesh from Gmsh (`demos/bearing.geo`), for a bearing whose
-# length is equal to its diameter. The scene reports the *Sommerfeld number* $S$, which is small if the load is large,
-# and the *attitude*, the angle in degrees between the load and the narrowest gap.
+# The scene file `demos/bearing.toml` describes this problem for a bearing whose length is equal to its diameter. The
+# mesh is made by Gmsh from `demos/bearing.geo`. The scene has two output quantities. The *Sommerfeld number* $S$ is
+# proportional to viscosity times speed divided by the load. The *attitude* is the angle in degrees between the load and
+# the line through both axes.
 #
 # Run it in the clone with `.venv/bin/python demos/bearing.py`.
 
@@ -27,10 +31,11 @@ comm = MPI.COMM_WORLD
 bearing = Scene.read("demos/bearing.toml")
 
 # %% [markdown]
-# ## A sweep
+# ## Several eccentricities
 #
-# `study` solves the scene for several values of a parameter, here for the eccentricity `ecc` of the table `[define]`.
-# It returns a list with one dictionary per value. The known values are those of Raimondi and Boyd (1958).
+# `study` solves the scene for several values of a parameter. Here this is the eccentricity `ecc`, which the table
+# `[define]` of the scene contains. `study` returns a list with one dictionary per value. The known values of $S$ and
+# of the attitude are from Raimondi and Boyd (1958).
 
 # %%
 known = {0.1: (1.33, 79.5), 0.2: (0.631, 74.02), 0.4: (0.264, 63.10), 0.6: (0.121, 50.58), 0.8: (0.0446, 36.24)}
@@ -44,11 +49,11 @@ assert np.allclose([S for S, _ in found], [S for S, _ in known.values()], rtol=0
 assert np.allclose([angle for _, angle in found], [angle for _, angle in known.values()], atol=0.6)
 
 # %% [markdown]
-# ## A target
+# ## The eccentricity for a given load
 #
 # In practice load, speed and viscosity are given. They determine $S$, and the eccentricity is unknown. Here SciPy's
-# `brentq` finds the eccentricity with $S(e) = 0.2$. All ranks must call `solve`. All ranks also get the same value, so
-# that `brentq` takes the same steps on each of them.
+# `brentq` finds the eccentricity with $S(e) = 0.2$. In parallel all ranks must call `solve`. This is the case here: all
+# ranks get the same value of $S$, and `brentq` therefore takes the same steps on each rank.
 
 
 # %%
@@ -67,7 +72,8 @@ assert np.isclose(eccentricity, 0.475, atol=0.01)
 # %% [markdown]
 # ## Picture
 #
-# Left: the pressure on the unrolled cylinder at $S = 0.2$, with the boundary of the cavity. Right: the sweep.
+# Left: the pressure on the unrolled cylinder at $S = 0.2$, with the boundary of the cavitated region. Right: $S$ for
+# the eccentricities of the study.
 
 # %%
 V = solution.u.function_space

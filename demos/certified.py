@@ -1,21 +1,22 @@
 # %% [markdown]
 # # A certified tolerance
 #
-# A solution whose error is unknown is of little use in a proof of safety. `solve(scene, tol=0.03)` refines the mesh and
+# A proof of safety needs a bound of the error. `solve(scene, tol=0.03)` refines the mesh and
 # reduces the penalty parameter until the relative error in the energy norm
 # $\|v\|_a = (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %. This works for scenes with a tension $\mu$ and
-# a load $f$ on a mesh of triangles. The page *Error bound* of the documentation lists the other cases that are covered.
+# a load $f$ on a mesh of triangles. The page *Error bound* of the documentation lists all cases that are covered.
 #
-# The proof is an inequality without unknown constants. Let $v_h$ be a function close to the computed solution that
-# satisfies the obstacle constraint $v_h \ge \psi$. From the computed solution the program constructs a multiplier
-# $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$. Then
+# The proof is an inequality without unknown constants. Let $u$ be the exact solution, and $\psi$ the obstacle below it.
+# Let $v_h$ be a function close to the computed solution $u_h$ that satisfies the constraint $v_h \ge \psi$. From $u_h$
+# the program constructs a multiplier $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$.
+# Then
 #
 # $$ \|u - v_h\|_a \le \frac S2 + \sqrt{\frac{S^2}4 + \int \lambda\,(v_h - \psi)}, \qquad
 #    S = \|\mu^{1/2} \nabla v_h - \mu^{-1/2} \sigma\|_0 . $$
 #
-# The bound for the computed solution $u_h$ is this bound plus $\|v_h - u_h\|_a$. The page *Error bound* has the proof,
-# and further terms for a load that varies within triangles. All terms can be computed and are sums over
-# triangles. The program refines the triangles with large contributions.
+# The bound of $\|u - u_h\|_a$ is this bound plus $\|v_h - u_h\|_a$. The page *Error bound* contains the proof,
+# and further terms for a load that varies within triangles. All terms can be computed, and all are sums over
+# triangles. The program refines the triangles whose contributions are large.
 #
 # Run it in the clone with `.venv/bin/python demos/certified.py`.
 
@@ -30,8 +31,8 @@ from fenicsx_obstacle import releases, solve
 comm = MPI.COMM_WORLD
 
 # %% [markdown]
-# `ball` is a scene of the catalogue whose exact solution is known, so that the bound can be compared with the true
-# error. The bound itself does not use the exact solution.
+# The scene `ball` comes with the package. Its exact solution is known, and the bound can be compared with the true
+# error. The computation of the bound does not use the exact solution.
 
 # %%
 tolerances = [0.3, 0.1, 0.03]
@@ -50,18 +51,24 @@ for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
     assert error <= bound.total <= 3 * error
 
 # %% [markdown]
-# The bound is larger than the error, as it must be, and at most three times as large. Its parts are
-# attributes of `solution.bound`: `discretisation`, `penalty`, `algebraic` (the linear solver) and `data`.
+# The bound is at least as large as the error, and at most three times as large. Its parts are
+# attributes of `solution.bound`:
 #
-# If a part of the data is known by samples only, such as a load given as a Python callable, `bound.words` is *certified
-# for the sampled load*. `bound.guaranteed` is true only if `bound.words` is exactly *certified*. If the tolerance
-# cannot be reached with the memory of the machine, or within a budget such as `solve(..., budget="60s")`, the program
-# returns the best solution, and `solution.adaptive.reached` is false.
+# - `discretisation`: the part due to the mesh
+# - `penalty`: the part due to the penalty parameter
+# - `algebraic`: the part due to the iterative solvers
+# - `data`: the part due to data that the mesh does not resolve
+#
+# The text `bound.words` states the assumptions of the bound. A load that is a Python callable is known by samples only.
+# In this case the text is *certified for the sampled load*. `bound.guaranteed` is true only if the text is *certified*.
+#
+# The tolerance may be too small for the memory of the machine, or for a budget such as `solve(..., budget="60s")`.
+# Then the program returns the best solution, and `solution.adaptive.reached` is false.
 #
 # ## Picture
 #
-# The last mesh is fine where the curvature of $u$ is large, and finest beside the free boundary. With the number of
-# unknowns $N$ the bound decreases like $N^{-1/2}$, which is the best possible order for linear elements.
+# Left: the last mesh. It is fine where the curvature of $u$ is large, and finest beside the free boundary. Right: the
+# bound decreases like $N^{-1/2}$ with the number of unknowns $N$. This is the best possible order for linear elements.
 
 # %%
 last = solutions[-1]

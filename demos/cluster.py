@@ -1,22 +1,23 @@
 # %% [markdown]
 # # On a cluster: job script, checkpoint, restart
 #
-# A slab of ice at its melting point is heated on the left side. The temperature $\theta$ of the water obeys the heat
-# equation, and the front between water and ice moves at a speed proportional to the heat flux that arrives there
-# (Stefan's problem). Duvaut's transformation $u = \int_0^t \theta$ turns it into an obstacle problem. With latent heat
-# 1 the problem is
+# A slab of ice at its melting point is heated on the left side. The temperature $\theta$ of the water satisfies the
+# heat equation. The front between water and ice moves with a speed proportional to the heat flux at the front (Stefan's
+# problem). Duvaut's transformation $u = \int_0^t \theta\,dt$ turns Stefan's problem into an obstacle problem. With
+# dimensionless quantities and the latent heat 1, it is
 #
-# $$ u_t - \Delta u = -1 + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0, \qquad u = t \text{ on the left side}, $$
+# $$ u_t - \Delta u = -1 + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0, \qquad u = t \text{ on the left side} . $$
 #
-# The ice is the region where $u = 0$. For a plane front the solution is known: the front is at
-# $s(t) = 2 \beta \sqrt t$, where
+# The ice is the region where $u = 0$, and $p$ is the multiplier of the constraint. For a plane front the solution is
+# known: the distance of the front from the left side is $s(t) = 2 \beta \sqrt t$, where
 #
 # $$ \sqrt\pi\, \beta\, e^{\beta^2} \operatorname{erf} \beta = 1, \qquad \beta = 0.6201 . $$
 #
 # ## The job
 #
-# A scene file can be solved without Python. The following job script for Slurm uses two nodes with 32 processes each.
-# The folder of the result must be on a file system that all nodes share.
+# A scene file can be solved without Python. Let `ice.toml` be a scene file with this problem. The following job script
+# for Slurm uses two nodes with 32 processes each. The folder of the result must be on a file system that all nodes
+# share.
 #
 # ```sh
 # #!/bin/bash
@@ -25,17 +26,17 @@
 # srun fenicsx-obstacle solve ice.toml --output $SCRATCH/ice
 # ```
 #
-# The state is saved in `$SCRATCH/ice/checkpoint.h5` every 20 seconds and at the end. If the job reaches its time limit,
-# the next job continues from this file, on any number of processes:
+# The program saves its state in the file `$SCRATCH/ice/checkpoint.h5` every 20 seconds and at the end. If the job
+# reaches its time limit, a second job with the option `--restart` continues from this file, on any number of processes:
 #
 # ```sh
 # srun fenicsx-obstacle solve ice.toml --output $SCRATCH/ice --restart $SCRATCH/ice
 # ```
 #
-# ## The same in Python
+# ## The same problem in Python
 #
-# This file can also be run as a job, with `srun python cluster.py`. On a workstation run it in the clone with
-# `mpirun -n 2 .venv/bin/python demos/cluster.py`.
+# This file describes the same problem in Python, and solves it in two parts. On a cluster run it with
+# `srun python cluster.py`. On a workstation run it in the clone with `mpirun -n 2 .venv/bin/python demos/cluster.py`.
 
 # %%
 import matplotlib.pyplot as plt
@@ -60,15 +61,16 @@ scene = Scene(
 )
 
 # %% [markdown]
-# The first job ends at $t = 0.5$. `keep` is the folder of the checkpoint.
+# The first part ends at $t = 0.5$. The argument `keep` is the folder of the checkpoint.
 
 # %%
 half = scene.change({"time.end": 0.5, "time.steps": 25})
 first = solve(half, keep="ice")
 
 # %% [markdown]
-# The second job continues from the checkpoint up to $t = 1$. Its history contains the steps of both jobs and agrees
-# with the history of a run without interruption.
+# The second part continues from the checkpoint up to $t = 1$. Its history contains the time steps of both parts. The
+# code checks that this history agrees with the history of a run without interruption, and that the front is correct to
+# one cell.
 
 # %%
 second = solve(scene, keep="ice", restart="ice")
@@ -89,8 +91,8 @@ assert error < 2 / 128  # one cell
 # %% [markdown]
 # ## Results
 #
-# `save` writes a folder in parallel: each process writes its own rows. `read` reads the folder on any number of
-# processes, for example on a workstation. ParaView opens the file `fields.xdmf` in the folder.
+# `save` writes a folder in parallel: each process writes the data that it owns. `read` reads the folder on any number
+# of processes, for example on a workstation. ParaView opens the file `fields.xdmf` in the folder.
 
 # %%
 second.save("ice")
@@ -98,9 +100,11 @@ read = Answer.read("ice")
 assert np.isclose(read.at([0.5, 0.06]), second.at([0.5, 0.06]), rtol=1e-12)
 
 # %% [markdown]
-# Every rank has the same values in `second.report`, so that a test or a print needs no communication. Functions such as
-# `second.u` are distributed, as always in DOLFINx. The page *Performance* of the documentation has the speed-up by
-# several processes.
+# The values in `second.report` are the same on every rank. To test or print them, no communication is needed. Functions
+# such as `second.u` are distributed over the ranks, as always in DOLFINx. The page *Performance* of the documentation
+# has measured times on several processes.
+#
+# Left: $u$ at $t = 1$ along a horizontal line. Right: the position of the front over time in both parts.
 
 # %%
 line = second.along([0, 0.06], [2, 0.06], n=201)
@@ -111,9 +115,9 @@ if comm.rank == 0:
     left.annotate("ice", (1.6, 0.3))
     left.annotate("water", (0.75, 0.6))
     left.set(xlabel="x", ylabel=r"u, the integral of $\theta$ over time", title="t = 1")
-    job = t <= 0.5
-    right.plot(t[job], front[job], "-", linewidth=3, color="#0072B2", label="first job")
-    right.plot(t[~job], front[~job], "-", linewidth=3, color="#D55E00", label="second job, restarted")
+    before = t <= 0.5
+    right.plot(t[before], front[before], "-", linewidth=3, color="#0072B2", label="first part")
+    right.plot(t[~before], front[~before], "-", linewidth=3, color="#D55E00", label="second part, restarted")
     right.plot(t, 2 * beta * np.sqrt(t), "k:", label=r"$2 \beta \sqrt{t}$")
     right.set(xlabel="time t", title="melting front")
     right.legend(frameon=False)

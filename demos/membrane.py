@@ -1,18 +1,20 @@
 # %% [markdown]
 # # A membrane over an obstacle
 #
-# A membrane with tension 1 is held at the boundary of the square $\Omega = (-2, 2)^2$ and rests on a ball of radius 1.
-# Its height $u$ minimises the energy $\frac12 \int |\nabla u|^2$ among all functions with the given boundary values and
-# $u \ge \psi$, where $\psi$ is the upper side of the ball. Equivalently,
+# A membrane with tension 1 is fixed at the boundary of the square $\Omega = (-2, 2)^2$ and rests on a ball of radius 1.
+# Let $\psi$ be the upper side of the ball. The height $u$ of the membrane minimises the energy
+# $\frac12 \int |\nabla u|^2$ among all functions that have the given boundary values and satisfy $u \ge \psi$. With the
+# contact pressure $p$ the equivalent problem is
 #
 # $$ -\Delta u = p, \qquad u \ge \psi, \qquad p \ge 0, \qquad p\,(u - \psi) = 0 \quad \text{in } \Omega . $$
 #
-# The boundary values are those of a radial solution: the membrane touches the ball for $r \le a$, and
-# $u = A \ln(R/r)$ with $R = 2$ for $r > a$. At $r = a$ this $u$ has the same value and slope as the ball if
+# The boundary values are those of a known radial solution. Let $r$ be the distance from the origin. The membrane is in
+# contact with the ball for $r \le a$, and $u = A \ln(R/r)$ with $R = 2$ for $r > a$. At $r = a$ this function has the
+# same value and slope as the ball if
 #
-# $$ a^2 \left(1 + \ln \frac Ra\right) = 1, \qquad A = \frac{a^2}{\sqrt{1 - a^2}}, $$
+# $$ a^2 \left(1 + \ln \frac Ra\right) = 1, \qquad A = \frac{a^2}{\sqrt{1 - a^2}} . $$
 #
-# This gives $a = 0.69797$ and $A = 0.68026$. The force on the ball is $2\pi A$.
+# The solution of these equations is $a = 0.69797$ and $A = 0.68026$. The force on the ball is $2\pi A$.
 #
 # Run it in the clone with `.venv/bin/python demos/membrane.py`, or in parallel with
 # `mpirun -n 2 .venv/bin/python demos/membrane.py`.
@@ -37,7 +39,7 @@ held.interpolate(lambda x: A * np.log(R / np.maximum(np.hypot(x[0], x[1]), a)))
 
 
 def ball(x):
-    """The ball; beyond r = 0.9, where there is no contact, its tangent cone."""
+    """Height of the ball for r < 0.9; for larger r, where there is no contact, height of its tangent cone."""
     r = np.hypot(x[0], x[1])
     cone = np.sqrt(1 - 0.9**2) - 0.9 / np.sqrt(1 - 0.9**2) * (r - 0.9)
     return np.where(r < 0.9, np.sqrt(np.maximum(1 - r**2, 0)), cone)
@@ -46,8 +48,8 @@ def ball(x):
 solution = ObstacleProblem(F, u, bcs=[fem.dirichletbc(held, edge)], lower=ball).solve()
 
 # %% [markdown]
-# `solution.u`, `solution.pressure` and `solution.contact` are DOLFINx Functions. Contact force and contact area are
-# numbers, the same on every rank.
+# `solution.u`, `solution.pressure` and `solution.contact` are DOLFINx Functions. The contact force
+# `solution.force.lower` and the contact area `solution.area` are numbers. They are the same on every rank.
 
 # %%
 radius = np.sqrt(solution.area / np.pi)
@@ -58,7 +60,8 @@ assert np.isclose(solution.force.lower, 2 * np.pi * A, rtol=2e-3)
 assert abs(radius - a) < 4 / 64  # one cell
 
 # %% [markdown]
-# The picture shows $u$ and, in colour, the contact pressure; the black line is the free boundary.
+# The picture shows $u$. The colour is the contact pressure. The black line is the free boundary, which is the edge of
+# the contact set.
 
 # %%
 picture = solution.plot("membrane.png")

@@ -1,18 +1,20 @@
 # %% [markdown]
 # # One added line in a DOLFINx code of your own
 #
-# The code below is ordinary DOLFINx and PETSc, except the import from `fenicsx_obstacle` and the lines marked
-# with <---. The penalty method of Kikuchi adds one term to a residual $F(u; v)$: find $u \in V_h$ with
+# The code below is ordinary DOLFINx and PETSc, except for the import from `fenicsx_obstacle` and the lines marked
+# with <---. Kikuchi's penalty method adds one term to a residual $F(u; v)$: find $u$ in the finite element space $V_h$
+# with
 #
-# $$ F(u; v) - \frac1\varepsilon\, I((g - u)^+, v) = 0 \quad \text{for all } v \in V_h, $$
+# $$ F(u; v) - \frac1\varepsilon\, I((g - u)^+, v) = 0 \quad \text{for all } v \in V_h . $$
 #
-# where $g$ is a lower obstacle and $I$ a quadrature rule whose points are the nodes. The contact pressure at the nodes
-# is $p = (g - u)^+/\varepsilon$. $F$ may be linear or nonlinear in $u$.
+# Here $g$ is a lower obstacle, $\varepsilon$ the penalty parameter, $x^+ = \max(x, 0)$, and $I$ a quadrature rule whose
+# points are the nodes. The contact pressure at the nodes is $p = (g - u)^+/\varepsilon$. $F$ may be linear or
+# nonlinear in $u$.
 #
 # Run it in the clone with `.venv/bin/python demos/one_added_line.py`.
 
 # %%
-from mpi4py import MPI  # first: where pip has installed dolfinx, MPI must be loaded before it
+from mpi4py import MPI  # before dolfinx: DOLFINx from pip requires that MPI is already loaded
 
 # isort: split
 import dolfinx.fem.petsc  # noqa: F401  (not imported by dolfinx.fem in newer releases)
@@ -74,13 +76,13 @@ def newton(F, u, bc, rtol):
 # %% [markdown]
 # ## The residual, and the added line
 #
-# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$ for any stress $\sigma$, with given
-# boundary values. The obstacle is a ball of radius 1 below $u$.
+# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$. The stress $\sigma$ is an argument of
+# the function `over_ball`. The values of $u$ on the boundary are given. The obstacle is a ball of radius 1 below $u$.
 
 
 # %%
 def ball(x):
-    """The ball; beyond r = 0.9, where there is no contact, its tangent cone."""
+    """Height of the ball for r < 0.9; for larger r, where there is no contact, height of its tangent cone."""
     r = np.hypot(x[0], x[1])
     cone = np.sqrt(1 - 0.9**2) - 0.9 / np.sqrt(1 - 0.9**2) * (r - 0.9)
     return np.where(r < 0.9, np.sqrt(np.maximum(1 - r**2, 0)), cone)
@@ -107,14 +109,16 @@ def over_ball(stress, outside, cells=64, eps=1e-4, rtol=1e-10):
 # %% [markdown]
 # ## A linear equation: a membrane
 #
-# For a membrane $\sigma = \nabla u$. Outside of the contact set the exact solution is $u = A \ln(2/r)$ with
-# $A = 0.68026$ (see the tutorial *A membrane over an obstacle*), and the force on the ball is $2 \pi A$.
+# For a membrane $\sigma = \nabla u$. Let $r$ be the distance from the origin. Outside of the contact set the exact
+# solution is $u = A \ln(2/r)$ with $A = 0.68026$ (see the tutorial *A membrane over an obstacle*). The force on the
+# ball is $2 \pi A$.
 #
 # ## A nonlinear equation: a soap film
 #
-# The energy of a soap film is its area, so that $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
-# set the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$. It leaves the ball at $r = b$ without a kink if
-# $a = b^2$, and the force is $2 \pi a$. Here $b = 0.6$.
+# The energy of a soap film is its area. Therefore $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
+# set the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$ with constants $a$ and $c$. The contact set is the disk
+# $r \le b$ with $b = 0.6$. At $r = b$ the film and the ball have the same value and slope if $a = b^2$, which is `neck`
+# in the code. The force on the ball is $2 \pi a$.
 
 # %%
 A, b = 0.680259411891719, 0.6
@@ -137,7 +141,8 @@ def soap_film(**options):
 
 
 # %% [markdown]
-# Both are solved by the same Newton method.
+# The same Newton solver computes both solutions. The function `line` collects their values along the x-axis for the
+# picture.
 
 
 # %%

@@ -1,17 +1,23 @@
 # %% [markdown]
 # # An effect of your own: a microswitch that is pulled in by a voltage
 #
-# A membrane is fixed at distance 1 above an electrode. A voltage pulls the membrane down with the force
-# $\lambda/(1 + u)^2$ per area, where $\lambda$ is the square of the voltage in suitable units. The electrode is covered
-# by an insulating layer on which the membrane can rest, so that $u \ge -0.8$:
+# A membrane is fixed at distance 1 above an electrode. Let $u$ be its displacement, positive upwards. A voltage pulls
+# the membrane down with the force $\lambda/(1 + u)^2$ per area, where $\lambda$ is the square of the voltage in
+# suitable units. An insulating layer of thickness 0.2 covers the electrode, and the membrane can rest on this layer.
+# Therefore $u \ge -0.8$. With the contact pressure $p$ the problem on an interval is
 #
 # $$ -u'' + \frac{\lambda}{(1 + u)^2} = p, \qquad u \ge -0.8, \quad p \ge 0, \quad p\,(u + 0.8) = 0
 #    \ \text{in } (-\tfrac12, \tfrac12), \qquad u(\pm\tfrac12) = 0 . $$
 #
-# The package does not include this force. A new effect is one class. It contains the name of the effect in a scene, its
-# term in the residual $a(u, v) - f(v)$ as UFL, and its energy. `data.cellwise(self.value)` is the datum, which the user
-# may give as a number, a formula or a Function. `data.dI` is the measure of the nodal quadrature rule. The energy
-# $-\lambda/(1 + u)$ is not convex.
+# The package does not contain this force. A new effect (a term of the equation) is defined by one class. The class
+# contains:
+#
+# - `key`, the name of the effect in a scene;
+# - `terms`, its term in the residual as UFL, with a test function `v`;
+# - `energy`, its energy as UFL. Here it is the integral of $-\lambda/(1 + u)$, which is not convex.
+#
+# The user may give $\lambda$ as a number, a formula or a Function; `data.cellwise(self.value)` is its value in each
+# cell. `data.dI` is the measure of the quadrature rule whose points are the nodes.
 #
 # Run it in the clone with `.venv/bin/python demos/own_effect.py`.
 
@@ -47,17 +53,19 @@ class Electrostatic(Effect):
 
 
 # %% [markdown]
-# ## What to expect
+# ## The exact equilibria
 #
-# Consider an equilibrium without contact. Multiply the equation by $u'$ and integrate from the middle, where the
-# distance $1 + u$ has its minimum $\alpha$. Since the interval has length 1, there is one load for each $\alpha$:
+# Consider an equilibrium without contact. The distance $1 + u$ from the electrode has its minimum $\alpha$ in the
+# middle. Multiply the equation by $u'$ and integrate from the middle. Since the interval has the length 1, exactly one
+# load $\lambda$ belongs to each $\alpha$:
 #
 # $$ \lambda(\alpha) = 2\alpha \left(\sqrt{1 - \alpha}
 #    + \alpha \,\mathrm{arsinh} \sqrt{\tfrac{1 - \alpha}{\alpha}}\right)^2 . $$
 #
-# Its maximum is $\lambda = 1.400$ at $\alpha = 0.61$. This is the load of *pull-in*: for larger loads there is no
-# equilibrium without contact. When the load decreases again, the membrane stays on the layer until
-# $\lambda = \lambda(0.2) = 0.560$. There the contact length becomes zero, and the membrane is *released*.
+# The largest load is $\lambda = 1.400$, at $\alpha = 0.61$. This is the load of *pull-in*: for larger loads there is no
+# equilibrium without contact, and the membrane moves down to the layer. When the load decreases again, the membrane
+# stays on the layer until $\lambda = \lambda(0.2) = 0.560$. At this load the contact length becomes zero, and the
+# membrane is *released*.
 
 
 # %%
@@ -71,11 +79,11 @@ release = load_of(0.2)
 assert np.isclose(pull_in, 1.400, atol=1e-3) and np.isclose(release, 0.560, atol=1e-3)
 
 # %% [markdown]
-# ## Up and down
+# ## The load rises and falls
 #
-# `electrostatic` is now a key of scenes, as `tension` is. The load rises to 1.8 and falls to 0 again. The effect `rate`
-# is the damping of the air. The load changes slowly compared with the damping, so that the state is close to an
-# equilibrium except during pull-in and release. The key `tolerance` makes the program choose the time steps; they are
+# `electrostatic` is now a key of scenes, like `tension`. The load rises from 0 to 1.8 and falls to 0 again. The effect
+# `rate` adds a damping force to the equation. The load changes slowly, and the state is therefore close to an
+# equilibrium, except during pull-in and release. With the key `tolerance` the program chooses the time steps, which are
 # short during pull-in and release.
 
 # %%
@@ -104,9 +112,9 @@ assert abs(down - release) < 0.02
 assert np.isclose(distance.min(), 0.2, atol=1e-3)
 
 # %% [markdown]
-# The picture shows the distance in the middle over the load. Where the equilibria without contact (black) are stable,
-# the computed loop follows them. For loads between release and pull-in there are two stable states, open and closed.
-# Which one is observed depends on the history of the load.
+# The picture shows the distance in the middle over the load. The dashed black line shows the equilibria without
+# contact. The computed curve follows the stable ones. For loads between release and pull-in there are two stable
+# states, with and without contact. The history of the load determines which of them is observed.
 
 # %%
 if comm.rank == 0:

@@ -1,14 +1,14 @@
 # %% [markdown]
 # # Your own mesh: Gmsh, materials, tags and Functions
 #
-# A rectangular membrane with a stiff patch is held on the left and right sides; the other two sides are free. The load
-# 1 presses it down onto a curved obstacle $\psi$:
+# A rectangular membrane with a stiff patch is fixed on the left and right sides. The other two sides are free. A load
+# of 1 presses the membrane down onto a curved obstacle $\psi$. The height $u$ and the contact pressure $p$ satisfy
 #
 # $$ -\nabla \cdot (\mu \nabla u) = -1 + p, \qquad u \ge \psi, \quad p \ge 0, \quad p\,(u - \psi) = 0, \qquad
 #    \mu = 20 \text{ in the patch}, \ 1 \text{ elsewhere}. $$
 #
-# The mesh comes from Gmsh with physical groups, which DOLFINx reads as `MeshTags`. The tag 5 is for the cells of the
-# patch, 6 for the other cells, and 1 for the facets on the left and right sides.
+# Gmsh makes the mesh and its physical groups, which DOLFINx reads as `MeshTags`. The cells of the patch have the tag 5,
+# the other cells have the tag 6, and the facets on the left and right sides have the tag 1.
 #
 # Run it in the clone with `.venv/bin/python demos/own_mesh.py`, or with `mpirun -n 2 .venv/bin/python
 # demos/own_mesh.py`.
@@ -45,10 +45,12 @@ gmsh.finalize()
 # %% [markdown]
 # ## Names for tags, one number per material
 #
-# A `Scene` takes the mesh and its tags. `facet_names` and `cell_names` give names to tags; data and boundary conditions
-# refer to these names. `tol=0.01` refines the mesh and its tags until the error in the energy norm is proved to be
-# below 1 %. The domain is a polygon, so the mesh has no geometric error. The package cannot know this and reports
-# 'certified on the polygon of the mesh'.
+# A `Scene` takes the mesh and its tags. The arguments `facet_names` and `cell_names` give names to tags. Data and
+# boundary conditions refer to these names.
+#
+# With `tol=0.01` the package refines the mesh and its tags until the relative error in the energy norm is proved to be
+# below 1 %. The domain is a polygon, so the mesh has no geometric error. The package cannot know this. It
+# therefore reports 'certified on the polygon of the mesh'.
 
 # %%
 common = {
@@ -72,8 +74,8 @@ assert solution.bound.words == "certified on the polygon of the mesh"
 # %% [markdown]
 # ## The same with Functions
 #
-# Every datum may also be a DOLFINx Function. Here the tension is a piecewise constant Function, as if another part of
-# a program had computed it. The obstacle is the same formula as before.
+# Each item of data may also be a DOLFINx Function. Here the tension is a piecewise constant Function. The obstacle is
+# the same formula as before.
 
 # %%
 mu = fem.Function(releases.functionspace(mesh, "DG", 0))
@@ -84,9 +86,10 @@ assert again.bound.relative <= 0.01
 assert np.isclose(again.force.lower, solution.force.lower, rtol=1e-3)
 
 # %% [markdown]
-# The total load is 2. The obstacle carries one part of it, and the held sides carry the rest. Where the part with
-# tension 1 touches the obstacle, $u = \psi$ and the pressure is $p = 1 - \nabla \cdot (\mu \nabla \psi) = 1.1$. The
-# stiff patch does not touch the obstacle near (1.45, 0.5), so that the pressure is zero there.
+# The total load is 2. The obstacle carries one part of this load, and the fixed sides carry the rest. At points of the
+# contact set outside the patch, $u = \psi$ and $\mu = 1$. The pressure there is
+# $p = 1 - \nabla \cdot (\mu \nabla \psi) = 1.1$. Near the point (1.45, 0.5) the stiff patch does not touch the
+# obstacle, and the pressure is zero.
 
 # %%
 assert 0 < solution.force.lower < 2

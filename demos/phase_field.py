@@ -1,44 +1,45 @@
 # %% [markdown]
 # # An irreversible phase field: fracture in antiplane shear
 #
-# A phase-field model of fracture has two unknowns: the displacement $w$, here out of the plane, and the damage
-# $d \in [0, 1]$, which is 1 on a crack and decreases to 0 over a distance of $2\ell$. Damage never heals, so that
-# $d \ge d_{\text{old}}$. At each load the damage therefore solves an obstacle problem whose lower obstacle is the
-# damage of the previous load.
+# A phase-field model of fracture has two unknowns: the displacement $w$, which is perpendicular to the plane in
+# antiplane shear, and the damage $d \in [0, 1]$. The damage is 1 on a crack and decreases to 0 over a distance of
+# $2\ell$, where $\ell$ is a given length. Damage is irreversible: $d \ge d_{\text{old}}$, where $d_{\text{old}}$ is the
+# damage of the previous load. At each load the damage therefore solves an obstacle problem with the lower obstacle
+# $d_{\text{old}}$.
 #
-# With the shear modulus $\mu$, the fracture energy $G_c$ and a small number $\kappa$, the energy of the model AT1 is
+# With the shear modulus $\mu$, the fracture energy $G_c$ and a small number $\kappa$, the total energy of the model AT1
+# (Ambrosio and Tortorelli) is
 #
-# $$ E(w, d) = \int \tfrac12 \left((1 - d)^2 + \kappa\right) \mu\,|\nabla w|^2
+# $$ F(w, d) = \int \tfrac12 \left((1 - d)^2 + \kappa\right) \mu\,|\nabla w|^2
 #    + \frac{3 G_c}{8} \int \left(\frac d\ell + \ell\,|\nabla d|^2\right), \qquad
 #    d_{\text{old}} \le d \le 1 . $$
 #
-# The energy is quadratic in $w$ for a given $d$ and quadratic in $d$ for a given $w$. The staggered scheme minimises it
-# alternately over $w$, which is a linear problem, and over $d$, which is an obstacle problem, until $d$ no longer
-# changes.
+# The energy is quadratic in $w$ for a given $d$, and quadratic in $d$ for a given $w$. The staggered scheme minimises
+# it alternately over $w$ and over $d$, until $d$ no longer changes. The first problem is linear, the second is an
+# obstacle problem.
 #
 # ## A crack that grows in proportion to the load
 #
-# The body is a strip of height $2H$. A crack of length $a_0$ on its middle line starts at the left side. The two arms
-# above and below the crack are displaced there by $w = t$ and $w = -t$; $t$ is called the load. If the crack is long,
-# $a \gg H$, the displacement is $w = t\,(1 - x/a)$ along the upper arm, and its negative along the lower arm. The
-# elastic energy of both arms and the energy release rate are then
+# The body is a strip of height $2H$. An initial crack of length $a_0$ on its middle line starts at the left side. The
+# crack separates an upper and a lower arm. At the left side the displacement is prescribed: $w = t$ on the upper arm
+# and $w = -t$ on the lower arm. We call $t$ the load. Let $a$ be the current crack length. If $a \gg H$, the
+# displacement is $w = t\,(1 - x/a)$ along the upper arm, and its negative along the lower arm. The
+# elastic energy $E$ of both arms and the energy release rate $G$ are then
 #
 # $$ E = \mu H\,\frac{t^2}{a}, \qquad G = -\frac{\partial E}{\partial a} = \mu H\,\frac{t^2}{a^2} . $$
 #
-# $G$ decreases with $a$, so the crack grows stably, with $G = G_c$. Here $a$ is the length that follows from the
-# stiffness of the arms. The damaged line is shorter by a constant, because the strip ahead of the tip deforms too. Both
-# lengths have the slope $\sqrt{\mu H/G_c}$ as functions of $t$:
+# $G$ decreases with $a$. The crack therefore grows stably, and $G = G_c$ during the growth. This gives the crack length
 #
 # $$ a = t\,\sqrt{\mu H/G_c} . $$
 #
-# In this tutorial the load rises to $t = 3.25$ and then decreases. While the load rises, the crack length must grow
-# with this slope; afterwards the crack must not heal. $w$ is odd and $d$ is even in $y$. It is therefore enough to
-# model the upper half, with $w = 0$ at $y = 0$.
+# In this tutorial the load rises to $t = 3.25$ and then decreases. While the crack grows, its length must have the
+# slope $\sqrt{\mu H/G_c}$ over the load. When the load decreases, the length must not change. $w$ is odd and $d$ is
+# even in $y$. It is therefore enough to compute the upper half, with $w = 0$ at $y = 0$.
 #
 # Run it in the clone with `.venv/bin/python demos/phase_field.py`.
 
 # %%
-from mpi4py import MPI  # first: where pip has installed dolfinx, MPI must be loaded before it
+from mpi4py import MPI  # before dolfinx: DOLFINx from pip requires that MPI is already loaded
 
 # isort: split
 import dolfinx.fem.petsc  # noqa: F401  (not imported by dolfinx.fem in newer releases)
@@ -65,8 +66,8 @@ surface = 3 * G_c / 8 * (d / ell + ell * ufl.inner(ufl.grad(d), ufl.grad(d))) * 
 # ## The two problems
 #
 # The forms of both problems are derivatives of the same energy. The problem for the damage is an `ObstacleProblem`. The
-# argument `lower=d_old` makes the damage irreversible. `d_old` is a Function, and each `solve()` uses its current
-# values. The problem for the displacement is an ordinary linear problem.
+# argument `lower=d_old` makes the damage irreversible. `d_old` is a Function, and each call of `solve()` uses the
+# current values of this Function. The problem for the displacement is an ordinary linear problem.
 
 # %%
 damage = ObstacleProblem(ufl.derivative(elastic + surface, d, test), d, lower=d_old, upper=1.0)
@@ -107,9 +108,9 @@ def displace():
 # %% [markdown]
 # ## Loading and unloading
 #
-# The crack length is computed from the compliance of the arms, $a = \mu H t^2/E$, where $E$ is twice the elastic energy
-# of the upper half. The strip ahead of the tip deforms elastically too. This length is therefore larger than that of
-# the damaged line. The difference is constant, and a fraction of $H$.
+# The crack length is computed from the elastic energy $E$ of both arms, as $a = \mu H t^2/E$. By symmetry $E$ is twice
+# the elastic energy of the upper half. The strip ahead of the crack tip also deforms. The length $a$ is therefore
+# larger than the length of the damaged line. The difference is constant, and a fraction of $H$.
 
 
 # %%
@@ -140,9 +141,9 @@ for t in loads:
         print(f"t = {t:4.2f}  {steps:3d} steps  crack length {lengths[-1]:.3f}  surface energy {surfaces[-1]:.3f}")
 
 # %% [markdown]
-# While the crack grows, from $t = 2.5$ on, the slope of its length over the load is $\sqrt{\mu H/G_c} = 1$ to
-# within 5 %, and the surface energy per unit of length is $G_c = 1$ to within 5 %. When the load decreases, the length
-# does not change.
+# The crack grows from $t = 2.5$ to $t = 3.25$. The slope of its length over the load is there $\sqrt{\mu H/G_c} = 1$ to
+# within 5 %, and the surface energy per unit of crack length is $G_c = 1$ to within 5 %. When the load decreases, the
+# length does not change.
 
 # %%
 growing = slice(loads.index(2.5), loads.index(3.25) + 1)
@@ -159,7 +160,7 @@ assert np.allclose(lengths[-2:], max(lengths), rtol=1e-3)
 # %% [markdown]
 # ## Picture
 #
-# Left: the damage at the end; the lower half is drawn by symmetry. Right: the crack length over the load.
+# Left: the damage at the end. The lower half of the strip is drawn by symmetry. Right: the crack length over the load.
 
 # %%
 own = V.dofmap.index_map.size_local

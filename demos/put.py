@@ -1,16 +1,20 @@
 # %% [markdown]
 # # An American put
 #
-# An American put is an option: its holder may sell a share at the price $K$ at any time until expiry. If the share has
-# the price $S$, the value $V(S, t)$ of the option is therefore never below the payoff $(K - S)^+$. Let
-# $x = \ln(S/K)$, and let $t$ be the time to expiry. The model of Black and Scholes with volatility $\sigma$ and
-# interest rate $r$ is then the parabolic obstacle problem
+# An American put is an option: its holder may sell a share at the price $K$ at any time until expiry. Let $S$ be the
+# price of the share, $t$ the time to expiry, and $V(S, t)$ the value of the option. Selling the share at once gives the
+# payoff $(K - S)^+ = \max(K - S, 0)$. Therefore $V$ is never below this payoff. Let $x = \ln(S/K)$. The model of Black
+# and Scholes with volatility $\sigma$ and interest rate $r$ is the parabolic obstacle problem
 #
 # $$ V_t - \frac{\sigma^2}{2} V_{xx} + \left(\frac{\sigma^2}{2} - r\right) V_x + r V = p, \qquad V \ge \psi, \quad
 #    p \ge 0, \quad p\,(V - \psi) = 0, \qquad \psi = K\,(1 - e^x)^+ . $$
 #
-# Where $V = \psi$ it is best to exercise the option. The free boundary $S^*(t)$ of this region is unknown. For
-# $t \to \infty$ it tends to $K\,r/(r + \sigma^2/2)$.
+# Here $\psi$ is the payoff as a function of $x$, and $p$ the multiplier of the constraint. It is best to exercise the
+# option where $V = \psi$, that is, for $S \le S^*(t)$. The free boundary $S^*(t)$ is unknown. For $t \to \infty$ it
+# tends to $K\,r/(r + \sigma^2/2)$.
+#
+# In the scene below, $\sigma^2/2$ is the tension, $\sigma^2/2 - r$ the drift, and $r$ the foundation. The output
+# quantity `exercise` is $S^*$: the largest price at which a node is in contact.
 #
 # Run it in the clone with `.venv/bin/python demos/put.py`.
 
@@ -41,10 +45,10 @@ price, below, above = solution.at([[0.0], [-0.004], [0.004]])
 delta = (above - below) / (2 * 0.004 * K)  # dV/dS at S = K
 
 # %% [markdown]
-# ## The same by a binomial tree
+# ## Comparison with a binomial tree
 #
-# The binomial tree of Cox, Ross and Rubinstein is a method without finite elements. Here it has 2000 steps. *Delta* is
-# the derivative $\partial V/\partial S$.
+# The binomial tree of Cox, Ross and Rubinstein is a method without finite elements. Here it has 2000 steps. The code
+# compares the price $V$ and the derivative *delta* $= \partial V/\partial S$ at $S = K$, one year before expiry.
 
 
 # %%
@@ -72,13 +76,13 @@ if comm.rank == 0:
     print(f"exercise below S = {exercise[-1]:.2f} one year before expiry, {perpetual:.2f} without expiry")
 assert np.isclose(price, exact_price, rtol=5e-4)
 assert np.isclose(delta, exact_delta, atol=1e-3)
-assert np.all(np.diff(exercise[1:]) <= 0) and exercise[-1] > perpetual  # the more time, the lower the boundary
+assert np.all(np.diff(exercise[1:]) <= 0) and exercise[-1] > perpetual  # S* decreases with the time to expiry
 
 # %% [markdown]
 # ## Picture
 #
-# Left: the value one year before expiry, which is tangent to the payoff at $S^*$. Right: the exercise boundary over the
-# time to expiry. It moves in steps of one cell, because the contact set consists of nodes.
+# Left: the value one year before expiry, which is tangent to the payoff at $S^*$. Right: the exercise boundary $S^*$
+# over the time to expiry. In the picture it moves in steps of one cell, because it is the position of a node.
 
 # %%
 line = solution.along([-0.6], [0.6], n=301)

@@ -1,11 +1,15 @@
-"""A penalty with a constant k, as it is often written in DOLFINx, compared with ObstacleProblem: Hertz, plane strain.
+"""A penalty with a constant k, as it is often written in DOLFINx, compared with ObstacleProblem.
 
-The term int k max(u_y - g, 0) v_y ds is integrated by a Gauss rule; the pressure at nodes is k max(u_y - g, 0). The
-modulus E* and the half-width of the contact are 1, so that k is in units of E* per half-width. If k is too small, the
-cylinder penetrates the block. If k is large, u is forced onto the gap at the Gauss points, which lie between the
-nodes. The linear u differs from the curved gap by up to h^2/(8R), with the cell size h and the radius R. At the nodes
-k times this difference is much larger than the pressure. Then the force is right, but the pressure at the nodes is
-meaningless. Newton's method starts from u = 0 and takes more steps for a larger k.
+A rigid cylinder of radius R is pressed on an elastic block in plane strain (Hertz). Let u_y be the displacement of the
+block along y, v_y the test function, and g the gap. The penalty term int k max(u_y - g, 0) v_y ds is integrated by a
+Gauss rule. The pressure at the nodes is k max(u_y - g, 0). The modulus E* = E/(1 - nu^2) is 1, and the half-width of
+the contact is about 1. The unit of k is E* per half-width.
+
+If k is too small, the cylinder penetrates the block. If k is large, u_y = g holds nearly exactly at the Gauss points,
+which lie between the nodes. The piecewise linear u_y then differs from the curved gap g at the nodes by up to
+h^2/(8R), with the cell size h. k times this difference is much larger than the true pressure. The contact force is
+then right, but the pressure at the nodes is meaningless. Newton's method starts from u = 0, and takes more steps for
+a larger k.
 
 mpirun -n 2 python3 raw_penalty.py
 """
@@ -50,7 +54,7 @@ problem = ObstacleProblem(F, u, bcs=bcs, upper=gap, of=u[1], measure=ds(3))
 
 
 def raw(k, limit=40):
-    """Newton's method with full steps, a direct solver, and the usual test: the residual over the first one."""
+    """Newton's method with full steps and a direct solver, until the residual is below 1e-8 of the first one."""
     u.x.array[:] = 0.0
     form = F + k * ufl.max_value(u[1] - gap, 0) * v[1] * ds(3)
     residual, jacobian = releases.form(form), releases.form(ufl.derivative(form, u))
@@ -79,7 +83,7 @@ def raw(k, limit=40):
 
 
 def error(x, p, force):
-    """The largest error of p at nodes within 0.8 a, over Hertz's p0 for the same force."""
+    """Largest error of p at nodes with x < 0.8 a (a: half-width), divided by Hertz's largest p for the same force."""
     a = np.sqrt(4 * force * radius / np.pi)
     inner = x < 0.8 * a
     hertz = 2 * force / (np.pi * a) * np.sqrt(1 - (x[inner] / a) ** 2)

@@ -1,14 +1,17 @@
 # %% [markdown]
 # # A rough surface from a file
 #
-# An obstacle may be read from a file of measured heights: an array, an image, a table with columns x, y, z, or an STL
-# surface. This tutorial makes such a file first. The surface $z$ is self-affine: its power spectrum falls like
-# $|k|^{-2 - 2H}$ with the wave number $k$ and the Hurst exponent $H = 0.8$, as for many fractured or ground surfaces.
-# A membrane with tension 1 lies above the surface and is pressed down by the load $f$:
+# An obstacle may be read from a file of measured heights. The file may contain an array, an image, a table with columns
+# x, y, z, or an STL surface. This tutorial first writes such a file with the heights $z$ of a self-affine surface. The
+# power spectrum of this surface falls like $|k|^{-2 - 2H}$ with the wave number $k$ and the Hurst exponent $H = 0.8$.
+# Many fractured or ground surfaces have such a spectrum.
+#
+# A membrane with tension 1 is fixed at the height 0 on the boundary of a square. The surface is below it, at the height
+# $z - 0.1$. The load $f$ presses the membrane down:
 #
 # $$ -\Delta u = -f + p, \qquad u \ge z - 0.1, \quad p \ge 0, \quad p\,(u - z + 0.1) = 0 \ \text{in } (0, 1)^2 . $$
 #
-# How do contact area and contact force grow with the load?
+# The tutorial computes the contact area and the contact force for several loads.
 #
 # Run it in the clone with `.venv/bin/python demos/rough.py`.
 
@@ -41,7 +44,7 @@ if comm.rank == 0:
 comm.barrier()
 
 # %% [markdown]
-# The power spectrum of a line through the surface must fall like $|k|^{-1 - 2H}$. The next cell checks this:
+# The power spectrum along a line through the surface must fall like $|k|^{-1 - 2H}$. The next cell checks this:
 
 # %%
 power = np.abs(np.fft.fft(z, axis=1)[:, 1:128] ** 2).mean(axis=0)
@@ -51,8 +54,8 @@ assert abs(slope + 1 + 2 * HURST) < 0.15
 # %% [markdown]
 # ## The scene
 #
-# In `lower = {file = "rough.npz"}` the file replaces a formula or a number. `shift` moves the surface down by 0.1. The
-# file name is relative to the scene file.
+# The entry `lower = {file = "rough.npz"}` names the file in place of a formula or a number. The key `shift` moves the
+# surface down by 0.1. The name of the file is relative to the folder of the scene file.
 
 # %%
 SCENE = """
@@ -80,8 +83,9 @@ assert np.all(np.diff(np.divide(forces, loads)) > 0)
 # %% [markdown]
 # ## Picture
 #
-# Left: the heights, and the contact set at the load 8, which consists of many small spots. Right: the contact area, and
-# the share of the load that the surface carries. The boundary carries the rest.
+# Left: the heights $z$ in grey, and the contact nodes at the load 8 in orange. The contact set consists of many small
+# spots. Right: the contact area, and the share of the load that the surface carries. The boundary carries the rest of
+# the load.
 
 # %%
 solution = solve(Scene.read("rough.toml").change({"define.load": 8}))

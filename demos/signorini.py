@@ -1,19 +1,20 @@
 # %% [markdown]
 # # An obstacle on the boundary (Signorini's problem)
 #
-# The obstacle acts on a part $\Gamma_C$ of the boundary only: find $u$ with
+# In this tutorial the obstacle acts only on a part $\Gamma_C$ of the boundary: find $u$ with
 #
 # $$ -\Delta u = 0 \ \text{in } \Omega, \qquad u \ge 0, \quad p = \partial_n u \ge 0, \quad p\,u = 0
 #    \ \text{on } \Gamma_C. $$
 #
-# In $\Omega = (-1, 1) \times (0, 1)$, with $\Gamma_C$ the bottom side, the function
+# Let $\Omega = (-1, 1) \times (0, 1)$, let $\Gamma_C$ be its bottom side, and let $r$ and $\theta$ be polar coordinates
+# around the origin. If the values of the following function $u$ are prescribed on the other three sides, $u$ and $p$
+# are the solution:
 #
 # $$ u = r^{3/2} \cos \tfrac{3}{2}\theta, \qquad
-#    p = \tfrac32 \sqrt{-x} \ \text{for } x < 0, \quad p = 0 \ \text{for } x > 0, $$
+#    p = \tfrac32 \sqrt{-x} \ \text{for } x < 0, \quad p = 0 \ \text{for } x > 0 . $$
 #
-# with polar coordinates around the origin, is the solution if its values are prescribed on the other three sides. The
-# contact set is $x \le 0$, and the free boundary is the single point $0$. The contact length is 1, and the contact
-# force $\int_{-1}^0 \frac32 \sqrt{-x}\,dx$ is 1, too.
+# The contact set is the part of the bottom side with $x \le 0$. The free boundary is a single point, the origin. The
+# contact length is 1. The contact force $\int_{-1}^0 \frac32 \sqrt{-x}\,dx$ is also 1.
 #
 # Run it in the clone with `.venv/bin/python demos/signorini.py`.
 
@@ -37,9 +38,9 @@ def exact(x):
 
 # %% [markdown]
 # The facets of the bottom side have the tag 3. `measure=ds(3)` tells `ObstacleProblem` that contact is possible on
-# these facets only. The rest is ordinary DOLFINx. The exact values are prescribed on the other three sides. The
-# corner $(-1, 0)$ is excluded, since it belongs to the contact set. `method="vi"` solves the variational inequality, so
-# that the error has no part from the penalty.
+# these facets only. The rest is ordinary DOLFINx. The exact values are prescribed on the other three sides, but not at
+# the corner $(-1, 0)$, which belongs to the contact set. `method="vi"` solves the variational inequality without a
+# penalty. The error is then the error of the discretisation.
 
 
 # %%
@@ -66,10 +67,10 @@ solutions = [signorini(n) for n in sizes]
 
 
 # %% [markdown]
-# ## Error, force and length
+# ## Error, contact force and contact length
 #
-# $u$ is in $H^s$ for all $s < 5/2$, so linear elements have order 1 in the energy norm
-# $\|\nabla(u - u_h)\|_0$. The energy norm of the error is computed with the exact gradient and a quadrature rule of
+# $u$ is in $H^s$ for all $s < 5/2$. The error $\|\nabla(u - u_h)\|_0$ of the computed solution $u_h$ in the energy norm
+# therefore has order 1 with linear elements. It is computed from the exact gradient with a quadrature rule of
 # degree 6. `solution.area` is the measure of the contact set, here a length.
 
 
@@ -99,7 +100,7 @@ assert np.isclose(lengths[-1], 1, atol=1 / 64)
 # %% [markdown]
 # ## Picture
 #
-# Left: $u$ and the pressure along the bottom side, on the second mesh. Right: the error over the mesh size.
+# Left: $u$ and the pressure along the bottom side, on the second mesh. Right: the energy error over the mesh size $h$.
 
 # %%
 line = solutions[1].along((-1, 0), (1, 0), n=33)
