@@ -1,10 +1,10 @@
 # %% [markdown]
 # # A certified tolerance
 #
-# A proof of safety needs a bound of the error. `solve(scene, tol=0.03)` refines the mesh and
-# reduces the penalty parameter until the relative error in the energy norm
-# $\|v\|_a = (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %. This works for scenes with a tension $\mu$ and
-# a load $f$ on a mesh of triangles. The page *Error bound* of the documentation lists all cases that are covered.
+# To prove that a structure is safe, an estimate of the error is not enough: you need a bound. `solve(scene,
+# tol=0.03)` refines the mesh and reduces the penalty parameter until the relative error in the energy norm $\|v\|_a =
+# (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %. This works for scenes with a tension $\mu$ and a load
+# $f$ on a mesh of triangles. The page *Error bound* of the documentation lists all cases that are covered.
 #
 # The proof is an inequality without unknown constants. Let $u$ be the exact solution, and $\psi$ the obstacle below it.
 # Let $v_h$ be a function close to the computed solution $u_h$ that satisfies the constraint $v_h \ge \psi$. From $u_h$

@@ -8,9 +8,9 @@
 #
 # $$ -\Delta u = p, \qquad u \ge \psi, \qquad p \ge 0, \qquad p\,(u - \psi) = 0 \quad \text{in } \Omega . $$
 #
-# The boundary values are those of a known radial solution. Let $r$ be the distance from the origin. The membrane is in
-# contact with the ball for $r \le a$, and $u = A \ln(R/r)$ with $R = 2$ for $r > a$. At $r = a$ this function has the
-# same value and slope as the ball if
+# The boundary values are those of a known radial solution. Let $r$ be the distance from the origin. For $r \le a$ the
+# membrane is in contact with the ball. For $r > a$ it is $u = A \ln(R/r)$ with $R = 2$. At $r = a$ this function has
+# the same value and slope as the ball if
 #
 # $$ a^2 \left(1 + \ln \frac Ra\right) = 1, \qquad A = \frac{a^2}{\sqrt{1 - a^2}} . $$
 #

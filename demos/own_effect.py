@@ -35,7 +35,7 @@ comm = MPI.COMM_WORLD
 
 @register
 class Electrostatic(Effect):
-    """lambda/(1 + u)^2 on the left side, lambda >= 0; unit: force per area times length squared."""
+    """lambda/(1 + u)^2 on the left side of the equation; lambda >= 0 is a force per area times length squared."""
 
     key = "electrostatic"
     equation = "electrostatic/(1 + u)^2"

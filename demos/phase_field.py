@@ -141,9 +141,9 @@ for t in loads:
         print(f"t = {t:4.2f}  {steps:3d} steps  crack length {lengths[-1]:.3f}  surface energy {surfaces[-1]:.3f}")
 
 # %% [markdown]
-# The crack grows from $t = 2.5$ to $t = 3.25$. The slope of its length over the load is there $\sqrt{\mu H/G_c} = 1$ to
-# within 5 %, and the surface energy per unit of crack length is $G_c = 1$ to within 5 %. When the load decreases, the
-# length does not change.
+# The crack grows from $t = 2.5$ to $t = 3.25$. In this range the computed slope of the crack length over the load
+# agrees with $\sqrt{\mu H/G_c} = 1$ to within 5 %. The computed surface energy per unit of crack length agrees with
+# $G_c = 1$, also to within 5 %. When the load decreases, the length does not change.
 
 # %%
 growing = slice(loads.index(2.5), loads.index(3.25) + 1)
