@@ -37,11 +37,32 @@ def violation(problem: Problem, active: np.ndarray) -> str | None:
     time = problem.model.time
     if time is not None and time.order != EQUILIBRIA:
         return None
-    for check in (_beyond_range, _torn, _sensitive, _trapped):
+    for check in (_not_borne, _beyond_range, _torn, _sensitive, _trapped):
         found = check(problem, active)
         if found is not None:
             return found
     return None
+
+
+def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
+    """Parts of the mesh that contact alone holds: the contact forces balance the load.
+
+    Without contact A is singular there, and u may be so large that the load is below the round-off of the residual.
+    """
+    if problem.borne is None:
+        return None
+    count, component = problem.level.parts
+    problem.forms.elastic(problem.elastic)
+    forces = np.where(problem.active_dofs(active != 0), problem.elastic.array_r, 0.0)
+    sums = np.asarray(problem.level.comm.allreduce(np.bincount(component[: len(forces)], forces, count)))
+    wrong = np.abs(sums + problem.borne) > LIMIT * np.abs(problem.borne)
+    if not wrong.any():
+        return None
+    load = problem.borne[np.flatnonzero(wrong)[0]]
+    return (
+        f"contact alone holds u, and the contact forces differ by more than 1 % from the load, {load:.3g} in all: "
+        "round-off determines u"
+    )
 
 
 def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
