@@ -376,3 +376,11 @@ def test_contact_bears_the_small_rest_of_a_load(cells, net, method):
     answer = solve(scene, method=method)
     assert answer.report["force"] == pytest.approx(net, rel=0.01)
     assert answer.report["end"] == pytest.approx(1 / 12, rel=1 / cells)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_contact_bears_the_load_of_the_estimator(element):
+    """With a bound the load is that of the estimator, which resolves a jump inside cells."""
+    scene = loose({**SQUARE, "cells": 5}, load="where(x < 0.3123, -5, 1)", lower=-0.2, report={"force": "integral(p)"})
+    answer = solve(scene, element=element, bound=True)
+    assert answer.report["force"] == pytest.approx(5 * 0.3123 - 0.6877, rel=1e-6)

@@ -49,8 +49,7 @@ class Problem:
         thickness: What a weight is per unit of length where contact is on the boundary, else 1: p times it is a force
             per length there.
         floating: Whether only contact holds some part of the mesh.
-        borne: The load on each connected part of the mesh that contact alone bears, not-a-number on others; None where
-            there are none.
+        borne: For each connected part of the mesh whether contact alone bears its load; None where there are none.
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.

@@ -34,8 +34,8 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray
 
     Returns:
         Values of u at local dofs in contact, on components where u is given nowhere, not-a-number elsewhere; None where
-        there are none. Whether on one of these nothing but contact holds u. And the load on each component on which
-        contact alone is in balance with it, not-a-number on others; None where there are none.
+        there are none. Whether on one of these nothing but contact holds u. And for each component
+        whether contact alone bears its load; None where there are none.
 
     Raises:
         InputError: Since no u is in balance, or since round-off would decide which one is.
@@ -97,7 +97,7 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray
             nowhere = np.zeros(count, dtype=bool)
             _refuse(problem, int(np.flatnonzero(undecided)[0]), nowhere, nowhere, net, held, count)
     by_contact = loose & ~holds & (np.abs(net) > size) & all(one is None for one in soft)
-    return start, bool((loose & ~holds).any()), np.where(by_contact, net, np.nan) if by_contact.any() else None
+    return start, bool((loose & ~holds).any()), by_contact if by_contact.any() else None
 
 
 def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:

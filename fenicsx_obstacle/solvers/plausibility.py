@@ -16,7 +16,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
+from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_at, forces_of_data, range_of_data
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 
 NEAR = 1e-8  # of the values of the data: not beyond them
@@ -53,14 +53,18 @@ def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
         return None
     count, component = problem.level.parts
     problem.forms.elastic(problem.elastic)
-    forces = np.where(problem.active_dofs(active != 0), problem.elastic.array_r, 0.0)
-    sums = np.asarray(problem.level.comm.allreduce(np.bincount(component[: len(forces)], forces, count)))
-    wrong = np.abs(sums + problem.borne) > LIMIT * np.abs(problem.borne)
+    contact = np.where(problem.active_dofs(active != 0), problem.elastic.array_r, 0.0)
+
+    def sums(values: np.ndarray) -> np.ndarray:
+        return np.asarray(problem.level.comm.allreduce(np.bincount(component[: len(values)], values, count)))
+
+    load = -sums(forces_at(problem, 0.0))  # the estimator's load may have replaced that of the first check
+    wrong = problem.borne & (np.abs(sums(contact) + load) > LIMIT * np.abs(load))
     if not wrong.any():
         return None
-    load = problem.borne[np.flatnonzero(wrong)[0]]
+    force = load[np.flatnonzero(wrong)[0]]
     return (
-        f"contact alone holds u, and the contact forces differ by more than 1 % from the load, {load:.3g} in all: "
+        f"contact alone holds u, and the contact forces differ by more than 1 % from the load, {force:.3g} in all: "
         "round-off determines u"
     )
 
