@@ -361,3 +361,26 @@ def test_films_that_obstacles_hold():
     for force, depth in ((1.99, 0.5 * 1.99 / np.sqrt(4 - 1.99**2)), (2.5, 20)):
         scene = Scene(**string, point_load=[{"at": 0.5, "force": -force}], lower=-20)
         assert extremes(solve(scene, method="vi"))[0] == pytest.approx(-depth, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("net", [1e-6, 1e-10, 1e-12])
+@pytest.mark.parametrize("cells", [31, 32, 64])
+def test_contact_bears_the_small_rest_of_a_load(cells, net, method):
+    """A free string on the ground: the load changes its sign, and contact bears what is left of it.
+
+    Without contact A is singular; u was then 4e8, so that the load was below the round-off of the residual.
+    """
+    scene = Scene(mesh={"shape": "interval", "cells": cells}, tension=1, load=f"x - 1/2 - {net}", lower=0, boundary=[],
+                  report={"force": "integral(p)", "end": "at(u, 1)"})  # fmt: skip
+    answer = solve(scene, method=method)
+    assert answer.report["force"] == pytest.approx(net, rel=0.01)
+    assert answer.report["end"] == pytest.approx(1 / 12, rel=1 / cells)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_contact_bears_the_load_of_the_estimator(element):
+    """With a bound the load is that of the estimator, which resolves a jump inside cells."""
+    scene = loose({**SQUARE, "cells": 5}, load="where(x < 0.3123, -5, 1)", lower=-0.2, report={"force": "integral(p)"})
+    answer = solve(scene, element=element, bound=True)
+    assert answer.report["force"] == pytest.approx(5 * 0.3123 - 0.6877, rel=1e-6)

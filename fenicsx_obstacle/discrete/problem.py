@@ -49,6 +49,7 @@ class Problem:
         thickness: What a weight is per unit of length where contact is on the boundary, else 1: p times it is a force
             per length there.
         floating: Whether only contact holds some part of the mesh.
+        borne: For each connected part of the mesh whether contact alone bears its load; None where there are none.
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
@@ -82,7 +83,7 @@ class Problem:
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
         self.load = self._load_sum()
         check_limit_load(self)
-        self._start, self.floating = self._check_support()
+        self._start, self.floating, self.borne = self._check_support()
         self.set_reference(self.cold_start())
 
     def _make_forms(self) -> Forms:
@@ -102,7 +103,7 @@ class Problem:
                 raise InputError(f"{model.source}: {message}")
         return (Nodal if self.affine and pair.nodal else Forms)(model.effects, self.data)
 
-    def _check_support(self) -> tuple[np.ndarray | None, bool]:
+    def _check_support(self) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
         """The result of `check_support`."""
         return check_support(self)
 
@@ -166,7 +167,7 @@ class Problem:
             self.__dict__.pop("m_matrix", None)
         self.load = self._load_sum()
         check_limit_load(self)
-        self._start, self.floating = self._check_support()
+        self._start, self.floating, self.borne = self._check_support()
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:

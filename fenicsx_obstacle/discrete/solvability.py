@@ -21,7 +21,7 @@ EPSILON = float(np.finfo(float).eps)
 LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a solution meaningless
 
 
-def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
+def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
     """Check that each connected part of the mesh is supported, and find a start for parts that only contact supports
     (collective).
 
@@ -34,14 +34,15 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
 
     Returns:
         Values of u at local dofs in contact, on components where u is given nowhere, not-a-number elsewhere; None where
-        there are none. And whether on one of these nothing but contact holds u.
+        there are none. Whether on one of these nothing but contact holds u. And for each component
+        whether contact alone bears its load; None where there are none.
 
     Raises:
         InputError: Since no u is in balance, or since round-off would decide which one is.
     """
     comm, level = problem.level.comm, problem.level
     if level.shape is not None and total(comm, np.count_nonzero(problem.fixed)) > 0:
-        return None, False
+        return None, False, None
     count, component = level.parts
     own = component[: level.owned]
 
@@ -50,7 +51,7 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
 
     loose = sums(problem.fixed.astype(float)) == 0
     if not loose.any():
-        return None, False
+        return None, False, None
     hard = problem.obstacles()
     soft = _soft_obstacles(problem)
     rest, shift = _between(comm, soft)
@@ -73,7 +74,7 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
     side = np.where(up & (~down | (net <= 0)), -1, 1)
     side[~(loose & (up | down) & (~holds | problem.constrained))] = 0
     if not side.any():
-        return None, False
+        return None, False, None
     start = np.full(len(component), np.nan)
     for sign, obstacle, soft_one, one in zip((-1, 1), hard, soft, stiff, strict=True):
         here, u_values = (side == sign)[component], np.broadcast_to(obstacle, len(component))
@@ -95,7 +96,8 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool]:
         if undecided.any():
             nowhere = np.zeros(count, dtype=bool)
             _refuse(problem, int(np.flatnonzero(undecided)[0]), nowhere, nowhere, net, held, count)
-    return start, bool((loose & ~holds).any())
+    by_contact = loose & ~holds & (np.abs(net) > size) & all(one is None for one in soft)
+    return start, bool((loose & ~holds).any()), by_contact if by_contact.any() else None
 
 
 def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:

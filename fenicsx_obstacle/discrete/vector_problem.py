@@ -115,8 +115,8 @@ class VectorProblem(RigidMotions):
         sides = ((self.data.lower, -1.0), (self.data.upper, 1.0))
         return [(bound.x.array, sign) for bound, sign in sides if bound is not None]
 
-    def _check_support(self) -> tuple[np.ndarray | None, bool]:
-        return None, check_held(self)
+    def _check_support(self) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
+        return None, check_held(self), None
 
     def cold_start(self) -> np.ndarray:
         """u = 0 but for given values; beyond the obstacle at all contact nodes, where contact alone holds the body."""

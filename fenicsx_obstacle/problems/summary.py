@@ -161,11 +161,12 @@ def main_values(r: Mapping[str, Any]) -> list[str]:
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
     """The values of [report], by name; extremes with their places."""
     places, found, goal = record.get("report_places", {}), {}, record.get("goal", {})
-    guaranteed = record.get("bound", {}).get("outputs", {})
+    guaranteed, words = record.get("bound", {}).get("outputs", {}), record.get("bound", {}).get("words")
+    why = "" if words == "certified" else f"; {words}"
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
         if name in guaranteed:
-            where = f" (error at most {guaranteed[name]['error']:.2g})"
+            where = f" (error at most {guaranteed[name]['error']:.2g}{why})"
         if value is None:
             found[name] = "not finite"
         elif name == goal.get("name"):

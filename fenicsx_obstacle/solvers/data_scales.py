@@ -38,23 +38,27 @@ def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
     return smallest(comm, known), largest(comm, known)
 
 
-def forces_of_data(problem: Problem) -> float:
-    """The scale of the forces of the data (collective): the load, or the elastic forces of a u that equals the boundary
-    values and obstacles and is constant elsewhere."""
-    comm, forms = problem.level.comm, problem.forms
+def forces_at(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
+    """a(u, .) - f at owned dofs for this u; the state stays as it is (collective)."""
+    forms = problem.forms
     w, r, elastic = problem.w.x.array, problem.reference.x.array, problem.elastic.array
     kept = w.copy(), r.copy(), elastic.copy()
-    flat = problem.flat()
-    r[:] = 0.0
-    sums = [problem.load]
-    for heights, rows in ((0.0, ~problem.fixed), (flat, slice(None))):
-        w[:] = heights
-        forms.set_reference()
-        forms.elastic(problem.elastic)
-        sums.append(total(comm, np.abs(problem.elastic.array_r[rows])))
+    w[:], r[:] = u_values, 0.0
+    forms.set_reference()
+    forms.elastic(problem.elastic)
+    found = problem.elastic.array_r.copy()
     w[:], r[:] = kept[0], kept[1]
     forms.set_reference()
     problem.elastic.array[:] = kept[2]
+    return found
+
+
+def forces_of_data(problem: Problem) -> float:
+    """The scale of the forces of the data (collective): the load, or the elastic forces of a u that equals the boundary
+    values and obstacles and is constant elsewhere."""
+    comm, sums = problem.level.comm, [problem.load]
+    for heights, rows in ((0.0, ~problem.fixed), (problem.flat(), slice(None))):
+        sums.append(total(comm, np.abs(forces_at(problem, heights)[rows])))
     return max(sums)
 
 

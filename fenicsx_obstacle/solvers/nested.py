@@ -48,8 +48,8 @@ def solve_nested(
         The outcome of each level that was solved, the finest last.
 
     Raises:
-        NotConverged: On the finest level, where the coarsest level is algebraic from a cold start too. A coarse state
-            is a start, converged or not, if the problem is affine.
+        NotConverged: On the finest level; where the coarsest level is algebraic, or contact alone bears the load, from
+            a cold start too. A coarse state is a start, converged or not, if the problem is affine.
     """
     if start is not None and (found := solve_from(grids[-1], start, solve)) is not None:
         return [found]
@@ -69,9 +69,9 @@ def solve_nested(
             outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY | unwatched)))
         except NotConverged as error:
             if finest:
-                if not _algebraic(grids):
+                if not (_algebraic(grids) or problem.borne is not None):
                     raise
-                _log.info("no convergence from the algebraic levels: continuing with a cold start")
+                _log.info("no convergence from the coarser levels: continuing with a cold start")
                 problem.set_reference(problem.cold_start())
                 last = solve(problem)
                 outcomes.append(replace(last, iterations=error.iterations + last.iterations))

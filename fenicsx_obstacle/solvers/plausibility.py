@@ -16,7 +16,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
+from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_at, forces_of_data, range_of_data
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 
 NEAR = 1e-8  # of the values of the data: not beyond them
@@ -37,11 +37,36 @@ def violation(problem: Problem, active: np.ndarray) -> str | None:
     time = problem.model.time
     if time is not None and time.order != EQUILIBRIA:
         return None
-    for check in (_beyond_range, _torn, _sensitive, _trapped):
+    for check in (_not_borne, _beyond_range, _torn, _sensitive, _trapped):
         found = check(problem, active)
         if found is not None:
             return found
     return None
+
+
+def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
+    """Parts of the mesh that contact alone holds: the contact forces balance the load.
+
+    Without contact A is singular there, and u may be so large that the load is below the round-off of the residual.
+    """
+    if problem.borne is None:
+        return None
+    count, component = problem.level.parts
+    problem.forms.elastic(problem.elastic)
+    contact = np.where(problem.active_dofs(active != 0), problem.elastic.array_r, 0.0)
+
+    def sums(values: np.ndarray) -> np.ndarray:
+        return np.asarray(problem.level.comm.allreduce(np.bincount(component[: len(values)], values, count)))
+
+    load = -sums(forces_at(problem, 0.0))  # the estimator's load may have replaced that of the first check
+    wrong = problem.borne & (np.abs(sums(contact) + load) > LIMIT * np.abs(load))
+    if not wrong.any():
+        return None
+    force = load[np.flatnonzero(wrong)[0]]
+    return (
+        f"contact alone holds u, and the contact forces differ by more than 1 % from the load, {force:.3g} in all: "
+        "round-off determines u"
+    )
 
 
 def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:
