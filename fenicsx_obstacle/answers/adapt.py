@@ -166,16 +166,41 @@ class Work:
         unknowns: Of the mesh, and of the finer meshes that its estimate took.
         solves: How often it was solved, each time with a smaller eps.
         seconds: Processor time of the main thread, the largest of all ranks: elapsed time, if nothing else runs.
+        elapsed: Elapsed time.
+        memory_mb: Peak of the process after it.
     """
 
     unknowns: int
     solves: int
     seconds: float
+    elapsed: float
+    memory_mb: float
 
     @property
     def rate(self) -> float:
         """Seconds for each unknown of each solve."""
         return self.seconds / (self.unknowns * self.solves)
+
+
+class _Clock:
+    """Elapsed time and processor time of this thread since the last reading."""
+
+    def __init__(self) -> None:
+        self._last = self._now()
+
+    def read(self, comm: MPI.Comm) -> tuple[float, float]:
+        """Seconds of both, the largest of all ranks; the next reading starts here (collective)."""
+        before, self._last = self._last, self._now()
+        elapsed, processor = (largest(comm, end - start) for start, end in zip(before, self._last, strict=True))
+        return elapsed, processor
+
+    def restart(self) -> None:
+        """The next reading starts here."""
+        self._last = self._now()
+
+    @staticmethod
+    def _now() -> tuple[float, float]:
+        return time.perf_counter(), time.thread_time()
 
 
 class Refinement:
@@ -198,7 +223,7 @@ class Refinement:
         self.path: list[dict[str, Any]] = []
         self.work: list[Work] = []
         self._solves = 0  # on the present mesh
-        self._started, self._thread_started = time.perf_counter(), time.thread_time()
+        self._started, self._clock = time.perf_counter(), _Clock()
 
     def meshes(self, unknowns: float = np.inf) -> Generator[tuple[SolverContext, Answer], None, None]:
         """Each solver context and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
@@ -219,7 +244,7 @@ class Refinement:
                 paused = time.perf_counter()
                 yield context, answer
                 self._started += time.perf_counter() - paused
-                self._thread_started = time.thread_time()
+                self._clock.restart()
                 finer = context.refined(marked(indicator, self.share(answer), self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
@@ -237,6 +262,17 @@ class Refinement:
         bound, dofs = _bound(answer), answer.record["dofs"]
         self.note(answer, bound.total, bound.relative, dofs)
         return answer, _indicator(answer)
+
+    def work_of(self, context: SolverContext, cells: np.ndarray) -> Work:
+        """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
+        options, path, work = self.options, list(self.path), list(self.work)
+        context.forget_estimator()
+        self._clock.restart()
+        with closing(context.refined(cells)) as finer:
+            self.assessed(finer)
+        found = self.work[-1]
+        self.options, self.path, self.work = options, path, work
+        return found
 
     def share(self, answer: Answer) -> float:
         """The share of the error whose cells are refined next, for this element."""
@@ -272,8 +308,8 @@ class Refinement:
         self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
                           "eps": record["eps"], "seconds": time.perf_counter() - self._started,
                           "memory_mb": record["memory_mb"]})  # fmt: skip
-        seconds = largest(self.comm, time.thread_time() - self._thread_started)
-        self.work.append(Work(unknowns, self._solves, seconds))
+        elapsed, seconds = self._clock.read(self.comm)
+        self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
 
     def exhausted(self, unknowns: float, dim: int) -> str | None:
