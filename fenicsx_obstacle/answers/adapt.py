@@ -341,10 +341,11 @@ class Adaptation(Refinement):
     Attributes:
         tolerance: Of the error in the energy norm.
         relative: Whether it is relative to the energy norm of u.
-        power: The error of smooth solutions is of this order times degree in h.
+        power: The error of smooth solutions is of this power of the energy error.
+        steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
     """
 
-    power = 1
+    power, steady = 1, True
 
     def __init__(
         self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget | None, comm: MPI.Comm

@@ -135,7 +135,7 @@ class GoalAdaptation(Adaptation):
         estimate: Of its error on the last mesh.
     """
 
-    power = 2
+    power, steady = 2, False
     estimate: Estimate
 
     def __init__(

@@ -9,16 +9,15 @@ coarse ones stay as levels of multigrid.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Refinement, Work, adaptation
+from fenicsx_obstacle.answers.adapt import Adaptation, Refinement, Work, adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.memory import free_megabytes
@@ -32,6 +31,7 @@ AGREE = 1.2  # ratio of two measurements that agree
 SETTLED = 5  # meshes at the end of the calibration from which is extrapolated
 ROUND_OFF = 1e-9  # of a number of meshes
 MIN_MESHES = 3  # meshes at least
+AVERAGED = 3  # meshes at the end over which fluctuating errors are averaged
 ORDERS = (0.7, 1.1)  # of the error in 1/unknowns, over that of smooth solutions: what is believed
 
 
@@ -106,9 +106,7 @@ def forecast(
                 larger = _larger(run, context, dim, seconds)
                 free = free_megabytes(run.comm)
                 break
-    errors = [step["relative" if run.relative else "total"] for step in run.path]
-    order = run.power * scene.pair.degree / dim
-    return continued(run.path, run.work, errors, run.tolerance, order, larger, free)
+    return continued(run, dim, larger, free)
 
 
 def _larger(run: Refinement, context: SolverContext, dim: int, seconds: float) -> Sequence[Work]:
@@ -134,32 +132,28 @@ def closest(measured: Sequence[Work]) -> tuple[float, float]:
     return min((high / low, low) for low, high in pairwise(rates))
 
 
-def continued(
-    path: Sequence[Mapping[str, Any]],
-    work: Sequence[Work],
-    errors: Sequence[float],
-    tolerance: float,
-    smooth: float,
-    larger: Sequence[Work],
-    free: float = np.inf,
-) -> Forecast:
-    """The path of a refinement continued to a tolerance (local).
+def continued(run: Adaptation, dim: int, larger: Sequence[Work], free: float = np.inf) -> Forecast:
+    """The path of a refinement continued to its tolerance (local).
 
     Args:
-        path: Its meshes.
-        work: For each of them.
-        errors: On each of them.
-        tolerance: Of the error.
-        smooth: Order of the error in 1/unknowns, of smooth solutions.
-        larger: Measurements of the work for a larger mesh; of the last two meshes if there are none.
+        run: Its first meshes.
+        dim: Dimension of the mesh.
+        larger: Measurements of the work for a larger mesh; the last two meshes serve if there are none.
         free: Free memory in MB.
     """
-    dofs, relative = np.array([float(step["dofs"]) for step in path]), np.array(errors)
+    path, work = run.path, run.work
+    dofs = np.array([float(step["dofs"]) for step in path])
+    log_errors = np.log([step["relative" if run.relative else "total"] for step in path])
     last = slice(-min(SETTLED, len(path)), None)
-    order = -_slope(np.log(dofs[last]), np.log(relative[last]))
-    order = float(np.clip(order, *(smooth * np.array(ORDERS))))
-    wanted = dofs[-1] * (relative[-1] / tolerance) ** (1 / order)
+    smooth = run.power * run.scene.pair.degree / dim
+    order = float(np.clip(-_slope(np.log(dofs[last]), log_errors[last]), *(smooth * np.array(ORDERS))))
     growth = float(np.clip((dofs[-1] / dofs[last][0]) ** (1 / max(len(dofs[last]) - 1, 1)), 1.2, 4.0))
+    # the unknowns of a tolerance, from each of the last meshes
+    each_wanted = np.log(dofs) + (log_errors - np.log(run.tolerance)) / order
+    if run.steady:
+        wanted = float(np.exp(each_wanted[-1]))
+    else:  # the tolerance is reached somewhere between the last two meshes
+        wanted = float(max(np.exp(each_wanted[-AVERAGED:].mean()), dofs[-1]) * np.sqrt(growth))
     count = max(int(np.ceil(np.log(wanted / dofs[-1]) / np.log(growth) - ROUND_OFF)), 1)
     later = dofs[-1] * (wanted / dofs[-1]) ** (np.arange(1, count + 1) / count)
     unknowns, solved, seconds = (
