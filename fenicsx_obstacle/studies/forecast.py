@@ -28,11 +28,12 @@ LARGER = 4.0  # unknowns of the larger mesh over those of the last one, at most
 LARGER_SECONDS = 2.0  # time of the larger mesh over `SECONDS`, at most
 REPEATS = 3  # of the larger mesh, at most
 AGREE = 1.2  # ratio of two measurements that agree
-SETTLED = 5  # meshes at the end of the calibration from which is extrapolated
+SETTLED, SPAN = 5, 20.0  # meshes at the end of the calibration from which is extrapolated: so many, over this growth
 ROUND_OFF = 1e-9  # of a number of meshes
 MIN_MESHES = 3  # meshes at least
 AVERAGED = 3  # meshes at the end over which fluctuating errors are averaged
-ORDERS = (0.7, 1.1)  # of the error in 1/unknowns, over that of smooth solutions: what is believed
+ORDERS = {True: (0.7, 1.1), False: (0.9, 1.1)}  # of the error in 1/unknowns, over that of smooth solutions: what is
+# believed of an error that falls steadily, and of one that fluctuates
 
 
 @dataclass(frozen=True)
@@ -144,9 +145,10 @@ def continued(run: Adaptation, dim: int, larger: Sequence[Work], free: float = n
     path, work = run.path, run.work
     dofs = np.array([float(step["dofs"]) for step in path])
     log_errors = np.log([step["relative" if run.relative else "total"] for step in path])
-    last = slice(-min(SETTLED, len(path)), None)
+    settled = int(np.clip(np.count_nonzero(SPAN * dofs >= dofs[-1]), MIN_MESHES, SETTLED))
+    last = slice(-settled, None)
     smooth = run.power * run.scene.pair.degree / dim
-    order = float(np.clip(-_slope(np.log(dofs[last]), log_errors[last]), *(smooth * np.array(ORDERS))))
+    order = float(np.clip(-_slope(np.log(dofs[last]), log_errors[last]), *(smooth * np.array(ORDERS[run.steady]))))
     growth = float(np.clip((dofs[-1] / dofs[last][0]) ** (1 / max(len(dofs[last]) - 1, 1)), 1.2, 4.0))
     # the unknowns of a tolerance, from each of the last meshes
     each_wanted = np.log(dofs) + (log_errors - np.log(run.tolerance)) / order
