@@ -26,7 +26,7 @@ from fenicsx_obstacle.verification.hard.families.solid_meshes import octants, te
 CASES = (
     "ball:P1:0.012 nsv:P1:0.01 torsion_disk:P1:0.005 disk_flat:P1:0.01 smooth_square:P1:0.006 halfplane:P1:0.005 "
     "cone:P1:0.015 ball:P2:5e-4 nsv:P2:3e-4 disk_flat:P2:2e-4 two_obstacle_square:P2:1e-3 biactive:P2:1e-3 "
-    "string_parabola:P1:3e-6 ball_in_a_cube:P1:0.06 prism:P1:0.09 nsv:P1:5e-4:volume disk_flat:P1:1e-4:force "
+    "string_parabola:P1:2e-5 ball_in_a_cube:P1:0.06 prism:P1:0.09 nsv:P1:5e-4:volume disk_flat:P1:1e-4:force "
     "prism:P1:0.04:volume"
 )
 

@@ -89,7 +89,7 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@click.option("--tol", type=float, metavar="R", help="Also forecast the cost of 'solve --tol R'; takes a few seconds.")
+@click.option("--tol", type=float, metavar="R", help="Also forecast the cost of 'solve --tol R'; takes some seconds.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same for 'solve --tol-absolute E'.")
 @click.option("--of", "goal", metavar="NAME", help="The tolerance is for this: energy, force, or a name of [report].")
 @options(*CHANGES, "plugin")

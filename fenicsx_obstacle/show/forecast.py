@@ -45,12 +45,12 @@ def _words(found: Forecast, error: str, factor: int) -> str:
         return f"{expected} (measured: the calibration has reached the tolerance)"
     sure = found.agrees and found.busy <= BUSY
     certain = f"{'' if sure else 'unknowns and memory '}within a factor of {factor}"
-    lines = [f"{expected} (from {duration(found.calibration)} of calibration, in which the {error} was proportional to "
+    lines = [f"{expected} (from {duration(found.calibration)} of calibration; the {error} is taken as proportional to "
              f"unknowns^-{found.order:.2f}; {certain})."]  # fmt: skip
     if not found.agrees:
         lines.append(f"The time is uncertain: measured times per unknown differ by a factor of {found.spread:.1f}.")
     if found.busy > BUSY:
-        lines.append(f"The machine is busy: elapsed time is {found.busy:.1f} times processor time now, and both are "
+        lines.append(f"The machine is busy: elapsed time is {found.busy:.1f} times processor time now, and both may be "
                      "longer than without other programs.")  # fmt: skip
     if not found.fits:
         lines.append("This is more memory than is free.")
