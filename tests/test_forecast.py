@@ -5,6 +5,7 @@ from contextlib import closing
 
 import pytest
 from conftest import COMM, DEMOS, membrane, slow_except
+from test_cli import run as command
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.adapt import Adaptation, Work, adaptation
@@ -153,3 +154,13 @@ def test_what_is_reached_on_the_way():
         forecast(flat, 0.1)
     with pytest.raises(InputError, match="not for scenes with"):
         forecast(Scene.read(DEMOS / "put.toml"), 0.1)
+
+
+@pytest.mark.serial
+def test_command():
+    """`explain` takes the tolerance and the quantity as `solve` does."""
+    done = command("explain", "disk_flat", "--tol", "0.05", "--of", "force")
+    assert done.returncode == 0, done.stderr
+    assert "--tol         0.05 --of force: expect about " in done.stdout and "has reached the tolerance" in done.stdout
+    wrong = command("explain", "disk_flat", "--of", "force")
+    assert wrong.returncode == 2 and "--of needs a tolerance: add --tol" in wrong.stderr
