@@ -28,12 +28,13 @@ LARGER = 4.0  # unknowns of the larger mesh over those of the last one, at most
 LARGER_SECONDS = 2.0  # time of the larger mesh over `SECONDS`, at most
 REPEATS = 3  # of the larger mesh, at most
 AGREE = 1.2  # ratio of two measurements that agree
-SETTLED, SPAN = 5, 20.0  # meshes at the end of the calibration from which is extrapolated: so many, over this growth
+SETTLED = 5  # meshes at the end of the calibration from which is extrapolated, at most
+SPAN = 20.0  # growth of the unknowns over these meshes, at most
 ROUND_OFF = 1e-9  # of a number of meshes
-MIN_MESHES = 3  # meshes at least
+MIN_MESHES = 3  # meshes of the calibration, and of those from which is extrapolated, at least
 AVERAGED = 3  # meshes at the end over which fluctuating errors are averaged
-ORDERS = {True: (0.7, 1.1), False: (0.9, 1.1)}  # of the error in 1/unknowns, over that of smooth solutions: what is
-# believed of an error that falls steadily, and of one that fluctuates
+# of the error in 1/unknowns, over that of smooth solutions: what is believed if it falls steadily, and if it fluctuates
+ORDERS = {True: (0.7, 1.1), False: (0.9, 1.1)}
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,8 @@ def continued(run: Adaptation, dim: int, larger: Sequence[Work], free: float = n
     # coarse meshes stay in memory, finer ones of an estimate do not
     below = -1 if larger else -2
     more = measured[-1].unknowns - unknowns[below] + dofs[below]
-    per_unknown = max((measured[-1].memory_mb - work[below].memory_mb) / more, 0.0)
+    first = larger[0] if larger else work[-1]
+    per_unknown = max((first.memory_mb - work[below].memory_mb) / more, 0.0)
     growing = per_unknown * (dofs[-1] + later[:-1].sum() + per_dof * later[-1] - unknowns[-1])
     return Forecast(
         dofs=float(wanted),
