@@ -35,6 +35,8 @@ MIN_MESHES = 3  # meshes of the calibration, and of those from which is extrapol
 AVERAGED = 3  # meshes at the end over which fluctuating errors are averaged
 # of the error in 1/unknowns, over that of smooth solutions: what is believed if it falls steadily, and if it fluctuates
 ORDERS = {True: (0.7, 1.1), False: (0.9, 1.1)}
+# meshes by which the last mesh is beyond the tolerance, measured: less if only as many cells are refined as it needs
+BEYOND = {True: 0.25, False: 0.5}
 
 
 @dataclass(frozen=True)
@@ -153,10 +155,8 @@ def continued(run: Adaptation, dim: int, larger: Sequence[Work], free: float = n
     growth = float(np.clip((dofs[-1] / dofs[last][0]) ** (1 / max(len(dofs[last]) - 1, 1)), 1.2, 4.0))
     # the unknowns of a tolerance, from each of the last meshes
     each_wanted = np.log(dofs) + (log_errors - np.log(run.tolerance)) / order
-    if run.steady:
-        wanted = float(np.exp(each_wanted[-1]))
-    else:  # the tolerance is reached somewhere between the last two meshes
-        wanted = float(max(np.exp(each_wanted[-AVERAGED:].mean()), dofs[-1]) * np.sqrt(growth))
+    reached = np.exp(each_wanted[-1] if run.steady else each_wanted[-AVERAGED:].mean())
+    wanted = float(max(reached, dofs[-1]) * growth ** BEYOND[run.steady])
     count = max(int(np.ceil(np.log(wanted / dofs[-1]) / np.log(growth) - ROUND_OFF)), 1)
     later = dofs[-1] * (wanted / dofs[-1]) ** (np.arange(1, count + 1) / count)
     unknowns, solved, seconds = (
