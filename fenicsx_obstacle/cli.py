@@ -89,18 +89,22 @@ def solve(
 
 @commands.command()
 @click.argument("scene_file", metavar="SCENE")
-@click.option("--tol", type=float, metavar="R", help="Also forecast the cost of 'solve --tol R'; takes a few seconds.")
+@click.option("--tol", type=float, metavar="R", help="Also forecast the cost of 'solve --tol R'; takes some seconds.")
+@click.option("--tol-absolute", type=float, metavar="E", help="The same for 'solve --tol-absolute E'.")
+@click.option("--of", "goal", metavar="NAME", help="The tolerance is for this: energy, force, or a name of [report].")
 @options(*CHANGES, "plugin")
-def explain(scene_file: str, tol: float | None, **given: Any) -> None:
+def explain(scene_file: str, tol: float | None, tol_absolute: float | None, goal: str | None, **given: Any) -> None:
     """Print the equation, the solver, and what is not included."""
+    if goal is not None and tol is None and tol_absolute is None:
+        raise InputError("--of needs a tolerance: add --tol")
     scene = _read(scene_file, typed(given))
     from fenicsx_obstacle.show.explain import explain
 
     tell(explain(scene))
-    if tol is not None:
+    if tol is not None or tol_absolute is not None:
         from fenicsx_obstacle.show.forecast import forecast_text
 
-        tell(forecast_text(scene, tol))
+        tell(forecast_text(scene, tol, tol_absolute, goal))
 
 
 @commands.command()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,8 +96,8 @@ def solve(
 
         return solve_body(scene, comm, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget,
                           yardstick=yardstick, restart=restart, uncertainty=uncertainty)  # fmt: skip
-    if scene.time is not None and (bound or tol is not None or tol_absolute is not None):
-        raise InputError(f"{scene.source}: the error bound is for one equilibrium, not for scenes with [time]")
+    if bound:
+        check_equilibrium(scene)
     if scene.time is None and restart is not None:
         raise InputError(f"{scene.source}: has no [time], so there is no state to continue from")
     if tol is not None or tol_absolute is not None:
@@ -106,11 +106,7 @@ def solve(
                 "--uncertainty takes three meshes whose cells halve, which adaptive meshes do not: with a tolerance "
                 "there is the error bound; for an uncertainty of each value give --cells or --refine instead of --tol"
             )
-        if goal is not None:
-            from fenicsx_obstacle.answers.goal import GoalAdaptation  # only where there is one
-
-            return GoalAdaptation(scene, goal, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
-        return _Adaptation(scene, tol, tol_absolute, limits, comm).answer(yardstick=yardstick)
+        return adaptation(scene, tol, tol_absolute, goal=goal, budget=limits, comm=comm).answer(yardstick=yardstick)
     for name, given_one in (("a budget", budget), ("--of", goal)):
         if given_one is not None:
             raise InputError(f"{name} needs a tolerance: add --tol")
@@ -133,6 +129,91 @@ def _with_outputs(answer: Answer, context: SolverContext) -> Answer:
     return with_guaranteed_outputs(answer, context)
 
 
+def check_equilibrium(scene: Scene) -> None:
+    """Reject a scene that moves: there is no error bound for it.
+
+    Raises:
+        InputError: If the scene has [time].
+    """
+    if scene.time is not None:
+        raise InputError(f"{scene.source}: the error bound is for one equilibrium, not for scenes with [time]")
+
+
+def adaptation(
+    scene: Scene,
+    tol: float | None,
+    tol_absolute: float | None = None,
+    *,
+    goal: str | None = None,
+    budget: Budget | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Adaptation:
+    """The adaptive refinement for a tolerance; nothing is computed yet.
+
+    Args:
+        scene: What to solve.
+        tol: Relative tolerance, or None.
+        tol_absolute: Absolute tolerance, or None.
+        goal: The quantity that has the tolerance; None for the energy norm.
+        budget: Its limits.
+        comm: Communicator; not used if the scene has a DOLFINx mesh.
+
+    Raises:
+        InputError: If the tolerance or the quantity is wrong, or the scene moves.
+    """
+    check_equilibrium(scene)
+    if goal is None:
+        return Adaptation(scene, tol, tol_absolute, budget, comm)
+    from fenicsx_obstacle.answers.goal import GoalAdaptation  # only where there is one
+
+    return GoalAdaptation(scene, goal, tol, tol_absolute, budget, comm)
+
+
+@dataclass(frozen=True)
+class Work:
+    """The work for one mesh of an adaptive refinement.
+
+    Attributes:
+        unknowns: Of the mesh, and of the finer meshes that its estimate took.
+        solves: How often it was solved, each time with a smaller eps.
+        seconds: Processor time of the main thread, the largest of all ranks: elapsed time, if nothing else runs.
+        elapsed: Elapsed time.
+        memory_mb: Peak of the process after it.
+    """
+
+    unknowns: int
+    solves: int
+    seconds: float
+    elapsed: float
+    memory_mb: float
+
+    @property
+    def rate(self) -> float:
+        """Seconds for each unknown of each solve."""
+        return self.seconds / (self.unknowns * self.solves)
+
+
+class _Clock:
+    """Elapsed time and processor time of this thread since the last reading."""
+
+    def __init__(self) -> None:
+        self._last = self._now()
+
+    def read(self, comm: MPI.Comm) -> tuple[float, float]:
+        """Seconds of both, the largest of all ranks; the next reading starts here (collective)."""
+        before, self._last = self._last, self._now()
+        elapsed, processor = (largest(comm, end - start) for start, end in zip(before, self._last, strict=True))
+        return elapsed, processor
+
+    def restart(self) -> None:
+        """The next reading starts here."""
+        self._last = self._now()
+
+    @staticmethod
+    def _now() -> tuple[float, float]:
+        return time.perf_counter(), time.thread_time()
+
+
 class Refinement:
     """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates.
 
@@ -140,6 +221,7 @@ class Refinement:
         scene: What is solved.
         options: How, with the present eps.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
+        work: Of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
         budget: Its limits.
     """
@@ -150,16 +232,11 @@ class Refinement:
         self.given = scene.options.eps != "auto"  # eps is the user's
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self.path: list[dict[str, Any]] = []
-        self._started = time.perf_counter()
+        self.work: list[Work] = []
+        self._solves = 0  # on the present mesh
+        self._started, self._clock = time.perf_counter(), _Clock()
 
-    @property
-    def bulk(self) -> float:
-        """The share of the bound whose cells are refined, for this element."""
-        return BULK[self.scene.pair.degree]
-
-    def meshes(
-        self, share: Callable[[Answer], float] | None = None, unknowns: float = np.inf
-    ) -> Generator[tuple[SolverContext, Answer], None, None]:
+    def meshes(self, unknowns: float = np.inf) -> Generator[tuple[SolverContext, Answer], None, None]:
         """Each solver context and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
 
         Errors are left to those who want them: `SolverContext.measured`.
@@ -168,20 +245,18 @@ class Refinement:
         is not counted.
 
         Args:
-            share: Of the bound, in the cells to refine; by default `BULK`.
             unknowns: No mesh has more.
         """
         context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
         benches = [context]
         try:
             while True:
-                answer = self.balanced(context)
-                self.note(answer, _bound(answer).total, _bound(answer).relative)
+                answer, indicator = self.assessed(context)
                 paused = time.perf_counter()
                 yield context, answer
                 self._started += time.perf_counter() - paused
-                bulk = self.bulk if share is None else share(answer)
-                finer = context.refined(marked(_indicator(answer), bulk, self.comm))
+                self._clock.restart()
+                finer = context.refined(marked(indicator, self.share(answer), self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
@@ -192,11 +267,33 @@ class Refinement:
         finally:
             close(benches)
 
+    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
+        """The answer on one mesh, and the part of its error in each owned cell (collective)."""
+        answer = self.balanced(context)
+        bound, dofs = _bound(answer), answer.record["dofs"]
+        self.note(answer, bound.total, bound.relative, dofs)
+        return answer, _indicator(answer)
+
+    def work_of(self, context: SolverContext, cells: np.ndarray) -> Work:
+        """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
+        options, path, work = self.options, list(self.path), list(self.work)
+        context.forget_estimator()
+        self._clock.restart()
+        with closing(context.refined(cells)) as finer:
+            self.assessed(finer)
+        found = self.work[-1]
+        self.options, self.path, self.work = options, path, work
+        return found
+
+    def share(self, answer: Answer) -> float:
+        """The share of the error whose cells are refined next, for this element."""
+        return BULK[self.scene.pair.degree]
+
     def balanced(self, context: SolverContext) -> Answer:
         """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
         first = not self.path  # a wrong exact solution is reported on the first mesh
         answer = context.answer(self.options, bound=True, errors=first)
-        bound = _bound(answer)
+        bound, self._solves = _bound(answer), 1
         while self.may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
             eps = answer.record["eps"] * max(
                 0.02, PENALTY_SHARE_AHEAD * BALANCED * bound.discretisation / bound.penalty
@@ -204,22 +301,26 @@ class Refinement:
             self.options = replace(self.options, eps=eps)
             answer, before = context.answer(self.options, bound=True, errors=False), bound
             bound = _bound(answer)
+            self._solves += 1
             if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
                 break
         return answer
 
-    def note(self, answer: Answer, total: float, relative: float | None) -> None:
-        """Append a mesh to the path.
+    def note(self, answer: Answer, total: float, relative: float | None, unknowns: int) -> None:
+        """Append a mesh to the path (collective).
 
         Args:
             answer: On this mesh.
             total: Bound or estimate of the error.
             relative: The same, relative; None where that is not defined.
+            unknowns: Of this mesh, and of the finer meshes that the estimate took.
         """
         record = answer.record
         self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
                           "eps": record["eps"], "seconds": time.perf_counter() - self._started,
                           "memory_mb": record["memory_mb"]})  # fmt: skip
+        elapsed, seconds = self._clock.read(self.comm)
+        self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
 
     def exhausted(self, unknowns: float, dim: int) -> str | None:
@@ -245,25 +346,44 @@ class Refinement:
         return answer.record["eps"] is not None and not self.given
 
 
-class _Adaptation(Refinement):
-    """Adaptive refinement until a tolerance is reached or a budget is spent."""
+class Adaptation(Refinement):
+    """Adaptive refinement until a tolerance is reached or a budget is spent.
 
-    def __init__(self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm):
+    Attributes:
+        tolerance: Of the error in the energy norm.
+        relative: Whether it is relative to the energy norm of u.
+        power: The error of smooth solutions is of this power of the energy error.
+        steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
+    """
+
+    power, steady = 1, True
+
+    def __init__(
+        self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget | None, comm: MPI.Comm
+    ):
+        """Check the tolerance.
+
+        Raises:
+            InputError: If it is wrong.
+        """
         self.tolerance, self.relative = check_tolerance(relative, absolute)
         super().__init__(scene, comm, budget)
 
     def answer(self, *, yardstick: bool) -> Answer:
-        """The first answer whose bound is below the tolerance, or the best that the budget allows (collective)."""
+        """The first answer whose error is below the tolerance, or the best that the budget allows (collective)."""
         why: str | None = None
-        with closing(self.meshes(self._share, self.budget.unknowns)) as meshes:
+        with closing(self.meshes(self.budget.unknowns)) as meshes:
             for finest, answer in meshes:
                 context = finest
-                why = "the budget of unknowns" if self.full else self._finished(answer)
+                why = "the budget of unknowns" if self.full else self.finished(answer)
                 if why is not None:
                     break
             if yardstick:
-                answer = context.answer(self.options, yardstick=True, bound=True, errors=False)
-            answer = context.measured(_with_outputs(answer, context))
+                bound = answer.bound is not None
+                answer = context.answer(self.options, yardstick=True, bound=bound, errors=False)
+            if answer.bound is not None:
+                answer = _with_outputs(answer, context)
+            answer = context.measured(answer)
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
         seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
@@ -271,10 +391,11 @@ class _Adaptation(Refinement):
         here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
         return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
-    def _share(self, answer: Answer) -> float:
+    def share(self, answer: Answer) -> float:
         """The share of the bound whose cells are refined next, smaller before the last mesh."""
         beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
-        return min(self.bulk, max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**self.scene.pair.degree)))
+        degree = self.scene.pair.degree
+        return min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
 
     def _limit(self, answer: Answer) -> float:
         """The tolerance in the unit of the energy norm."""
@@ -285,7 +406,7 @@ class _Adaptation(Refinement):
             raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
         return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
 
-    def _finished(self, answer: Answer) -> str | None:
+    def finished(self, answer: Answer) -> str | None:
         """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
         bound, limit = _bound(answer), self._limit(answer)
         if bound.total <= limit:

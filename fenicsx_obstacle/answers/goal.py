@@ -17,24 +17,16 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import (
-    BALANCED,
-    BULK,
-    PENALTY_SHARE_AHEAD,
-    Refinement,
-    check_tolerance,
-    marked,
-)
+from fenicsx_obstacle.answers.adapt import BALANCED, BULK, PENALTY_SHARE_AHEAD, Adaptation
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.solver_context import SolverContext, close
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.dual_weighted import adjoint_of, contributions, energy_contributions
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import nearest
 
@@ -55,6 +47,7 @@ class Estimate:
         penalty: Part of the penalty, >= 0.
         indicator: Contribution of each owned cell.
         dofs: Unknowns of the finest mesh that it took.
+        unknowns: Of all meshes that it took together.
     """
 
     value: float
@@ -62,6 +55,7 @@ class Estimate:
     penalty: float
     indicator: np.ndarray
     dofs: int
+    unknowns: int
 
     @property
     def error(self) -> float:
@@ -132,66 +126,66 @@ class Goal:
         return report.derivative(self.name, per_force)
 
 
-class GoalAdaptation(Refinement):
-    """Adaptive refinement until the error of a quantity is below a tolerance, or a budget is spent."""
+class GoalAdaptation(Adaptation):
+    """Adaptive refinement until the error of a quantity is below a tolerance, or a budget is spent.
+
+    Attributes:
+        goal: The quantity.
+        words: 'estimated', or 'guaranteed' with the words of the bound.
+        estimate: Of its error on the last mesh.
+    """
+
+    power, steady = 2, False
+    estimate: Estimate
 
     def __init__(
-        self, scene: Scene, goal: str, relative: float | None, absolute: float | None, budget: Budget, comm: MPI.Comm
+        self,
+        scene: Scene,
+        goal: str,
+        relative: float | None,
+        absolute: float | None,
+        budget: Budget | None,
+        comm: MPI.Comm,
     ):
         """Check the quantity and the tolerance.
 
         Raises:
             InputError: If one of them is wrong, or the element has no estimate.
         """
-        self.tolerance, self.relative = check_tolerance(relative, absolute)
+        super().__init__(scene, relative, absolute, budget, comm)
         if not (scene.pair.nested_hierarchy and scene.pair.at_vertices):
             raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
-        super().__init__(scene, comm, budget)
         self.goal, self.words = Goal(scene, goal), "estimated"
+        self._bounded: bool | None = None
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose estimate is below the tolerance, or the best that the budget allows (collective)."""
-        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
-        contexts = [context]
-        bounded = self.goal.name == ENERGY and self._has_bound(context)
-        try:
-            while True:
-                found = self._guaranteed(context) if bounded else None
-                if found is None:
-                    bounded, found = False, self._estimated(context)
-                answer, estimate = found
-                size = abs(estimate.value)
-                self.note(answer, estimate.error, estimate.error / size if size > 0 else None)
-                why = self._finished(answer, estimate)
-                if why is not None:
-                    break
-                finer = context.refined(marked(estimate.indicator, BULK[1], self.comm))
-                contexts.append(finer)
-                if finer.problem.level.dofs > self.budget.unknowns:
-                    why = "the budget of unknowns"
-                    break
-                context.forget_estimator()
-                context = finer
-            if yardstick:
-                timed = context.answer(self.options, yardstick=True, errors=False)
-                answer = replace(timed, bound=answer.bound)
-            answer = context.measured(answer)
-        finally:
-            close(contexts)
-        adaptive = {"of": self.goal.name, "tolerance": self.tolerance, "relative": self.relative, "reached": why == "",
-                    "stopped": why, "path": self.path}  # fmt: skip
-        size = abs(estimate.value)
-        relative = estimate.error / size if size > 0 else None
+        answer, estimate = super().answer(yardstick=yardstick), self.estimate
         goal = {
-            "name": self.goal.name, "value": estimate.value, "error": estimate.error, "relative": relative,
+            "name": self.goal.name, "value": estimate.value, "error": estimate.error, "relative": _relative(estimate),
             "words": self.words, "mesh": estimate.mesh, "penalty": estimate.penalty, "dofs": estimate.dofs,
         }  # fmt: skip
-        seconds = {**answer.record["seconds"], "total": self.path[-1]["seconds"]}
-        here = {"cells": None, "refine": None, "seconds": seconds, "goal": goal, "adaptive": adaptive}
-        return replace(answer, record=self.comm.bcast({**answer.record, **here}))
+        adaptive = {"of": self.goal.name, **answer.record["adaptive"]}
+        return replace(answer, record=self.comm.bcast({**answer.record, "goal": goal, "adaptive": adaptive}))
 
-    def _finished(self, answer: Answer, estimate: Estimate) -> str | None:
+    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
+        """The answer on one mesh, and the part of the error of the quantity in each owned cell (collective)."""
+        if self._bounded is None:
+            self._bounded = self.goal.name == ENERGY and self._has_bound(context)
+        found = self._guaranteed(context) if self._bounded else None
+        if found is None:
+            self._bounded, found = False, self._estimated(context)
+        answer, self.estimate = found
+        self.note(answer, self.estimate.error, _relative(self.estimate), self.estimate.unknowns)
+        return answer, self.estimate.indicator
+
+    def share(self, answer: Answer) -> float:
+        """The share of the estimate whose cells are refined next."""
+        return BULK[1]
+
+    def finished(self, answer: Answer) -> str | None:
         """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
+        estimate = self.estimate
         size = abs(estimate.value) if self.relative else 1.0
         limit = self.tolerance * size
         if estimate.error <= limit:
@@ -221,7 +215,7 @@ class GoalAdaptation(Refinement):
         self.words = bound.words.replace("certified", "guaranteed", 1)
         low, high = bound.energy
         half = (high - low) / 2
-        return answer, Estimate(low + half, half, 0.0, bound.indicator, answer.record["dofs"])
+        return answer, Estimate(low + half, half, 0.0, bound.indicator, answer.dofs, answer.dofs)
 
     def _estimated(self, context: SolverContext) -> tuple[Answer, Estimate]:
         """The solution on one mesh, with eps so small that the error of the mesh dominates, and its estimate
@@ -230,11 +224,13 @@ class GoalAdaptation(Refinement):
         Parts of mesh and penalty have signs, and a sum of absolute values is far above the error where they cancel.
         """
         answer, estimate = self._refined(context)
+        self._solves = 1
         while self.may_lower_eps(answer) and estimate.penalty > BALANCED * estimate.mesh:
             share = PENALTY_SHARE_AHEAD * BALANCED * estimate.mesh / estimate.penalty
             self.options = replace(self.options, eps=answer.record["eps"] * max(0.02, share))
             before = estimate.penalty
             answer, estimate = self._refined(context)
+            self._solves += 1
             if estimate.penalty > 0.9 * before:  # round-off
                 break
         return answer, estimate
@@ -284,7 +280,14 @@ class GoalAdaptation(Refinement):
             indicator = np.bincount(level.parents, indicator, own_cells(level.coarse.mesh))
         changes = BEYOND * abs(values[1] - values[0]), abs(values[-1] - values[0])
         mesh = max(*changes, LEAST_SHARE * total(self.comm, indicator))
-        return Estimate(values[0], mesh, penalty, indicator, finest.level.dofs)
+        unknowns = answer.dofs + sum(one.problem.level.dofs for one in finer)
+        return Estimate(values[0], mesh, penalty, indicator, finest.level.dofs, unknowns)
+
+
+def _relative(estimate: Estimate) -> float | None:
+    """The error over the absolute value; None where that is 0."""
+    size = abs(estimate.value)
+    return estimate.error / size if size > 0 else None
 
 
 def at_free_boundary(answer: Answer) -> np.ndarray:

@@ -12,7 +12,7 @@ OTHERS = 1.5  # times as much with effects beside tension and load, measured
 
 def fits(unknowns: float, dim: int, comm: MPI.Comm) -> bool:
     """Whether a mesh with so many unknowns, and a solve on it, fit into memory (collective)."""
-    return unknowns * BYTES_PER_VERTEX[dim] < _free_memory(comm) and unknowns * 6 <= 2**31
+    return unknowns * BYTES_PER_VERTEX[dim] < 1e6 * free_megabytes(comm) and unknowns * 6 <= 2**31
 
 
 def check_memory(unknowns: float, dim: int, comm: MPI.Comm, source: str, remedy: str) -> None:
@@ -22,13 +22,13 @@ def check_memory(unknowns: float, dim: int, comm: MPI.Comm, source: str, remedy:
         InputError: Naming the `source`, with the remedy.
     """
     if not fits(unknowns, dim, comm):
-        needed, free = unknowns * BYTES_PER_VERTEX[dim], _free_memory(comm)
-        margin = f"{needed / 1e9:.3g} GB of memory, {free / 1e9:.3g} GB are free"
+        needed, free = unknowns * BYTES_PER_VERTEX[dim] / 1e9, free_megabytes(comm) / 1e3
+        margin = f"{needed:.3g} GB of memory, {free:.3g} GB are free"
         raise InputError(f"{source}: [mesh] needs about {margin}; {remedy}")
 
 
-def _free_memory(comm: MPI.Comm) -> float:
-    """Bytes that a new process could have; rank 0 looks, others would at another moment (collective)."""
+def free_megabytes(comm: MPI.Comm) -> float:
+    """MB of 10^6 bytes that a new process could have; rank 0 looks, others would at another moment (collective)."""
     with open("/proc/meminfo") as file:
         lines = dict(line.split(":") for line in file)
-    return comm.bcast(1024.0 * float(lines["MemAvailable"].split()[0]))
+    return comm.bcast(1024.0 * float(lines["MemAvailable"].split()[0]) / 1e6)

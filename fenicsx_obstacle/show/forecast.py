@@ -6,27 +6,52 @@ from textwrap import fill
 
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.cost_tables import duration
-from fenicsx_obstacle.studies.forecast import forecast
+from fenicsx_obstacle.studies.forecast import Forecast, forecast
+
+BUSY = 1.2  # elapsed over processor time of a machine that does something else
+BOUND, ESTIMATE = ("bound", 2), ("error", 3)  # what falls, and the factor within which forecasts are, measured
 
 
-def forecast_text(scene: Scene, tol: float) -> str:
+def forecast_text(scene: Scene, tol: float | None, tol_absolute: float | None = None, goal: str | None = None) -> str:
     """Lines for `explain --tol` (collective): a few seconds of calibration.
 
     Raises:
         InputError: As `forecast`.
         NotConverged: As `forecast`.
     """
-    found = forecast(scene, tol)
-    size = (
-        f"about {found.dofs:.3g} unknowns on mesh {found.meshes}, {duration(found.seconds)}, {found.memory_mb:.0f} MB"
-    )
-    if found.reached:
-        how = "measured: the calibration has reached the tolerance"
-    else:
-        spent, order = duration(found.calibration), f"{found.order:.2f}"
-        how = (
-            f"from {spent} of calibration, in which the bound was proportional to unknowns^-{order}; within a "
-            "factor of 2"
-        )
-    first = f"  {'--tol':10}"
-    return fill(f"{tol:g}: expect {size} ({how})", 110, initial_indent=first, subsequent_indent=" " * 14)
+    found = forecast(scene, tol, tol_absolute, goal=goal)
+    asked = f"{tol:g}" if tol is not None else f"{tol_absolute:g}"
+    if goal is not None:
+        asked += f" --of {goal}"
+    option = "--tol" if tol is not None else "--tol-absolute"
+    text = f"{asked}: {_words(found, *(BOUND if goal is None else ESTIMATE))}"
+    return fill(text, 110, initial_indent=f"  {option:13} ", subsequent_indent=" " * 16, break_on_hyphens=False)
+
+
+def _words(found: Forecast, error: str, factor: int) -> str:
+    """What is expected, and how certain it is.
+
+    Args:
+        found: The forecast.
+        error: What has a tolerance.
+        factor: Within which the forecast is.
+    """
+    if found.stopped:
+        return f"cannot be reached: {found.stopped}"
+    parts = [f"about {found.dofs:.3g} unknowns on mesh {found.meshes}", f"{duration(found.seconds)} of processor time",
+             f"{found.memory_mb:.0f} MB"]  # fmt: skip
+    expected = "expect " + ", ".join(parts)
+    if found.stopped is not None:
+        return f"{expected} (measured: the calibration has reached the tolerance)"
+    sure = found.agrees and found.busy <= BUSY
+    certain = f"{'' if sure else 'unknowns and memory '}within a factor of {factor}"
+    lines = [f"{expected} (from {duration(found.calibration)} of calibration; the {error} is taken as proportional to "
+             f"unknowns^-{found.order:.2f}; {certain})."]  # fmt: skip
+    if not found.agrees:
+        lines.append(f"The time is uncertain: measured times per unknown differ by a factor of {found.spread:.1f}.")
+    if found.busy > BUSY:
+        lines.append(f"The machine is busy: elapsed time is {found.busy:.1f} times processor time now, and both may be "
+                     "longer than without other programs.")  # fmt: skip
+    if not found.fits:
+        lines.append("This is more memory than is free.")
+    return " ".join(lines)

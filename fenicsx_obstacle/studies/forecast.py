@@ -1,35 +1,42 @@
 """Forecast of the cost of a tolerance, by extrapolation from the first meshes.
 
-Meshes that are refined where the error is soon settle: their bound falls like a power of the unknowns, and unknowns
-grow by the same factor from mesh to mesh. A mesh takes some time whatever its size, and some for each unknown: that is
-told by one larger mesh, the last with all cells refined. Memory is taken by all meshes together, since the coarse
-ones stay as levels of multigrid.
+Meshes that are refined where the error is soon settle: their error falls like a power of the unknowns, and unknowns
+grow by the same factor from mesh to mesh. A mesh takes some time whatever its size, and some for each unknown: a larger
+mesh determines both. Its time is measured until two measurements agree. All times are processor times: they are elapsed
+times if nothing else runs, and other programs change them less. Memory is taken by all meshes together, since the
+coarse ones stay as levels of multigrid.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.adapt import Adaptation, Refinement, Work, adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.discrete.memory import free_megabytes
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.options import SolverOptions
 
-SECONDS = 3.0  # of calibration, and the larger mesh after it
-SETTLED = 5  # meshes at the end of the calibration from which is extrapolated
+SECONDS = 3.0  # of the first meshes
+LARGER = 4.0  # unknowns of the larger mesh over those of the last one, at most
+LARGER_SECONDS = 2.0  # time of the larger mesh over `SECONDS`, at most
+REPEATS = 3  # of the larger mesh, at most
+AGREE = 1.2  # ratio of two measurements that agree
+SETTLED = 5  # meshes at the end of the calibration from which is extrapolated, at most
+SPAN = 20.0  # growth of the unknowns over these meshes, at most
 ROUND_OFF = 1e-9  # of a number of meshes
-MIN_MESHES = 4  # meshes at least
-ORDERS = (0.7, 1.1)  # of the bound in 1/unknowns, over that of smooth solutions: what is believed
-Path = Sequence[dict[str, Any]]
+MIN_MESHES = 3  # meshes of the calibration, and of those from which is extrapolated, at least
+AVERAGED = 3  # meshes at the end over which fluctuating errors are averaged
+# of the error in 1/unknowns, over that of smooth solutions: what is believed if it falls steadily, and if it fluctuates
+ORDERS = {True: (0.7, 1.1), False: (0.9, 1.1)}
+# meshes by which the last mesh is beyond the tolerance, measured: less if only as many cells are refined as it needs
+BEYOND = {True: 0.25, False: 0.5}
 
 
 @dataclass(frozen=True)
@@ -38,12 +45,16 @@ class Forecast:
 
     Attributes:
         dofs: Unknowns on the last mesh.
-        seconds: Of all meshes, from an empty process on without its start.
+        seconds: Processor time of all meshes, from an empty process on without its start.
         memory_mb: Peak of the process.
         meshes: How many.
-        order: The bound falls like unknowns to minus this.
-        calibration: Seconds that this took.
-        reached: Whether the calibration itself came so far.
+        order: The error falls like unknowns to minus this.
+        calibration: Processor time that this took, in seconds.
+        stopped: None if the tolerance is beyond the calibration, "" if the calibration itself has reached it, otherwise
+            the reason why it cannot be reached.
+        spread: Ratio of the two measurements of the time per unknown that are closest to each other.
+        busy: Elapsed time over processor time of these measurements.
+        fits: Whether there is enough free memory.
     """
 
     dofs: float
@@ -52,83 +63,133 @@ class Forecast:
     meshes: int
     order: float
     calibration: float
-    reached: bool
+    stopped: str | None
+    spread: float = 1.0
+    busy: float = 1.0
+    fits: bool = True
+
+    @property
+    def agrees(self) -> bool:
+        """Whether two measurements of the time per unknown agree."""
+        return self.spread <= AGREE
 
 
-def forecast(scene: Scene, tol: float, *, seconds: float = SECONDS, comm: MPI.Comm = MPI.COMM_WORLD) -> Forecast:
+def forecast(
+    scene: Scene,
+    tol: float | None,
+    tol_absolute: float | None = None,
+    *,
+    goal: str | None = None,
+    seconds: float = SECONDS,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Forecast:
     """Run the first meshes of `solve --tol`, and continue them (collective).
 
     Args:
         scene: What is to be solved.
-        tol: Relative energy error.
-        seconds: For the calibration.
+        tol: Relative tolerance.
+        tol_absolute: Absolute tolerance, instead.
+        goal: The quantity that has the tolerance; None for the energy norm.
+        seconds: Processor time of the first meshes.
         comm: Communicator.
 
     Raises:
-        InputError: If there is no error bound for the scene, or the tolerance is not positive.
+        InputError: If there is no error bound or estimate, or the tolerance is not positive.
         NotConverged: With PETSc's reason.
     """
-    if not 0 < tol < np.inf:
-        raise InputError(f"--tol {tol}: must be positive and finite")
-    refinement = Refinement(scene, comm)
-    probe = None
-    with closing(refinement.meshes()) as meshes:
-        for work, _ in meshes:
-            last = refinement.path[-1]
-            if last["relative"] is None:
-                raise InputError(f"{scene.source}: u is 0 so far: a relative tolerance means nothing")
-            enough = last["seconds"] > seconds and len(refinement.path) >= MIN_MESHES
-            if comm.bcast(last["relative"] <= tol):
+    run = adaptation(scene, tol, tol_absolute, goal=goal, comm=comm)
+    with closing(run.meshes()) as meshes:
+        for context, answer in meshes:
+            stopped = run.finished(answer)
+            spent = sum(work.seconds for work in run.work)
+            if stopped is not None:
+                last = run.work[-1]
+                return Forecast(answer.dofs, spent, last.memory_mb, len(run.path), 0.0, spent, stopped)
+            if len(run.path) >= MIN_MESHES and spent > seconds:
+                dim = answer.level.mesh.topology.dim
+                larger = _larger(run, context, dim, seconds)
+                free = free_megabytes(run.comm)
                 break
-            if comm.bcast(enough):
-                probe = _larger(work, refinement.options)
-                break
-    return comm.bcast(continued(refinement.path, tol, scene.pair.degree, probe))
+    return continued(run, dim, larger, free)
 
 
-def _larger(work: SolverContext, options: SolverOptions) -> dict[str, float]:
-    """Time and memory of the mesh with all cells refined (collective)."""
-    start = time.perf_counter()
-    work.forget_estimator()
-    everywhere = np.ones(own_cells(work.problem.level.mesh), dtype=bool)
-    with closing(work.refined(everywhere)) as finer:
-        record = finer.answer(options, bound=True).record
-    return {"dofs": record["dofs"], "seconds": time.perf_counter() - start, "memory_mb": record["memory_mb"]}
+def _larger(run: Refinement, context: SolverContext, dim: int, seconds: float) -> Sequence[Work]:
+    """The work for a larger mesh, until two measurements agree (collective).
+
+    None, if the last mesh took so long that its constant part does not matter.
+    """
+    last = run.work[-1]
+    if last.seconds > seconds:
+        return []
+    growth = min(LARGER, LARGER_SECONDS * seconds / last.seconds)
+    count = own_cells(context.problem.level.mesh)
+    cells = np.arange(count) < (growth - 1) / (2**dim - 1) * count
+    found: list[Work] = []
+    while len(found) < 2 or (len(found) < REPEATS and closest(found)[0] > AGREE):
+        found.append(run.work_of(context, cells))
+    return found
 
 
-def continued(path: Path, tol: float, degree: int, probe: Mapping[str, float] | None) -> Forecast:
-    """The path of a refinement continued to a tolerance (local).
+def closest(measured: Sequence[Work]) -> tuple[float, float]:
+    """Of the two closest rates their ratio, and the smaller one (local)."""
+    rates = sorted(work.rate for work in measured)
+    return min((high / low, low) for low, high in pairwise(rates))
+
+
+def continued(run: Adaptation, dim: int, larger: Sequence[Work], free: float = np.inf) -> Forecast:
+    """The path of a refinement continued to its tolerance (local).
 
     Args:
-        path: Its meshes.
-        tol: Relative energy error.
-        degree: Of the elements.
-        probe: Unknowns, seconds and memory of one larger mesh.
+        run: Its first meshes.
+        dim: Dimension of the mesh.
+        larger: Measurements of the work for a larger mesh; the last two meshes serve if there are none.
+        free: Free memory in MB.
     """
-    dofs, relative, seconds, memory = (
-        np.array([float(step[key]) for step in path]) for key in ("dofs", "relative", "seconds", "memory_mb")
-    )
-    if relative[-1] <= tol or probe is None:
-        spent = float(seconds[-1])
-        return Forecast(float(dofs[-1]), spent, float(memory[-1]), len(path), 0.0, spent, True)
-    last = slice(-min(SETTLED, len(path)), None)
-    order = -_slope(np.log(dofs[last]), np.log(relative[last]))
-    order = float(np.clip(order, *(degree / 2 * np.array(ORDERS))))
-    wanted = dofs[-1] * (relative[-1] / tol) ** (1 / order)
+    path, work = run.path, run.work
+    dofs = np.array([float(step["dofs"]) for step in path])
+    log_errors = np.log([step["relative" if run.relative else "total"] for step in path])
+    settled = int(np.clip(np.count_nonzero(SPAN * dofs >= dofs[-1]), MIN_MESHES, SETTLED))
+    last = slice(-settled, None)
+    smooth = run.power * run.scene.pair.degree / dim
+    order = float(np.clip(-_slope(np.log(dofs[last]), log_errors[last]), *(smooth * np.array(ORDERS[run.steady]))))
     growth = float(np.clip((dofs[-1] / dofs[last][0]) ** (1 / max(len(dofs[last]) - 1, 1)), 1.2, 4.0))
+    # the unknowns of a tolerance, from each of the last meshes
+    each_wanted = np.log(dofs) + (log_errors - np.log(run.tolerance)) / order
+    reached = np.exp(each_wanted[-1] if run.steady else each_wanted[-AVERAGED:].mean())
+    wanted = float(max(reached, dofs[-1]) * growth ** BEYOND[run.steady])
     count = max(int(np.ceil(np.log(wanted / dofs[-1]) / np.log(growth) - ROUND_OFF)), 1)
     later = dofs[-1] * (wanted / dofs[-1]) ** (np.arange(1, count + 1) / count)
+    unknowns, solved, seconds = (
+        np.array([values(one) for one in work])
+        for values in (lambda w: float(w.unknowns), lambda w: float(w.unknowns * w.solves), lambda w: w.seconds)
+    )
     # a line through the larger mesh and what is usual on the small ones
-    usual, size = float(np.median(np.diff(seconds)[last])), float(np.median(dofs[last]))
-    each = max((probe["seconds"] - usual) / max(probe["dofs"] - size, 1.0), 0.0)
-    fixed = max(usual - each * size, 0.0)
-    each = min(each, probe["seconds"] / probe["dofs"])
-    per_unknown = max((probe["memory_mb"] - memory[-1]) / probe["dofs"], 0.0)
+    measured = larger or work[-2:]
+    spread, rate = closest(measured)
+    size = float(measured[-1].unknowns * measured[-1].solves)
+    usual, usual_size = float(np.median(seconds[last])), float(np.median(solved[last]))
+    each = min(max((rate * size - usual) / max(size - usual_size, 1.0), 0.0), rate)
+    fixed = max(usual - each * usual_size, 0.0)
+    solves = float(solved[last].sum() / unknowns[last].sum())
+    per_dof = unknowns[-1] / dofs[-1]  # unknowns of all meshes that an estimate takes
+    # coarse meshes stay in memory, finer ones of an estimate do not
+    below = -1 if larger else -2
+    more = measured[-1].unknowns - unknowns[below] + dofs[below]
+    first = larger[0] if larger else work[-1]
+    per_unknown = max((first.memory_mb - work[below].memory_mb) / more, 0.0)
+    growing = per_unknown * (dofs[-1] + later[:-1].sum() + per_dof * later[-1] - unknowns[-1])
     return Forecast(
-        float(wanted), float(seconds[-1] + np.sum(fixed + each * later)),
-        float(memory[-1] + per_unknown * later.sum()), len(path) + count, order, float(seconds[-1]) + probe["seconds"],
-        False,
-    )  # fmt: skip
+        dofs=float(wanted),
+        seconds=float(seconds.sum() + np.sum(fixed + each * solves * per_dof * later)),
+        memory_mb=float(work[-1].memory_mb + growing),
+        meshes=len(path) + count,
+        order=order,
+        calibration=float(seconds.sum()) + sum(one.seconds for one in larger),
+        stopped=None,
+        spread=spread,
+        busy=sum(one.elapsed for one in measured) / sum(one.seconds for one in measured),
+        fits=bool(growing <= free),
+    )
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
