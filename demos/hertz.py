@@ -1,6 +1,10 @@
-"""A rigid cylinder pressed on an elastic block in plane strain, compared with the formulas of Hertz.
+"""A rigid cylinder on an elastic block in plane strain, compared with the formulas of Hertz.
 
-mpirun -n 2 python3 hertz.py
+The cylinder is fixed and touches the block at the origin. The bottom of the block is lifted by 0.118. By symmetry only
+the half 0 < x < 40, -40 < y < 0 of the block is computed.
+
+Run it in the clone with `.venv/bin/python demos/hertz.py`, or in parallel with
+`mpirun -n 2 .venv/bin/python demos/hertz.py`.
 """
 
 import numpy as np
@@ -43,6 +47,7 @@ ds = ufl.Measure("ds", domain=mesh, subdomain_data=dmesh.meshtags(mesh, 1, top, 
 problem = ObstacleProblem(F, u, bcs=bcs, upper=x[0] ** 2 / (2 * radius), of=u[1], measure=ds(3))
 nodes = problem.solve().nodes
 forces = -2 * nodes.forces[:, 1]  # of both halves
+# Hertz: p^2 = peak^2 (1 - x^2/a^2) is linear in x^2, and the mean of x^2 weighted by the forces is a^2/4
 a = np.sqrt(4 * forces.sum() * radius / np.pi)
 inner = nodes.points[:, 0] < 0.9 * a
 peak = np.sqrt(np.polyfit(nodes.points[inner, 0] ** 2, nodes.pressure[inner] ** 2, 1)[1])

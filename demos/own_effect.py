@@ -14,7 +14,9 @@
 #
 # - `key`, the name of the effect in a scene;
 # - `terms`, its term in the residual as UFL, with a test function `v`;
-# - `energy`, its energy as UFL. Here it is the integral of $-\lambda/(1 + u)$, which is not convex.
+# - `energy`, its energy as UFL, here the integral of $-\lambda/(1 + u)$;
+# - `affine` and `convex`, which determine the solver: the term is not linear in $u$, and the energy is not convex;
+# - `equation`, `left`, `term` and `unit`, which are for the output of `./obstacle explain`.
 #
 # The user may give $\lambda$ as a number, a formula or a Function; `data.cellwise(self.value)` is its value in each
 # cell. `data.dI` is the measure of the quadrature rule whose points are the nodes.
@@ -35,7 +37,7 @@ comm = MPI.COMM_WORLD
 
 @register
 class Electrostatic(Effect):
-    """lambda/(1 + u)^2 on the left side of the equation; lambda >= 0 is a force per area times length squared."""
+    """lambda/(1 + u)^2 on the left side of the equation; lambda >= 0 has the unit of a force, as 1 + u is a length."""
 
     key = "electrostatic"
     equation = "electrostatic/(1 + u)^2"
@@ -56,8 +58,9 @@ class Electrostatic(Effect):
 # ## The exact equilibria
 #
 # Consider an equilibrium without contact. The distance $1 + u$ from the electrode has its minimum $\alpha$ in the
-# middle. Multiply the equation by $u'$ and integrate from the middle. Since the interval has the length 1, exactly one
-# load $\lambda$ belongs to each $\alpha$:
+# middle. Multiply the equation by $u'$ and integrate from the middle. This gives $u'$ as a function of $u$, $\alpha$
+# and $\lambda$. Integrate $1/u'$ over $u$ from the middle to the end of the interval. The result must be the length
+# $\frac12$. Therefore exactly one load $\lambda$ belongs to each $\alpha$:
 #
 # $$ \lambda(\alpha) = 2\alpha \left(\sqrt{1 - \alpha}
 #    + \alpha \,\mathrm{arsinh} \sqrt{\tfrac{1 - \alpha}{\alpha}}\right)^2 . $$
@@ -90,10 +93,10 @@ assert np.isclose(pull_in, 1.400, atol=1e-3) and np.isclose(release, 0.560, atol
 scene = Scene(
     title="Microswitch",
     mesh={"shape": "interval", "x": [-0.5, 0.5], "cells": 128},
-    define={"voltage": "1.8*min(t, 2 - t)"},
+    define={"squared_voltage": "1.8*min(t, 2 - t)"},
     tension=1,
     rate=0.003,
-    electrostatic="voltage",
+    electrostatic="squared_voltage",
     lower=-0.8,
     time={"end": 2, "steps": 200, "tolerance": 1e-3, "start": 0},
     report={"opening": "1 + at(u, 0)"},
