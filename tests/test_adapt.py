@@ -70,6 +70,15 @@ def test_budget(budget):
         assert 500 < answer.record["dofs"] <= 2000
 
 
+def test_round_off_ends_refinement():
+    """At heights of 1e8 bounds grow with the unknowns from some mesh on: the best mesh is returned, with the reason."""
+    scene = Scene(mesh={"shape": "interval", "cells": 16}, tension=1, load=-8, lower=1e8 - 0.3,
+                  boundary=[{"value": 1e8}])  # fmt: skip
+    answer = solve(scene, tol=1e-5)
+    assert not answer.adaptive.reached and "IS NOT REACHED: round-off" in answer.summary()
+    assert answer.bound.total == min(mesh.total for mesh in answer.adaptive.path) < answer.adaptive.path[-1].total
+
+
 def test_full_contact_has_no_norm():
     """u = 0: only an absolute tolerance means something, unless the bound is 0 as well."""
     scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load="-1 - x", lower=0)

@@ -36,6 +36,8 @@ PENALTY_SHARE_AHEAD = (
     0.04  # times this ratio: eps is reduced further than necessary, so that the next meshes need no smaller one
 )
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
+STALLED = 8  # meshes without a smaller error: round-off
+HARDLY = {"dofs": 1.1, "total": 0.98}  # by these factors
 
 
 @checked(scene=SCENE, budget="a text such as '60s', '8GB' or '1e6 unknowns'", eps="a number, a formula in h, or 'auto'")
@@ -323,24 +325,6 @@ class Refinement:
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
 
-    def exhausted(self, unknowns: float, dim: int) -> str | None:
-        """Why there is no next mesh; None if there is one (collective).
-
-        Args:
-            unknowns: Of the largest mesh in memory.
-            dim: Its dimension.
-        """
-        before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
-        now = self.path[-1]["seconds"]
-        stop = None
-        if now + GROWTH * (now - before) > self.budget.seconds:
-            stop = f"the budget of {self.budget.seconds:g} s"
-        if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
-            stop = f"the budget of {self.budget.megabytes:g} MB"
-        if not fits(GROWTH * unknowns, dim, self.comm):
-            stop = "the memory of this machine"
-        return self.comm.bcast(stop)
-
     def may_lower_eps(self, answer: Answer) -> bool:
         """Whether eps is chosen automatically; a number of the user is kept."""
         return answer.record["eps"] is not None and not self.given
@@ -371,11 +355,14 @@ class Adaptation(Refinement):
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose error is below the tolerance, or the best that the budget allows (collective)."""
-        why: str | None = None
+        why, least = None, np.inf
         with closing(self.meshes(self.budget.unknowns)) as meshes:
-            for finest, answer in meshes:
-                context = finest
-                why = "the budget of unknowns" if self.full else self.finished(answer)
+            for finest, latest in meshes:
+                error = self.path[-1]["total"]
+                why = "the budget of unknowns" if self.full else self.finished(latest)
+                # with round-off, finer meshes may be worse
+                if why == "" or not self.steady or self.comm.bcast(error <= least):
+                    context, answer, least = finest, latest, error
                 if why is not None:
                     break
             if yardstick:
@@ -417,6 +404,35 @@ class Adaptation(Refinement):
                 "it is chosen"
             )
         return self.exhausted(answer.record["dofs"], answer.level.mesh.topology.dim)
+
+    def exhausted(self, unknowns: float, dim: int) -> str | None:
+        """Why there is no next mesh; None if there is one (collective).
+
+        Args:
+            unknowns: Of the largest mesh in memory.
+            dim: Its dimension.
+        """
+        before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
+        now = self.path[-1]["seconds"]
+        stop = None
+        if now + GROWTH * (now - before) > self.budget.seconds:
+            stop = f"the budget of {self.budget.seconds:g} s"
+        if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
+            stop = f"the budget of {self.budget.megabytes:g} MB"
+        if not fits(GROWTH * unknowns, dim, self.comm):
+            stop = "the memory of this machine"
+        if self._stalls():
+            stop = f"round-off: the last {STALLED} meshes have no smaller error"
+        return self.comm.bcast(stop)
+
+    def _stalls(self) -> bool:
+        """Whether refinement has no effect any more: no smaller error, and no larger mesh where errors fluctuate."""
+        if len(self.path) <= STALLED:
+            return False
+        before, last = self.path[:-STALLED], self.path[-STALLED:]
+        least, now = (min(mesh["total"] for mesh in meshes) for meshes in (before, last))
+        grown = last[-1]["dofs"] > HARDLY["dofs"] * before[-1]["dofs"]
+        return now > HARDLY["total"] * least and (self.steady or not grown)
 
 
 def check_tolerance(relative: float | None, absolute: float | None) -> tuple[float, bool]:
