@@ -193,7 +193,8 @@ keep(page, "2_eps")
 # %% [markdown]
 # ## 3. h tends to 0, and eps with it
 #
-# This section compares computed with exact solutions. For the discrete inequality, the error of u in $H^1$ has order 1
+# This section compares the computed solutions with the exact ones. For the discrete inequality, the error of u in
+# $H^1$ has order 1
 # (5.6), and so has the error of p in the dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, $v \in H^1_0$ (5.8). The
 # penalty method with $\varepsilon = h^2$ has the same orders (5.9). With $\varepsilon = h$ the orders are lower,
 # because the error of the penalty dominates. For u this error is about $\varepsilon^{3/4}$, since the pressure jumps at
@@ -251,7 +252,7 @@ keep(page, "3_h")
 
 # %%
 def stability(name, n):
-    """The constants of a pair on n x n squares, or these cut into triangles."""
+    """alpha_h and beta_h of an element (V_h and Q_h), on n x n squares, which are cut into triangles for P1."""
     scene = Scene(mesh={"shape": "rectangle", "cells": n}, tension=1).change({"solve.element": name})
     level = meshes.build(scene, COMM)
     return Stability(level.mesh, level.pair)
