@@ -47,11 +47,13 @@ ds = ufl.Measure("ds", domain=mesh, subdomain_data=dmesh.meshtags(mesh, 1, top, 
 problem = ObstacleProblem(F, u, bcs=bcs, upper=x[0] ** 2 / (2 * radius), of=u[1], measure=ds(3))
 nodes = problem.solve().nodes
 forces = -2 * nodes.forces[:, 1]  # of both halves
-# Hertz: p^2 = peak^2 (1 - x^2/a^2) is linear in x^2, and the mean of x^2 weighted by the forces is a^2/4
+# by Hertz, half-width a with a^2 = 4 force radius/(pi E*)
 a = np.sqrt(4 * forces.sum() * radius / np.pi)
+# p^2 = peak^2 (1 - x^2/a^2) is linear in x^2: the fit at x = 0 is the computed peak^2
 inner = nodes.points[:, 0] < 0.9 * a
 peak = np.sqrt(np.polyfit(nodes.points[inner, 0] ** 2, nodes.pressure[inner] ** 2, 1)[1])
 if comm.rank == 0:
     print(f"force {forces.sum():.5f}")
+    # the mean of x^2 weighted by the forces is a^2/4: the computed half-width is 2 sqrt(mean)
     print(f"half-width {2 * np.sqrt(forces @ nodes.points[:, 0] ** 2 / forces.sum()):.4f}, by Hertz {a:.4f}")
     print(f"peak {peak:.5f}, by Hertz {2 * forces.sum() / (np.pi * a):.5f}")

@@ -83,9 +83,9 @@ assert np.all(np.diff(np.divide(forces, loads)) > 0)
 # %% [markdown]
 # ## Picture
 #
-# Left: the heights $z$ in grey, and the contact nodes at the load 8 in orange. The contact set consists of many small
-# spots. Right: the contact area, and the share of the load that the surface carries. The boundary carries the rest of
-# the load.
+# Left: the heights $z$ in grey, and the nodes in contact at the load 8 in orange. The contact set consists of many
+# small spots. Right: the contact area, and the share of the load that the surface carries. The boundary carries the
+# rest of the load.
 
 # %%
 solution = solve(Scene.read("rough.toml").change({"define.load": 8}))
