@@ -210,7 +210,7 @@ class GoalAdaptation(Adaptation):
         answer = self.balanced(context)
         bound = answer.bound
         assert bound is not None and bound.indicator is not None
-        if bound.energy is None or not bound.words.startswith("certified"):
+        if bound.energy is None or not bound.certified:
             return None
         self.words = bound.words.replace("certified", "guaranteed", 1)
         low, high = bound.energy

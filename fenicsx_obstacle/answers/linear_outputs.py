@@ -33,7 +33,6 @@ from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.scene import Scene
 
 BILINEAR = ("tension", "foundation")  # effects that are part of a
-CERTIFIED = "certified"
 
 
 def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
@@ -47,7 +46,7 @@ def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
     """
     bound, scene, found = answer.bound, context.scene, dict[str, dict[str, float]]()
     assert bound is not None
-    if bound.words.startswith(CERTIFIED) and not context.problem.model.radial:
+    if bound.certified and not context.problem.model.radial:
         for name, formula in scene.report.items():
             raw = _dual(scene, name, formula, context.problem.level)
             error = None if raw is None else _error(scene, raw, name, context, bound.total)
@@ -75,7 +74,7 @@ def _error(scene: Scene, raw: dict[str, Any], name: str, context: SolverContext,
         return None
     bound, value = answer.bound, answer.record["report"][name]
     assert bound is not None
-    if not bound.words.startswith(CERTIFIED) or value is None:
+    if not bound.certified or value is None:
         return None
     norm = bound.total / 2 + sqrt(bound.total**2 / 4 + max(value, 0.0))
     weights = element.equilibration.load.largest()

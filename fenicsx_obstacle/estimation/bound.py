@@ -95,6 +95,11 @@ class Bound:
         return cls(**known)
 
     @property
+    def certified(self) -> bool:
+        """Whether it is proved, as far as `words` says: for sampled data, on the polygon of the mesh."""
+        return self.words.startswith("certified")
+
+    @property
     def record(self) -> dict[str, Any]:
         """Its values, as in answer.json."""
         return {key: value for key, value in vars(self).items() if key not in ("indicator", "admissible")}

@@ -38,7 +38,7 @@ def _draw(indicator: np.ndarray, arrays: dict[str, np.ndarray], bound: Bound, pa
     words = f"{(np.searchsorted(shares, MOST) + 1) / len(shares):.1%} of the cells contribute half of the bound"
     page, axes = figure(6.4, 5.2)
     _cells(page, axes, indicator, arrays)
-    most = "at most" if bound.words.startswith("certified") else "about"
+    most = "at most" if bound.certified else "about"
     axes.set_title(f"energy error {most} {bound.total:.3g}; {words}", fontsize=9)
     save(page, path)
     return f"{path}: {words}"
