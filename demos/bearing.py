@@ -7,7 +7,7 @@
 #
 # The unknown $u$ is the pressure of the film, relative to the pressure of the air. It satisfies Reynolds' equation.
 # Where the gap opens, the film cavitates: its pressure cannot fall below the pressure of the air. Therefore $u \ge 0$.
-# The multiplier $p$ of this constraint is 0 in the film. It is positive only where the film cavitates. The
+# The multiplier $p$ of this constraint is 0 where $u > 0$. It is positive only where the film cavitates. The
 # dimensionless problem on the surface of a cylinder is
 #
 # $$ -\nabla \cdot (H^3 \nabla u) = 6 e \sin\theta + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0 . $$

@@ -3,8 +3,8 @@
 #
 # An obstacle may be read from a file of measured heights. The file may contain an array, an image, a table with columns
 # x, y, z, or an STL surface. This tutorial first writes such a file with the heights $z$ of a self-affine surface. The
-# power spectrum of this surface falls like $|k|^{-2 - 2H}$ with the wave number $k$ and the Hurst exponent $H = 0.8$.
-# Many fractured or ground surfaces have such a spectrum.
+# power spectrum of this surface falls like $|k|^{-2 - 2H}$. Here $k$ is the wave vector, and $H = 0.8$ the Hurst
+# exponent. Many fractured or ground surfaces have such a spectrum.
 #
 # A membrane with tension 1 is fixed at the height 0 on the boundary of a square. The surface is below it, at the height
 # $z - 0.1$. The load $f$ presses the membrane down:
@@ -44,7 +44,8 @@ if comm.rank == 0:
 comm.barrier()
 
 # %% [markdown]
-# The power spectrum along a line through the surface must fall like $|k|^{-1 - 2H}$. The next cell checks this:
+# Along a line through the surface, the power spectrum is one-dimensional. The exponent is then larger by 1: the
+# spectrum must fall like $|k|^{-1 - 2H}$. The next cell checks this:
 
 # %%
 power = np.abs(np.fft.fft(z, axis=1)[:, 1:128] ** 2).mean(axis=0)
