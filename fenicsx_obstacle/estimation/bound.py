@@ -16,7 +16,7 @@ the multipliers, v_h and r: `element_p1`, `element_p2`.
 formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A
 callable is known at its samples only: 'certified for the sampled load'. It is 'an indicator' where the error may be
 larger for other reasons: effects that the proof does not cover (`flux_p1.unknown_effects`), data that may be infinite,
-u given nowhere, or unbalanced forces where Friedrichs' constant is not known.
+u given nowhere, or a boundary for which no bound of Friedrichs' constant is known.
 
 Sources: Braess and Schoeberl (2008) for the flux; Prager and Synge's identity with a multiplier, as in Ainsworth, Oden
 and Lee (1993) and Veeser (2001).
@@ -41,8 +41,6 @@ from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
 from fenicsx_obstacle.estimation.flux_p1 import unknown_effects
 from fenicsx_obstacle.parallel import largest, smallest, total
-
-NEGLIGIBLE = 1e-6  # of the bound: an unbalanced force so small needs no exact constant
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +124,7 @@ class Estimator:
         simplices, load = self.element.simplices, self.element.equilibration.load
         held = self.element.equilibration.patches.held
         self._held_somewhere = total(comm, np.count_nonzero(held)) > 0
-        self._friedrichs, self._exact_constant = self.element.friedrichs
+        self._friedrichs = self.element.friedrichs
         self._rim_energy = self.element.rim_energy()
         # the mean of what the load is beyond its polynomials is in no balance
         self._load_rest = self._friedrichs * sqrt(total(comm, simplices.size * load.rest**2))
@@ -175,7 +173,7 @@ class Estimator:
         indicator = each * terms.contact
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
-        violated = self._violated(terms, unbalanced, bound)
+        violated = self._violated(terms)
         certification = self._hypotheses.certification(violated, self.element.every_obstacle)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
@@ -191,7 +189,7 @@ class Estimator:
             admissible=admissible,
         )  # fmt: skip
 
-    def _violated(self, terms: Terms, unbalanced: float, bound: float) -> list[str]:
+    def _violated(self, terms: Terms) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
         known, elastic, comm = (
             "tension, load, foundation, flux and spring",
@@ -210,11 +208,9 @@ class Estimator:
                 reasons.append("cells reach across the axis")
         if not elastic.affine:
             reasons.append(f"estimated with the tension of the solution, no bound, as {elastic.key} is not linear")
-        if not (self._held_somewhere or self._exact_constant):
-            reasons.append("u is given nowhere")
-        if unbalanced > NEGLIGIBLE * bound and not self._exact_constant:
-            constant = "Friedrichs' constant is not known for such a boundary"
-            reasons.append(f"{constant}, and the forces are not exactly in balance")
+        if not self.element.friedrichs_known:
+            unknown_constant = "no bound of Friedrichs' constant is known for such a boundary"
+            reasons.append(unknown_constant if self._held_somewhere else "u is given nowhere")
         scale = largest(comm, np.abs(terms.flux.normal))
         # where the flux is 0, what is left over is round-off of the forces
         if terms.flux.incompatible > max(1e-8 * scale, 1e-12 * terms.flux.forces):

@@ -28,6 +28,7 @@ TENSION = Division(4, share=1 / 256)  # a fourth of the parts of Division(6), fo
 # by the degree of the elements; the mean of the rest counts with Friedrichs' constant, not with h
 LOAD = {1: Division(5, 1e-2, 5e-3, 2), 2: Division(8, 1e-3, 1e-4)}
 SEEN = 100.0  # times the largest load that the solver has: a bound beyond that tells nothing about the load
+UNDECIDED = 0.25  # times the same: bounds of the mean in a cell so far apart do not tell it
 Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -193,15 +194,16 @@ class Load:
             sides = [largest(comm, simplices.x[..., k]) - smallest(comm, simplices.x[..., k]) for k in range(self._dim)]
             division = replace(division, length=min(sides) / np.pi)  # about Friedrichs' constant
         self.pieces = in_cells(simplices, value, division)
-        limit = SEEN * largest(comm, np.abs(seen))
-        far = np.zeros(count, dtype=bool)
+        highest, unknown = largest(comm, np.abs(seen)), np.zeros(count)
         for group in self.pieces.groups:
-            far[group.rows[_far(group, limit)]] = True
-        cells = np.flatnonzero(far)
+            group.add_to(unknown, group.share * np.where(np.isfinite(group.rest), group.rest, 0.0))
+        far = [_far(group, SEEN * highest, unknown > UNDECIDED * highest) for group in self.pieces.groups]
+        of_groups = list(zip(self.pieces.groups, far, strict=True))
+        cells = np.unique(np.concatenate([np.empty(0, int), *(one.rows[parts] for one, parts in of_groups)]))
         if total(comm, len(cells)) > 0:
             mean = np.zeros(count)
             mean[cells] = simplices.values(value, points, cells).mean(axis=1)
-            self.pieces = replace(self.pieces, groups=[_near_seen(one, mean, limit) for one in self.pieces.groups])
+            self.pieces = replace(self.pieces, groups=[_near_seen(one, parts, mean) for one, parts in of_groups])
         self._integrate(self.pieces)
         self.missing = np.subtract(self.moments, solver, out=solver)
 
@@ -260,27 +262,28 @@ def part_weight(simplices: Simplices, part: Group) -> np.ndarray | float:
     return found if found.ndim == 1 else found[:, 0]
 
 
-def _far(group: Group, limit: float) -> np.ndarray:
-    """Parts of cells on which a load may be beyond a limit, and no polynomial is near it."""
-    return np.flatnonzero((group.degree == 0) & np.isfinite(group.rest) & (group.rest > limit))
+def _far(group: Group, limit: float, undecided: np.ndarray) -> np.ndarray:
+    """Parts of cells with bounds of a load that are far apart, and no polynomial near it: beyond a limit, or in cells
+    in which it is undecided as a whole."""
+    wide = (group.rest > limit) | (undecided[group.rows] & (group.rest > 0))
+    return np.flatnonzero((group.degree == 0) & np.isfinite(group.rest) & wide)
 
 
-def _near_seen(group: Group, mean: np.ndarray, limit: float) -> Group:
-    """Replace a load that may be far outside the range of its samples by the mean of the samples.
+def _near_seen(group: Group, parts: np.ndarray, mean: np.ndarray) -> Group:
+    """Replace a load whose bounds are far apart by the mean of its samples.
 
     The middle of its bounds would do for the bound; but the solver takes this load too.
 
     Args:
         group: Parts of cells.
+        parts: Which of them.
         mean: Of the load at points inside the cells.
-        limit: How large values may be.
     """
-    far = _far(group, limit)
-    if not len(far):
+    if not len(parts):
         return group
-    lower, upper = group.lower[far], group.upper[far]
-    middle, chosen, rest = np.clip(mean[group.rows[far]], lower, upper), group.coefficients.copy(), group.rest.copy()
-    chosen[far, 0], rest[far] = middle, np.maximum(upper - middle, middle - lower)
+    lower, upper = group.lower[parts], group.upper[parts]
+    middle, chosen, rest = np.clip(mean[group.rows[parts]], lower, upper), group.coefficients.copy(), group.rest.copy()
+    chosen[parts, 0], rest[parts] = middle, np.maximum(upper - middle, middle - lower)
     return replace(group, coefficients=chosen, rest=rest)
 
 

@@ -11,6 +11,7 @@ from math import pi
 
 import numpy as np
 
+from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -27,6 +28,8 @@ class DirichletBoundary:
         everywhere: Whether u is given on the whole boundary.
         faces: If the domain is the box, on how many of its two faces across each axis u is given; otherwise 0.
         radii: Least and largest distance from the axis where that is the weight of integrals, otherwise None.
+        by_paths: A Friedrichs' constant without the weight of axial symmetry, where `everywhere` and `faces` give none:
+            that of `friedrichs_by_paths`.
     """
 
     sides: np.ndarray
@@ -34,15 +37,16 @@ class DirichletBoundary:
     everywhere: bool
     faces: np.ndarray
     radii: tuple[float, float] | None = None
+    by_paths: float = np.inf
 
-    def friedrichs(self) -> tuple[float, bool]:
-        """Friedrichs' constant, and whether it is exact.
+    def friedrichs(self) -> float:
+        """Friedrichs' constant, infinite where none is known.
 
         Of a box by its first eigenvalue, a side after the other; of any other domain held all around by that of the
-        box around it. Otherwise no constant is known, and twice the longer side stands for it. With the weight of axial
-        symmetry, which is between two numbers, along the radius the root of their ratio is a factor; and held outside
-        it is that of a disk, whose first eigenvalue is (j_01/R)^2, if the domain or the box begins at the axis, or if
-        functions that are 0 all around can be continued there.
+        box around it; otherwise `by_paths`. With the weight of axial symmetry, which is between two numbers, along the
+        radius the root of their ratio is a factor; and held outside it is that of a disk, whose first eigenvalue is
+        (j_01/R)^2, if the domain or the box begins at the axis, or if functions that are 0 all around can be continued
+        there.
         """
         wave = (2 if self.everywhere else self.faces) * pi / (2 * self.sides)
         if self.radii is not None:
@@ -51,8 +55,11 @@ class DirichletBoundary:
             if self.everywhere or (inner == 0 and self.faces[0] > 0):
                 wave[0] = max(wave[0], J01 / outer)
         if np.any(wave > 0):
-            return 1 / float(np.linalg.norm(wave)), True
-        return 2 * float(self.sides.max()), False
+            return 1 / float(np.linalg.norm(wave))
+        if self.radii is None:
+            return self.by_paths
+        inner, outer = self.radii
+        return self.by_paths * float(np.sqrt(outer / inner)) if inner > 0 else np.inf
 
     def reach(self, load: float, least_tension: float) -> float:
         """A bound of w >= 0, w = 0 where u is given, free elsewhere, -div(mu grad w) = f with 0 <= f <= load.
@@ -107,13 +114,20 @@ def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> Dirichle
         size = np.where(radius[cells].sum(axis=1) > radius[cells, opposite], size, 0.0)
     around, area = total(comm, size), total(comm, simplices.area)
     everywhere = total(comm, size[held]) >= around * (1 - 1e-9)
-    is_box = area >= np.prod(sides) * (1 - 1e-9)
+    on_faces = [
+        [np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1) for at in (lower[axis], upper[axis])]
+        for axis in range(dim)
+    ]
+    # a box that slits cut has facets of the boundary inside
+    inside = size[~np.any([on for pair in on_faces for on in pair], axis=0)]
+    is_box = area >= np.prod(sides) * (1 - 1e-9) and total(comm, inside) <= around * 1e-9
     faces = np.zeros(dim)
-    for axis in range(dim):
-        for at in (lower[axis], upper[axis]):
-            on = held & np.all(np.abs(ends[..., axis] - at) < 1e-9 * sides[axis], axis=1)
-            faces[axis] += is_box and total(comm, size[on]) >= np.prod(np.delete(sides, axis)) * (1 - 1e-9)
+    for axis, pair in enumerate(on_faces):
+        for on in pair:
+            faces[axis] += is_box and total(comm, size[held & on]) >= np.prod(np.delete(sides, axis)) * (1 - 1e-9)
     radii = None
     if radius is not None:
         radii = smallest(comm, radius), largest(comm, radius)
-    return DirichletBoundary(sides, area, bool(everywhere), faces, radii)
+    known = everywhere or faces.any()
+    by_paths = np.inf if known else friedrichs_by_paths(level, held_sides)
+    return DirichletBoundary(sides, area, bool(everywhere), faces, radii, by_paths)

@@ -81,7 +81,8 @@ class Element(ABC):
         dirichlet: Boundary values between the nodes.
         oscillation: Of the load.
         held: Where u is given.
-        friedrichs: c with ||e|| <= c times the energy norm of e, if e is 0 where u is given; and whether it is known.
+        friedrichs: c with ||e|| <= c times the energy norm of e, if e is 0 where u is given.
+        friedrichs_known: Whether it is; otherwise a guess stands for it, and nothing is guaranteed.
         reach: Numbers that the solution is between, infinite where there is no obstacle or no such number is known.
         obstacles: The excess of an obstacle over its nodal interpolant.
     """
@@ -103,15 +104,16 @@ class Element(ABC):
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
         equilibration.load.forget_polynomials()
         self.held = dirichlet_boundary(self.simplices, equilibration.patches.held)
-        self.friedrichs = self._friedrichs()
+        constant = self._friedrichs()
+        self.friedrichs_known = bool(np.isfinite(constant))
+        least = smallest(self.simplices.data.level.comm, self.tension.least)
+        self.friedrichs = constant if self.friedrichs_known else 2 * float(self.held.sides.max()) / sqrt(least)
         self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.simplices.data)}
         self.reach = self._reach()
 
-    def _friedrichs(self) -> tuple[float, bool]:
-        """See `friedrichs` (collective)."""
-        constant, exact = self.held.friedrichs()
-        comm = self.simplices.data.level.comm
-        return constant / sqrt(smallest(comm, self.tension.least)), exact
+    def _friedrichs(self) -> float:
+        """The constant, infinite where none is known (collective)."""
+        return self.held.friedrichs() / sqrt(smallest(self.simplices.data.level.comm, self.tension.least))
 
     def _range(self, obstacle: Field) -> Range:
         """Bounds of an obstacle in the cells."""

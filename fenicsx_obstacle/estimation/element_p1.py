@@ -52,13 +52,10 @@ class ElementP1(Element):
         x, middle = self.simplices.x[cells], self.simplices.middle[cells]
         return [x[..., k] - middle[:, k : k + 1] for k in range(self.simplices.dim)]
 
-    def _friedrichs(self) -> tuple[float, bool]:
+    def _friedrichs(self) -> float:
         """That of the tension, or that of foundations, which needs no boundary (collective)."""
-        constant, exact = super()._friedrichs()
         least = smallest(self.simplices.data.level.comm, self.equilibration.reaction.least)
-        if least > 0 and (not exact or 1 / sqrt(least) < constant):
-            return 1 / sqrt(least), True
-        return constant, exact
+        return min(super()._friedrichs(), 1 / sqrt(least) if least > 0 else np.inf)
 
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
@@ -139,7 +136,7 @@ class ElementP1(Element):
             in the norm of each cell; and the first again with what it lacks of the load, the two being summed before
             norms are taken: they may nearly cancel.
         """
-        equilibration, least, friedrichs = self.equilibration, self.tension.least, self.friedrichs[0]
+        equilibration, least, friedrichs = self.equilibration, self.tension.least, self.friedrichs
         reaction, load = equilibration.reaction, self.oscillation
         simplices = self.simplices
         inside, outside = equilibration.parts.lacking(u, flux.force, least, friedrichs)

@@ -1,0 +1,163 @@
+"""Friedrichs' constant by paths of cells is above the true one; bounds on domains that slits cut."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, slow_except
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+from scipy.linalg import eigh
+
+from fenicsx_obstacle import Scene, releases, solve
+from fenicsx_obstacle.discrete.cells import cell_facets
+from fenicsx_obstacle.discrete.levels import Level, of_mesh
+from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
+
+BOXES = {1: dmesh.create_unit_interval, 2: dmesh.create_unit_square, 3: dmesh.create_unit_cube}
+MEETING = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2]], dtype=float)
+HALVES = np.array([[0, 1, 3], [0, 3, 2], [3, 4, 6], [3, 6, 5]])
+
+
+def by_hand(points, cells, comm=COMM):
+    """A mesh of triangles, all on the last rank."""
+    last = comm.rank == comm.size - 1
+    cells, points = (cells, points) if last else (cells[:0], points[:0])
+    return releases.create_mesh(comm, cells, points, "triangle", stay=True)
+
+
+def constant(level: Level, where) -> float:
+    """Friedrichs' constant by paths, of functions that are 0 on a part of the boundary."""
+    dim = level.mesh.topology.dim
+    facets = dmesh.locate_entities_boundary(level.mesh, dim - 1, where)
+    own = level.mesh.topology.index_map(dim).size_local
+    # facet i of an interval is vertex i, which is opposite to the other one
+    return friedrichs_by_paths(level, np.isin(cell_facets(level.mesh)[:own], facets)[:, :: -1 if dim == 1 else 1])
+
+
+def box(dim: int, cells: int, comm=COMM) -> Level:
+    return of_mesh(releases.settle(BOXES[dim](comm, *[cells] * dim)), "box")
+
+
+def left(x: np.ndarray) -> np.ndarray:
+    return np.isclose(x[0], 0)
+
+
+@pytest.mark.parametrize("cells", [1, 5, 40])
+def test_on_an_interval(cells):
+    """c_T^2 = h, so that s_T is the distance of the far end of T: c^2 = h^2/pi^2 + (1 + h)/2, and (2/pi)^2 is exact."""
+    h = 1 / cells
+    assert constant(box(1, cells), left) == pytest.approx(np.sqrt(h**2 / np.pi**2 + (1 + h) / 2), rel=1e-12)
+
+
+@pytest.mark.parametrize(("dim", "cells"), slow_except([(2, 1), (2, 2), (2, 8), (3, 1), (3, 4)], (2, 8), (3, 4)))
+def test_it_is_above_the_constant_of_a_box(dim, cells):
+    """||v|| <= 2/pi ||grad v|| for v = 0 on one face. The constant grows no faster than paths and cells allow, and does
+    not depend on the partition."""
+    found = constant(box(dim, cells), left)
+    assert found == pytest.approx(constant(box(dim, cells, MPI.COMM_SELF), left), rel=1e-12)
+    assert 2 / np.pi <= found <= 3 * cells ** ((dim - 1) / 2)
+
+
+@pytest.mark.parametrize("where", [lambda x: x[0] + x[1] < 0.26, left])
+@pytest.mark.parametrize("l_shape", [True, False])
+def test_it_is_above_eigenvalues(l_shape, where):
+    """1/c^2 is below the least eigenvalue in P1 on a square with a slit, and on an L-shape with one."""
+    points, cells = _grid(8)
+    points, cells = _cut(points, cells, (np.abs(points[:, 1] - 0.25) < 1e-9) & (points[:, 0] < 0.49),
+                         points[cells].mean(axis=1)[:, 1] > 0.25)  # fmt: skip
+    kept = ~np.all(points[cells].mean(axis=1) > 0.5, axis=1) | (not l_shape)
+    used, cells = np.unique(cells[kept], return_inverse=True)
+    level = of_mesh(by_hand(points[used], cells.reshape(-1, 3), MPI.COMM_SELF), "polygon")
+    K, M = _matrices(level, where)
+    exact = 1 / np.sqrt(eigh(K, M, eigvals_only=True, subset_by_index=[0, 0])[0])
+    assert exact <= constant(level, where) < 20 * exact
+
+
+def _grid(n: int) -> tuple[np.ndarray, np.ndarray]:
+    x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
+    numbers = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    corners = [numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]]
+    squares = np.stack(corners, axis=2).reshape(-1, 4)
+    return np.column_stack([x.ravel(), y.ravel()]), np.vstack([squares[:, [0, 1, 3]], squares[:, [0, 3, 2]]])
+
+
+def _cut(points: np.ndarray, cells: np.ndarray, along: np.ndarray, beyond: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """With second nodes along a line, for the cells beyond it."""
+    twice = np.flatnonzero(along)
+    other = np.arange(len(points))
+    other[twice] = len(points) + np.arange(len(twice))
+    return np.vstack([points, points[twice]]), np.where(beyond[:, None], other[cells], cells)
+
+
+def _matrices(level: Level, where) -> tuple[np.ndarray, np.ndarray]:
+    u, v = ufl.TrialFunction(level.V), ufl.TestFunction(level.V)
+    facets = dmesh.locate_entities_boundary(level.mesh, 1, where)
+    free = np.setdiff1d(np.arange(level.owned), fem.locate_dofs_topological(level.V, 1, facets))
+    found = []
+    for form in (ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u * v * ufl.dx):
+        A = fem.petsc.assemble_matrix(releases.form(form))
+        A.assemble()
+        found.append(A.convert("dense").getDenseArray()[np.ix_(free, free)].copy())
+    return found[0], found[1]
+
+
+def test_no_path_no_constant():
+    """Two squares that meet in a vertex are not connected."""
+    level = of_mesh(by_hand(MEETING, HALVES), "squares")
+    assert constant(level, left) == np.inf
+    assert np.isfinite(constant(level, lambda x: left(x) | np.isclose(x[0], 2)))
+
+
+def comb(n: int) -> dmesh.Mesh:
+    """The unit square, cut from below at x = 1/4 and 3/4, and from above at x = 1/2, but for gaps of 1/8."""
+    points, cells = _grid(n)
+    middle = points[cells].mean(axis=1)[:, 0]
+    for at, up in ((0.25, True), (0.5, False), (0.75, True)):
+        height = points[:, 1] if up else 1 - points[:, 1]
+        points, cells = _cut(points, cells, (np.abs(points[:, 0] - at) < 1e-9) & (height < 0.874), middle > at)
+    return by_hand(points, cells)
+
+
+@pytest.mark.parametrize(("element", "lower"), [("P1", -10), ("P1", -3), ("P2", -10)])
+def test_a_box_that_slits_cut(element, lower):
+    """Paths through the comb are longer than the square is wide: u falls by more, and errors are larger, than in it.
+
+    Energies of finer meshes are above that of the exact solution. Without contact, which -10 is too far for, twice the
+    difference of energies is the square of the error.
+    """
+
+    def solved(n, element="P1", *, bound=False):
+        scene = Scene(mesh=comb(n), tension=1, load=-1, lower=lower, boundary=[{"where": "x < 1e-9", "value": 0}])
+        return solve(scene, method="vi", element=element, bound=bound)
+
+    answers, finest = [solved(n, element, bound=True) for n in (8, 16)], solved(64).record["energy"]
+    for answer in answers:
+        bound = answer.bound
+        assert bound.words == "certified on the polygon of the mesh"
+        if bound.energy is not None:
+            assert bound.energy[0] < finest < bound.energy[1]
+        if lower == -10:
+            assert bound.total**2 > 2 * (answer.record["energy"] - finest)
+    assert answers[1].bound.total < 0.8 * answers[0].bound.total
+
+
+def test_an_undecided_load_does_not_change_the_solution():
+    """A load that intervals do not decide at any depth keeps its samples; its bounds only add to the error bound."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 16}, tension=1, report={"sum": "integral(u)"},
+                  load="where(sin(2000*x)^2 + cos(2000*x)^2 > 1/2, -1, 0)")  # fmt: skip
+    plain, bounded = solve(scene), solve(scene, bound=True)
+    assert bounded.report["sum"] == pytest.approx(plain.report["sum"], rel=1e-9)
+    assert bounded.bound.guaranteed
+    least, most = bounded.bound.energy
+    assert least < solve(scene.change({"effects.load": -1}), cells=64).record["energy"] < most
+
+
+def test_paths_are_the_shortest():
+    """With one rank or several, s_T of a strip of squares is the number of cells that lead to it."""
+    n = 6
+    mesh = releases.settle(dmesh.create_rectangle(COMM, [[0, 0], [n, 1]], [n, 1]))
+    level = of_mesh(mesh, "strip")
+    # c_T^2 = 2/(4/2) = 1; the sum of |T| s_T over pairs of cells: 1/2 (1 + 2 + ... + 2n) at most
+    squared = constant(level, left) ** 2 - 2 / np.pi**2
+    assert squared == pytest.approx(0.5 * sum(range(1, 2 * n + 1)), rel=1e-12)
