@@ -353,6 +353,21 @@ def test_no_film_reaches_a_far_obstacle(load, far, method):
         solve(Scene(mesh=SQUARE, large_slope=1, load=-load, lower=-far), method=method)
 
 
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize(
+    "mesh", [ROUND, {"mesh": {"shape": "disk"}, "boundary": [{"value": 0}]}], ids=["axial", "disk"]
+)
+@pytest.mark.parametrize(("load", "cells"), slow_except([(2.2, 64), (2.2, 128), (3, 32), (3, 64), (3, 128)], (3, 64)))
+def test_no_film_falls_so_far(load, cells, mesh, method):
+    """From the boundary of a disk to contact, where it is horizontal, a film falls by the integral of q/(1 - q^2)^(1/2)
+    with q = (r - a^2/r) load/2. As q < 1 at the boundary, a^2 > 1 - 2/load, which makes it less than 0.9 here."""
+    scene = Scene(**mesh, large_slope=1, load=-load, lower=-0.9)
+    with pytest.raises(NotConverged, match="no solution has these boundary values"):
+        solve(scene, cells=cells, method=method)
+    low, _ = extremes(solve(scene.change({"obstacle.lower": -0.3}), cells=cells, method=method))
+    assert low == pytest.approx(-0.3, abs=1e-3)
+
+
 def test_films_that_obstacles_hold():
     """Near obstacles carry what the film does not; concentrated forces draw a string to any depth."""
     low, _ = extremes(solve(Scene(mesh=SQUARE, large_slope=1, load=-5, lower=-0.1), method="vi"))
