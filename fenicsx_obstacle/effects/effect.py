@@ -302,6 +302,11 @@ class Effect:
         """The energy whose derivative is `terms`, or None."""
         return None
 
+    @property
+    def quadratic(self) -> bool:
+        """Whether matrix and load of a problem at rest determine its energy, up to that of u = 0."""
+        return self.affine and self.order == 0
+
     def vector(self, data: Sampler) -> np.ndarray | None:
         """Its part of f(v) that is not a form: forces at owned nodes (collective)."""
         return None

@@ -63,6 +63,10 @@ class ResidualForm(Effect):
         return self.u not in _plain(self.slope).coefficients()
 
     @property
+    def quadratic(self) -> bool:
+        return self.affine and self.functional is None  # a given one may have another quadrature
+
+    @property
     def slope(self) -> ufl.Form:
         """The derivative of F."""
         return ufl.derivative(self.F, self.u)

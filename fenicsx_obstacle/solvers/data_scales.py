@@ -38,28 +38,11 @@ def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
     return smallest(comm, known), largest(comm, known)
 
 
-def forces_at(problem: Problem, *states: np.ndarray | float) -> list[np.ndarray]:
-    """a(u, .) - f at owned dofs for each of these u; the state of the problem stays as it is (collective)."""
-    forms, found = problem.forms, list[np.ndarray]()
-    w, r, elastic = problem.w.x.array, problem.reference.x.array, problem.elastic.array
-    kept = w.copy(), r.copy(), elastic.copy()
-    r[:] = 0.0
-    forms.set_reference()
-    for u_values in states:
-        w[:] = u_values
-        forms.elastic(problem.elastic)
-        found.append(problem.elastic.array_r.copy())
-    w[:], r[:] = kept[0], kept[1]
-    forms.set_reference()
-    problem.elastic.array[:] = kept[2]
-    return found
-
-
 def forces_of_data(problem: Problem) -> float:
     """The scale of the forces of the data (collective): the load, or the elastic forces of a u that equals the boundary
     values and obstacles and is constant elsewhere."""
     comm = problem.level.comm
-    at_zero, at_flat = forces_at(problem, 0.0, problem.flat())
+    at_zero, at_flat = problem.forms.forces_at(0.0, problem.flat())
     at_zero[problem.fixed] = 0.0
     return max(problem.load, total(comm, np.abs(at_zero)), total(comm, np.abs(at_flat)))
 

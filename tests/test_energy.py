@@ -1,0 +1,67 @@
+"""The energy and the forces of affine effects, by matrices, are those of the forms."""
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import ObstacleProblem, Scene, releases
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.assembly import Forms, Nodal
+from fenicsx_obstacle.parallel import largest, total
+
+SQUARE = {"shape": "rectangle", "cells": 6}
+SUPPORTS = [
+    {"on": "left", "value": "y"},
+    {"on": "right", "spring": 3, "flux": "1 + y"},
+    {"on": "top", "flux": -1},
+]
+SCENES = {
+    "membrane": {"tension": "1 + x*y", "load": "sin(3*x) - y"},
+    "no load": {"tension": 2},
+    "foundation": {"tension": 1, "foundation": "1 + x", "load": -1},
+    "spring and flux": {"tension": 1, "boundary": SUPPORTS},
+}
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("name", SCENES)
+def test_by_matrices_as_by_forms(name, element):
+    """a(u, u)/2 - f(u), with and without the penalty, and a(u, .) - f, of a u that is no solution."""
+    compare(Scene(mesh=SQUARE, lower=-1, **SCENES[name]).change({"solve.element": element}))
+
+
+def test_with_a_point_force():
+    """It is in no form."""
+    compare(Scene(mesh=SQUARE, lower=-1, tension=1, point_load=[{"at": [0.5, 0.5], "force": -2}]))
+
+
+def compare(scene):
+    problem = SolverContext(scene, COMM).problem
+    forms, x = problem.forms, problem.level.points
+    assert isinstance(forms, Nodal)
+    u_values = np.cos(3 * x[0]) + 2 * x[1] ** 2
+    problem.set_reference(u_values)
+    for penalised in (False, True):
+        exact = Forms.energy(forms, penalised=penalised)
+        assert forms.energy(penalised=penalised) == pytest.approx(exact, rel=1e-12)
+    kept = problem.w.x.array.copy(), problem.reference.x.array.copy()
+    for ours, exact in zip(forms.forces_at(0.0, u_values), Forms.forces_at(forms, 0.0, u_values), strict=True):
+        assert largest(COMM, np.abs(ours - exact)) <= 1e-12 * largest(COMM, np.abs(exact))
+    for now, then in zip((problem.w, problem.reference), kept, strict=True):
+        assert np.array_equal(now.x.array, then)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_of_a_form(given):
+    """The energy of F is that of its quadratic functional, up to its value at 0; a given functional is taken itself."""
+    mesh = dmesh.create_unit_square(COMM, 8, 8)
+    u = fem.Function(releases.functionspace(mesh, "Lagrange", 1))
+    x = ufl.SpatialCoordinate(mesh)
+    functional = (ufl.inner(ufl.grad(u), ufl.grad(u)) / 2 + 3 * (u - x[0]) ** 2 + u) * ufl.dx
+    F = ufl.derivative(functional, u)
+    answer = ObstacleProblem(F, u, lower=0.2, energy=functional if given else None).solve(method="vi")
+    values = [total(COMM, fem.assemble_scalar(fem.form(form))) for form in (functional, 3 * x[0] ** 2 * ufl.dx(mesh))]
+    assert answer.record["energy"] == pytest.approx(values[0] - (0 if given else values[1]), rel=1e-12)
