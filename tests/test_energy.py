@@ -48,7 +48,8 @@ def compare(scene):
         exact = Forms.energy(forms, penalised=penalised)
         assert forms.energy(penalised=penalised) == pytest.approx(exact, rel=1e-12)
     kept = problem.w.x.array.copy(), problem.reference.x.array.copy()
-    for ours, exact in zip(forms.forces_at(0.0, u_values), Forms.forces_at(forms, 0.0, u_values), strict=True):
+    for given in (0.0, u_values):
+        ours, exact = forms.forces_at(given), Forms.forces_at(forms, given)
         assert largest(COMM, np.abs(ours - exact)) <= 1e-12 * largest(COMM, np.abs(exact))
     for now, then in zip((problem.w, problem.reference), kept, strict=True):
         assert np.array_equal(now.x.array, then)

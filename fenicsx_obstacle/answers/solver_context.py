@@ -413,3 +413,4 @@ def close(benches: Sequence[SolverContext]) -> None:
     for context in benches:
         context._free()
     releases.free(level.comm for level in meshes)
+    return_freed_memory()

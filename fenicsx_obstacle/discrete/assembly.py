@@ -133,18 +133,16 @@ class Forms:
         """The forces that are in no form."""
         return [forces for forces in (self.forces, self.impulse if moving else None) if forces is not None]
 
-    def forces_at(self, *states: np.ndarray | float) -> list[np.ndarray]:
-        """a(u, .) - f at owned dofs for each of these u, given at local dofs; the state stays as it is."""
-        w, r, out, found = self.w.x.array, self.reference.x.array, self.vector(), list[np.ndarray]()
+    def forces_at(self, u_values: np.ndarray | float) -> np.ndarray:
+        """a(u, .) - f at owned dofs for a u given at local dofs; the state stays as it is."""
+        w, r, out = self.w.x.array, self.reference.x.array, self.vector()
         kept = w.copy(), r.copy()
-        r[:] = 0.0
+        r[:], w[:] = 0.0, u_values
         self.set_reference()
-        for u_values in states:
-            w[:] = u_values
-            self.elastic(out)
-            found.append(out.array.copy())
+        self.elastic(out)
         w[:], r[:] = kept
         self.set_reference()
+        found = out.array.copy()
         out.destroy()
         return found
 
@@ -313,14 +311,12 @@ class Nodal(Forms):
     def elastic(self, out: PETSc.Vec) -> None:
         self.stiffness.multAdd(releases.vec(self.w), self._constant, out)
 
-    def forces_at(self, *states: np.ndarray | float) -> list[np.ndarray]:
-        u, force, found = self._constant.duplicate(), self._constant.duplicate(), list[np.ndarray]()
-        for u_values in states:
-            u.array[:] = np.broadcast_to(u_values, len(self.w.x.array))[: len(u.array_r)]
-            self.stiffness.multAdd(u, self._minus_load, force)
-            found.append(force.array.copy())
-        for owner in (u, force):
-            owner.destroy()
+    def forces_at(self, u_values: np.ndarray | float) -> np.ndarray:
+        u, force = self._scratch, self._constant.duplicate()
+        u.array[:] = np.broadcast_to(u_values, len(self.w.x.array))[: len(u.array_r)]
+        self.stiffness.multAdd(u, self._minus_load, force)
+        found = force.array.copy()
+        force.destroy()
         return found
 
     def reaction(self, out: PETSc.Vec) -> None:
@@ -331,15 +327,15 @@ class Nodal(Forms):
 
     def create_matrix(self) -> PETSc.Mat:
         A = self.stiffness.duplicate(copy=True)
-        self._changed = A.createVecLeft()
+        self._scratch = A.createVecLeft()  # every use overwrites it
         self._hold_fixed(A)
         return A
 
     def _hold_fixed(self, A: PETSc.Mat) -> None:
         first, _ = A.getOwnershipRange()
         A.zeroRowsColumns((first + self.fixed).astype(PETSc.IntType), 1.0)
-        A.getDiagonal(self._changed)
-        self.diagonal = self._changed.array.copy()
+        A.getDiagonal(self._scratch)
+        self.diagonal = self._scratch.array.copy()
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         self.add_penalty_diagonal(A, self.penalty_diagonal() if penalised else None)
@@ -353,13 +349,12 @@ class Nodal(Forms):
 
     def _work(self) -> float:
         """a(u, u)/2 - f(u) by the matrix: integrals over the cells would take as long as assembling it."""
-        u, force = self._constant.duplicate(), self._constant.duplicate()
+        u, force = self._scratch, self._constant.duplicate()
         own = len(u.array_r)
-        u.array[:] = self.w.x.array[:own] + self.reference.x.array[:own]
+        np.add(self.w.x.array[:own], self.reference.x.array[:own], out=u.array)
         self.stiffness.mult(u, force)
         value = 0.5 * u.dot(force) + u.dot(self._minus_load)
-        for owner in (u, force):
-            owner.destroy()
+        force.destroy()
         return value
 
     def _energy_at_zero(self) -> float:
@@ -386,10 +381,10 @@ class Nodal(Forms):
 
     def add_penalty_diagonal(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
         """Set A to the stiffness plus a diagonal at owned dofs; an infinite entry fixes the dof at zero."""
-        self._changed.array[:] = self.diagonal
+        self._scratch.array[:] = self.diagonal
         if penalty_diagonal is not None:
-            self._changed.array[:] += np.minimum(penalty_diagonal, HELD * self.diagonal)
-        A.setDiagonal(self._changed)
+            self._scratch.array[:] += np.minimum(penalty_diagonal, HELD * self.diagonal)
+        A.setDiagonal(self._scratch)
 
     def _excess(self) -> np.ndarray:
         """(u - upper)^+ - (lower - u)^+ at owned dofs."""

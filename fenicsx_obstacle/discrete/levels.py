@@ -263,7 +263,11 @@ def _nodal_pair(cell: str, degree: int) -> Pair | None:
 def refined(level: Level) -> Level:
     """The level with every edge halved, each cell staying on its rank (collective)."""
     new, cells, places = parents.halved(level.mesh, level.V)
-    return _above(level, new, level.h / 2, cells, places, P1)
+    fine = _above(level, new, level.h / 2, cells, places, P1)
+    moved = level.to_cad is not None or (level.shape is not None and level.shape.project is not None)
+    if level.mesh.topology.dim < 3 and not moved:  # cells are similar to their parents
+        fine.__dict__["h_max"] = level.h_max / 2  # in place of that found on first use
+    return fine
 
 
 def refined_where(level: Level, marked: np.ndarray) -> Level:

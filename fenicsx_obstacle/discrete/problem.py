@@ -132,7 +132,8 @@ class Problem:
         """Heights of data above the lowest one: a u that equals boundary values and obstacles, and is constant
         elsewhere; local dofs (collective)."""
         u_values = self.cold_start()
-        return np.asarray(u_values - smallest(self.level.comm, u_values))
+        u_values -= smallest(self.level.comm, u_values)
+        return u_values
 
     def move(self, u_values: np.ndarray) -> bool:
         """Update the data for the present time and set u; returns whether the stiffness has changed.
@@ -336,7 +337,7 @@ class Problem:
 
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances u - lower and upper - u at the points of I; inf where there is no obstacle."""
-        w, none = self.w.x.array, np.full(len(self.weights), np.inf)
+        w, none = self.w.x.array, np.broadcast_to(np.inf, len(self.weights))
         lower = none if self.below is None else self._at_points(w - self.below.x.array)
         upper = none if self.above is None else self._at_points(self.above.x.array - w)
         return lower, upper

@@ -42,9 +42,8 @@ def forces_of_data(problem: Problem) -> float:
     """The scale of the forces of the data (collective): the load, or the elastic forces of a u that equals the boundary
     values and obstacles and is constant elsewhere."""
     comm = problem.level.comm
-    at_zero, at_flat = problem.forms.forces_at(0.0, problem.flat())
-    at_zero[problem.fixed] = 0.0
-    return max(problem.load, total(comm, np.abs(at_zero)), total(comm, np.abs(at_flat)))
+    at_zero = total(comm, np.abs(problem.forms.forces_at(0.0)[~problem.fixed]))
+    return max(problem.load, at_zero, total(comm, np.abs(problem.forms.forces_at(problem.flat()))))
 
 
 def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
@@ -61,6 +60,14 @@ def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
     return stiffness
 
 
+def _round_off_outside(problem: Problem, stiffness: np.ndarray, low: float, high: float) -> float:
+    """The round-off of the residual due to the part of u outside of an interval; 0 if that is empty (collective)."""
+    own = problem.level.owned
+    u = problem.w.x.array[:own] + problem.reference.x.array[:own]
+    total_force = total(problem.level.comm, np.dot(stiffness, np.abs(u - np.clip(u, low, high))))
+    return 0.0 if low > high else EPSILON * total_force
+
+
 def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unbalanced: float) -> bool:
     """Whether the data, and not round-off, determine a state in balance (collective).
 
@@ -73,8 +80,7 @@ def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unba
     comm, own = problem.level.comm, problem.level.owned
     low, high = range_of_data(problem, active)
     w = problem.w.x.array[:own]
-    u = w + problem.reference.x.array[:own]
-    beyond = 0.0 if low > high else EPSILON * total(comm, stiffness * np.abs(u - np.clip(u, low, high)))
+    beyond = _round_off_outside(problem, stiffness, low, high)
     if max(beyond, unbalanced) <= LIMIT * problem.load:
         return True
     forces = forces_of_data(problem)

@@ -59,7 +59,7 @@ def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
     def sums(values: np.ndarray) -> np.ndarray:
         return np.asarray(problem.level.comm.allreduce(np.bincount(component[: len(values)], values, count)))
 
-    load = -sums(problem.forms.forces_at(0.0)[0])  # the estimator's load may have replaced that of the first check
+    load = -sums(problem.forms.forces_at(0.0))  # the estimator's load may have replaced that of the first check
     wrong = problem.borne & (np.abs(sums(contact) + load) > LIMIT * np.abs(load))
     if not wrong.any():
         return None
