@@ -6,10 +6,10 @@
 # (\int \mu |\nabla v|^2)^{1/2}$ is *proved* to be below 3 %. This works for scenes with a tension $\mu$ and a load
 # $f$ on a mesh of triangles. The page *Error bound* of the documentation lists all cases that are covered.
 #
-# The proof is an inequality without unknown constants. Let $u$ be the exact solution, and $\psi$ the obstacle below it.
-# Let $v_h$ be a function close to the computed solution $u_h$ that satisfies the constraint $v_h \ge \psi$. From $u_h$
-# the program constructs a multiplier $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$.
-# Then
+# The proof is an inequality without unknown constants. Let $u$ be the exact solution, $u_h$ the computed solution, and
+# $\psi$ the obstacle below them. The computed solution may violate the constraint slightly. Therefore the program
+# constructs a function $v_h$ close to $u_h$ with $v_h \ge \psi$ everywhere. From $u_h$ it also constructs a multiplier
+# $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$. Then
 #
 # $$ \|u - v_h\|_a \le \frac S2 + \sqrt{\frac{S^2}4 + \int \lambda\,(v_h - \psi)}, \qquad
 #    S = \|\mu^{1/2} \nabla v_h - \mu^{-1/2} \sigma\|_0 . $$
@@ -18,7 +18,7 @@
 # and further terms for a load that varies within triangles. All terms can be computed, and all are sums over
 # triangles. The program refines the triangles whose contributions are large.
 #
-# Run it in the clone with `.venv/bin/python demos/certified.py`.
+# In a clone of the repository, `.venv/bin/python demos/certified.py` runs this demo.
 
 # %%
 import matplotlib.pyplot as plt
@@ -60,7 +60,8 @@ for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
 # - `data`: the part due to data that the mesh does not resolve
 #
 # The text `bound.words` states the assumptions of the bound. A load that is a Python callable is known by samples only.
-# In this case the text is *certified for the sampled load*. `bound.guaranteed` is true only if the text is *certified*.
+# In this case the text is *certified for the sampled load*: the bound is proved if the load varies between the samples
+# no more than the samples show. `bound.guaranteed` is true only if the text is *certified*.
 #
 # The tolerance may be too small for the memory of the machine, or for a budget such as `solve(..., budget="60s")`.
 # Then the program returns the best solution, and `solution.adaptive.reached` is false.
