@@ -286,6 +286,8 @@ def test_solutions_beyond_the_range_of_the_data_are_rejected(tension, drift, cel
 TRAPPED = "the drift flows away from some places on all sides"
 CENTRE = ["20*(x - 0.5)", "20*(y - 0.5)"]
 SQUARES = {"shape": "rectangle", "cells": 16}
+RING = [f"where(hypot(x - 0.5, y - 0.5) > 0.3 and hypot(x - 0.5, y - 0.5) < 0.45, 53*({axis} - 0.5)/"
+        f"max(hypot(x - 0.5, y - 0.5), 0.01), 0)" for axis in "xy"]  # fmt: skip
 COARSE = {
     "P1": (SQUARES, CENTRE, 0.2, "P1"),
     "P2": (SQUARES, CENTRE, 0.2, "P2"),
@@ -294,6 +296,9 @@ COARSE = {
     "box": ({"shape": "box", "cells": 6}, [*CENTRE, "20*(z - 0.5)"], 0.01, "P1"),
     "line": (SQUARES, ["20*sin(6*(x - 0.3))", 0], 0.01, "P1"),
     "circles": (SQUARES, ["y - 0.5", "0.5 - x"], 1e-5, "P1"),
+    "P2 coarse": ({**SQUARES, "cells": 8}, ["200*(x - 0.5)", "200*(y - 0.5)"], 1, "P2"),
+    "Q2 coarse": ({**SQUARES, "cells": 8, "cell": "quadrilateral"}, ["200*(x - 0.5)", "200*(y - 0.5)"], 1, "Q2"),
+    "calm inside": ({**SQUARES, "cells": 8}, RING, 1, "P1"),
 }
 
 
@@ -303,6 +308,33 @@ def test_drift_without_a_way_out_needs_fine_cells(case):
     mesh, drift, tension, element = COARSE[case]
     with pytest.raises(NotConverged, match=TRAPPED):
         solve(Scene(mesh=mesh, tension=tension, load=1, drift=drift), element=element)
+
+
+def test_drift_with_an_obstacle_far_off_needs_fine_cells():
+    """A soft obstacle that u does not reach on these cells, or an obstacle in reach, makes no difference."""
+    outwards = ["200*(x - 0.5)", "200*(y - 0.5)"]
+    scene = Scene(mesh={**SQUARES, "cells": 8}, tension=1, load=1, drift=outwards)
+    for changes in ({"effects.soft_obstacle": {"upper": 1e9, "stiffness": 1}}, {"obstacle.upper": 1}):
+        with pytest.raises(NotConverged, match=TRAPPED):
+            solve(scene.change(changes), element="P2" if "obstacle.upper" in changes else "P1")
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_drift_in_time_needs_fine_cells(element):
+    """At the centre u = t while a particle there has not left; on coarse cells u stops growing after a time h/drift."""
+    time = {"end": 100, "steps": 50, "start": 0}
+    scene = Scene(mesh={**SQUARES, "cells": 8}, tension=1, load=1, rate=1, time=time,
+                  drift=["200*(x - 0.5)", "200*(y - 0.5)"])  # fmt: skip
+    with pytest.raises(InputError, match=TRAPPED):
+        solve(scene, element=element)
+
+
+def test_drift_in_circles_in_time():
+    """A cone that turns round is transported: its diffusion is no sign of a trap."""
+    scene = Scene(mesh=SQUARES, tension=1e-4, rate=1, drift=["0.5 - y", "x - 0.5"],
+                  time={"end": "2*pi", "steps": 40, "start": "max(1 - 5*hypot(x - 0.7, y - 0.5), 0)"})  # fmt: skip
+    _, high = extremes(solve(scene))
+    assert 0.1 < high <= 1.05
 
 
 @pytest.mark.parametrize("value", [None, 0])

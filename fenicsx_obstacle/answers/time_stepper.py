@@ -22,6 +22,7 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import fields_of
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.problems.state import State
+from fenicsx_obstacle.solvers.plausibility import check_drift_in_time
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.steps import Steps
 from fenicsx_obstacle.text import one_line
@@ -154,6 +155,7 @@ class TimeStepper:
             self._count(outcomes)
             self._row(0.0, None, outcomes)
             return
+        check_drift_in_time(problem)
         self.steps = Steps(moments.order, moments.scheme, 0.0, self._start(), self._velocity())
         self._move(0.0, self.steps.u_values[0])
         self.steps.u_values = [self._heights()]  # with the boundary values

@@ -129,6 +129,18 @@ class Forms:
         for forces in self._given():
             out.array[:] -= forces
 
+    def row_sums(self) -> np.ndarray:
+        """The derivative of a(u, .) times u = 1 at owned dofs, without what belongs to a step in time."""
+        A = fem.petsc.assemble_matrix(releases.form(ufl.derivative(self._at_rest, self.w)))
+        A.assemble()
+        one, sums = A.createVecs()
+        one.set(1.0)
+        A.mult(one, sums)
+        found = sums.array.copy()
+        for owner in (A, one, sums):
+            owner.destroy()
+        return found
+
     def _given(self, *, moving: bool = True) -> list[np.ndarray]:
         """The forces that are in no form."""
         return [forces for forces in (self.forces, self.impulse if moving else None) if forces is not None]
@@ -190,6 +202,12 @@ class Forms:
         parts = ((effect.order, effect.energy(u, self.data)) for effect in self.effects)
         return [(order, part) for order, part in parts if part is not None]
 
+    @property
+    def _at_rest(self) -> ufl.Form:
+        """a(u, v) - f(v) without what belongs to a step in time."""
+        still = [effect for effect in self.effects if effect.order == 0]
+        return residual(still, self._u, self.v, self.data)
+
     def _form(self, name: str) -> Any:
         """Compiled on first use (collective): the fast path needs none of these."""
         if name not in self._made:
@@ -198,8 +216,7 @@ class Forms:
                 gaps = {side: None if gap is None else gap + self.eps * self.multiplier for side, gap in gaps.items()}
             gaps["eps"] = self.eps if self.thickness == 1.0 else self.eps / self.thickness
             if name == "at rest":
-                still = [effect for effect in self.effects if effect.order == 0]
-                form = residual(still, self._u, self.v, self.data)
+                form = self._at_rest
             elif name == "elastic":
                 form = self._a_minus_f
             elif name == "contact energy":

@@ -16,14 +16,15 @@ from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negativ
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 
 NEAR = 1e-8  # of the values of the data: not beyond them
 NO_SOLUTION = "which no solution does"  # part of the message
-MAX_DEPTH = 2.0  # in a patch of cells of Pe = 1 all drift flows out by about so much
-TRAPPED = 100.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
+TRAPPED = 50.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
+NO_WAY_OUT = 1e4  # times the same: without one it is an exponential of Pe; in circles a multiple of Pe
 BY_RESIDUAL = {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_norm_type": "unpreconditioned", "ksp_rtol": 1e-4}
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
 
@@ -169,31 +170,68 @@ def _sensitive(problem: Problem, active: np.ndarray) -> str | None:
     return None
 
 
+def check_drift_in_time(problem: Problem) -> None:
+    """Reject drift that is trapped for longer than the scene lasts, on cells that do not resolve it (collective).
+
+    The discrete drift then leaves after all, so that u stops growing. In circles it is diffusion that takes long.
+
+    Raises:
+        InputError: With the Peclet number of the cells.
+    """
+    time, number = _longest_stay(problem, problem.fixed)
+    assert problem.model.time is not None
+    if time > NO_WAY_OUT and _crossings(problem, problem.model.time.end) > TRAPPED:
+        raise InputError(f"{problem.model.source}: {_in_words(number)}")
+
+
 def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     """Trapped drift on a mesh that does not resolve the diffusion against it, so that u is arbitrary there.
 
-    u grows by the exponential of a depth, the work of the drift over the tension on that way, which cells with Pe > 1
-    do not resolve. Two signs show it: all drift flows away from one vertex, by a depth that is no small number; or a
-    unit load makes u far larger than the time in which the drift crosses the domain.
+    Where drift flows away from some places on all sides, or in circles, the time that a particle stays in the domain is
+    the exponential of the work of the drift over the tension, and so is u. Cells with Pe > 1 do not resolve it.
     """
-    level, data, effects = problem.level, problem.data, problem.model.effects
-    velocity = next((found for effect in effects if (found := effect.velocity) is not None), None)
-    if velocity is None or not (problem.affine and level.pair.nodal):
-        return None
-    from fenicsx_obstacle.discrete.peclet import depth_of_sources, peclet, speed  # only where a model has drift
+    time, number = _longest_stay(problem, problem.fixed | problem.active_dofs(active != 0))
+    if 0 < time <= TRAPPED and problem.affine and problem.level.pair.nodal:
+        # in circles the matrix of the problem has less artificial diffusion
+        moved = _moved_by(problem, active, problem.nodal.unit_load())
+        time = max(time, _crossings(problem, moved))
+    return _in_words(number) if time > TRAPPED else None
 
-    if (number := peclet(data, velocity)) <= 1:
-        return None
-    free = ~problem.fixed & (active == 0)
-    if largest(level.comm, depth_of_sources(data, velocity)[free]) <= MAX_DEPTH:
-        time = _moved_by(problem, active, problem.nodal.unit_load())
-        if time is None or time * speed(data, velocity) <= TRAPPED * data.extent:
-            return None
+
+def _in_words(number: float) -> str:
     return (
         "the drift flows away from some places on all sides, or in circles, so that u is large there, and the cells "
         f"are too coarse to say how large: their Peclet number |drift| h/(2 tension) reaches {number:.3g}, and must be "
         "below 1 here"
     )
+
+
+def _longest_stay(problem: Problem, held: np.ndarray) -> tuple[float, float]:
+    """The longest time that the drift stays in the domain, over that in which it crosses it; and the largest Peclet
+    number of the cells (collective). The time is 0 where that number is at most 1."""
+    level, data, effects = problem.level, problem.data, problem.model.effects
+    velocity = next((found for effect in effects if (found := effect.velocity) is not None), None)
+    if velocity is None:
+        return 0.0, 0.0
+    from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
+    from fenicsx_obstacle.discrete.residence import residence_time
+
+    if (number := peclet(data, velocity)) <= 1:
+        return 0.0, number
+    reaction = problem.forms.row_sums()
+    time = residence_time(data, velocity, held, reaction, problem.A, partial(_solve, level.dofs))
+    return _crossings(problem, time), number
+
+
+def _crossings(problem: Problem, time: float | None) -> float:
+    """A time over that in which the drift crosses the domain; infinite, or unknown and 0, if its system was not solved
+    (collective)."""
+    from fenicsx_obstacle.discrete.peclet import speed
+
+    if time is None:
+        return np.inf if problem.level.dofs <= LARGEST else 0.0
+    velocity = next(found for effect in problem.model.effects if (found := effect.velocity) is not None)
+    return time * speed(problem.data, velocity) / problem.data.extent
 
 
 def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float | None:
@@ -204,7 +242,7 @@ def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float
     problem.nodal.add_penalty_diagonal(problem.A, np.where(active != 0, np.inf, 0.0))
     x, b = problem.A.createVecs()
     b.array[:] = np.where(problem.fixed | (active != 0), 0.0, forces)
-    solved = _solve(problem, b, x)
+    solved = _solve(problem.level.dofs, problem.A, b, x)
     most = largest(problem.level.comm, np.abs(x.array_r))
     for vector in (x, b):
         vector.destroy()
@@ -213,16 +251,16 @@ def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float
     return np.inf if problem.level.dofs <= LARGEST else None
 
 
-def _solve(problem: Problem, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+def _solve(dofs: int, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> bool:
     """Solve A x = b; whether that was possible (collective).
 
     Judged by b - A x itself: a preconditioner hardly sees a direction that A is nearly singular in, and the factors
     of such an A have pivots of pure round-off, so that one solve with them may miss x by a factor of 1000.
     """
-    ways: list[Mapping[str, Any]] = [GENERAL, DIRECT] if problem.level.dofs <= LARGEST else [GENERAL]
-    for options in reversed(ways) if direct_first(problem.level.dofs) else ways:
-        ksp = PETSc.KSP().create(problem.level.comm)
-        ksp.setOperators(problem.A)
+    ways: list[Mapping[str, Any]] = [GENERAL, DIRECT] if dofs <= LARGEST else [GENERAL]
+    for options in reversed(ways) if direct_first(dofs) else ways:
+        ksp = PETSc.KSP().create(A.comm)
+        ksp.setOperators(A)
         ksp.setOptionsPrefix("sensitivity_")
         with defaults("sensitivity_", {**options, **BY_RESIDUAL}):
             ksp.setFromOptions()

@@ -1,0 +1,102 @@
+"""The longest time that drift and diffusion need to leave a domain, by exponential fitting.
+
+It is the largest u of -div(mu grad u) + b . grad u + k u = 1 with u = 0 where it is held. Where the drift b flows away
+from some place on all sides u is the exponential of a work, which Galerkin's method and SUPG do not see on cells that
+do not resolve it. The matrix here has, for vertices i and j of a cell T, the entries of Scharfetter and Gummel (1969),
+
+    A_ij = -w B(d_ij),   d_ij = b . (x_j - x_i)/mu,   B(d) = d/(e^d - 1),   A_ii = k_i - sum_j A_ij,
+
+exact on a line with constant data. It is an M-matrix for any drift. The weights w = mu |T| n/(|x_i - x_j|^2 m), n being
+the dimension and m the number of pairs of vertices, are those of mu |grad u|^2 averaged over its directions: the time
+is known up to a factor of order 1, which is enough to see exponentials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import corner_simplices, corners, own_cells
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.peclet import Velocity, in_cells, mean_stiffness
+from fenicsx_obstacle.discrete.simplex_sizes import volumes
+from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import largest, total
+
+Solve = Callable[[PETSc.Mat, PETSc.Vec, PETSc.Vec], bool]
+
+
+def residence_time(
+    data: Data, velocity: Velocity, held: np.ndarray, reaction: np.ndarray, pattern: PETSc.Mat, solve: Solve
+) -> float | None:
+    """The longest time; infinite if there is no way out (collective).
+
+    Args:
+        data: Of the problem.
+        velocity: Components of the drift b.
+        held: Whether u is held at an owned dof.
+        reaction: Row sums of the stiffness at owned dofs: int k phi_i.
+        pattern: A matrix of V.
+        solve: Solves A x = b; whether that was possible.
+
+    Returns:
+        The time; None if the system could not be solved.
+    """
+    level, V = data.level, data.level.V
+    at = corners(level.mesh)[: own_cells(level.mesh)]
+    dim = level.mesh.topology.dim
+    dofs = np.asarray(V.dofmap.index_map.local_to_global(releases.cell_dofs(V)[: len(at), : at.shape[1]].ravel()))
+    dofs = dofs.reshape(at.shape[:2]).astype(PETSc.IntType)  # of vertices, which are first
+    size, mu = _sizes(at, dim, releases.cell_name(level.mesh)), mean_stiffness(data)
+    flow = [in_cells(data, part) for part in velocity]
+    pairs = list(combinations(range(at.shape[1]), 2))
+    parts = np.zeros((*at.shape[:2], at.shape[1]))  # the matrix of each cell
+    for i, j in pairs:
+        edge = at[:, j] - at[:, i]
+        work = sum(b * edge[:, axis] for axis, b in enumerate(flow)) / mu
+        weight = mu * size * dim / (np.einsum("ci,ci->c", edge, edge) * len(pairs))
+        for one, other, way in ((i, j, work), (j, i, -work)):
+            entry = weight * _bernoulli(way)
+            parts[:, one, one] += entry
+            parts[:, one, other] -= entry
+    A = pattern.duplicate()
+    A.setValuesRCV(dofs, dofs, parts, addv=PETSc.InsertMode.ADD)
+    A.assemble()
+    first, own = V.dofmap.index_map.local_range[0], level.owned
+    numbers = np.arange(first, first + own, dtype=PETSc.IntType)
+    x, b = A.createVecs()
+    x.array[:] = np.maximum(reaction, 0.0)
+    A.setDiagonal(x, addv=PETSc.InsertMode.ADD)
+    x.set(0.0)
+    b.setValues(dofs.ravel(), np.repeat(size / at.shape[1], at.shape[1]), addv=PETSc.InsertMode.ADD)
+    b.assemble()
+    empty = b.array_r == 0  # dofs that are no vertices
+    A.zeroRowsColumns(numbers[held | empty], 1.0)
+    b.array[held | empty] = 0.0
+    found = None
+    if solve(A, b, x):
+        # with exponentials beyond the range of numbers x is not positive, as the solution is
+        lost = total(level.comm, np.count_nonzero(~(x.array_r[~(held | empty)] > 0)))
+        found = np.inf if lost > 0 else largest(level.comm, x.array_r)
+    for owner in (A, x, b):
+        owner.destroy()
+    return found
+
+
+def _sizes(at: np.ndarray, dim: int, cell: str) -> np.ndarray:
+    """Length, area or volume of cells."""
+    if cell in SIMPLICES:
+        return volumes(at)
+    parts = corner_simplices(at, dim)
+    # the simplices at the corners of a parallelogram are halves, of a parallelepiped sixths
+    return volumes(parts.reshape(-1, dim + 1, 3)).reshape(parts.shape[:2]).mean(axis=1) * (2 if dim == 2 else 6)
+
+
+def _bernoulli(d: np.ndarray) -> np.ndarray:
+    """d/(e^d - 1)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.where(np.abs(d) < 1e-8, 1 - d / 2, d / np.expm1(d))
