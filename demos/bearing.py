@@ -17,7 +17,7 @@
 # proportional to viscosity times speed divided by the load. The *attitude* is the angle in degrees between the load and
 # the line through both axes.
 #
-# Run it in the clone with `.venv/bin/python demos/bearing.py`.
+# Run this tutorial in a clone with `.venv/bin/python demos/bearing.py`.
 
 # %%
 import matplotlib.pyplot as plt
@@ -33,9 +33,9 @@ bearing = Scene.read("demos/bearing.toml")
 # %% [markdown]
 # ## Several eccentricities
 #
-# `study` solves the scene for several values of a parameter. Here this is the eccentricity `ecc`, which the table
-# `[define]` of the scene contains. `study` returns a list with one dictionary per value. The known values of $S$ and
-# of the attitude are from Raimondi and Boyd (1958).
+# `study` solves the scene for several values of a parameter. Here the parameter is the eccentricity, `ecc` in the table
+# `[define]` of the scene. `study` returns a list with one dictionary per value. The known values of $S$ and of the
+# attitude are from Raimondi and Boyd (1958).
 
 # %%
 known = {0.1: (1.33, 79.5), 0.2: (0.631, 74.02), 0.4: (0.264, 63.10), 0.6: (0.121, 50.58), 0.8: (0.0446, 36.24)}
@@ -52,8 +52,8 @@ assert np.allclose([angle for _, angle in found], [angle for _, angle in known.v
 # ## The eccentricity for a given load
 #
 # In practice load, speed and viscosity are given. They determine $S$, and the eccentricity is unknown. Here SciPy's
-# `brentq` finds the eccentricity with $S(e) = 0.2$. In parallel all ranks must call `solve`. This is the case here: all
-# ranks get the same value of $S$, and `brentq` therefore takes the same steps on each rank.
+# `brentq` finds the eccentricity $e$ with $S(e) = 0.2$. In parallel all ranks must call `solve` equally often. Here
+# they do: all ranks get the same value of $S$, and `brentq` therefore takes the same steps on each rank.
 
 
 # %%
@@ -73,7 +73,7 @@ assert np.isclose(eccentricity, 0.475, atol=0.01)
 # ## Picture
 #
 # Left: the pressure on the unrolled cylinder at $S = 0.2$, with the boundary of the cavitated region. Right: $S$ for
-# the eccentricities of the study.
+# the eccentricities of the study, the known values, and the eccentricity with $S = 0.2$.
 
 # %%
 V = solution.u.function_space

@@ -7,7 +7,7 @@
 # $f$ on a mesh of triangles. The page *Error bound* of the documentation lists all cases that are covered.
 #
 # The proof is an inequality without unknown constants. Let $u$ be the exact solution, $u_h$ the computed solution, and
-# $\psi$ the obstacle below them. The computed solution may violate the constraint slightly. Therefore the program
+# $\psi$ the lower obstacle. The computed solution may violate the constraint slightly. Therefore the program
 # constructs a function $v_h$ close to $u_h$ with $v_h \ge \psi$ everywhere. From $u_h$ it also constructs a multiplier
 # $\lambda \ge 0$ and a flux $\sigma$ with $-\nabla \cdot \sigma = f + \lambda$. Then
 #
@@ -18,7 +18,7 @@
 # and further terms for a load that varies within triangles. All terms can be computed, and all are sums over
 # triangles. The program refines the triangles whose contributions are large.
 #
-# In a clone of the repository, `.venv/bin/python demos/certified.py` runs this demo.
+# Run this tutorial in a clone with `.venv/bin/python demos/certified.py`.
 
 # %%
 import matplotlib.pyplot as plt
@@ -31,8 +31,8 @@ from fenicsx_obstacle import releases, solve
 comm = MPI.COMM_WORLD
 
 # %% [markdown]
-# The scene `ball` comes with the package. Its exact solution is known, and the bound can be compared with the true
-# error. The computation of the bound does not use the exact solution.
+# The scene `ball` comes with the package. The exact solution of this scene is known, so that the bound can be compared
+# with the true error. The computation of the bound does not use the exact solution.
 
 # %%
 tolerances = [0.3, 0.1, 0.03]
@@ -51,8 +51,8 @@ for tolerance, bound, error in zip(tolerances, bounds, errors, strict=True):
     assert error <= bound.total <= 3 * error
 
 # %% [markdown]
-# The bound is at least as large as the error, and at most three times as large. Its parts are
-# attributes of `solution.bound`:
+# The bound is at least as large as the error, and at most three times as large. `solution.bound` also contains the
+# parts of the bound:
 #
 # - `discretisation`: the part due to the mesh
 # - `penalty`: the part due to the penalty parameter

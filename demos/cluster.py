@@ -1,10 +1,10 @@
 # %% [markdown]
 # # On a cluster: job script, checkpoint, restart
 #
-# A slab of ice at its melting point is heated on the left side. The temperature $\theta$ of the water satisfies the
-# heat equation. The front between water and ice moves with a speed proportional to the heat flux at the front (Stefan's
-# problem). Duvaut's transformation $u = \int_0^t \theta\,dt$ turns Stefan's problem into an obstacle problem. With
-# dimensionless quantities and the latent heat 1, it is
+# A slab of ice at its melting point is heated to the temperature 1 on the left side. The temperature $\theta$ of the
+# water satisfies the heat equation. The front between water and ice moves with a speed proportional to the heat flux at
+# the front (Stefan's problem). Duvaut's transformation $u = \int_0^t \theta\,dt$ turns Stefan's problem into an
+# obstacle problem. With dimensionless quantities and the latent heat 1, it is
 #
 # $$ u_t - \Delta u = -1 + p, \qquad u \ge 0, \quad p \ge 0, \quad p\,u = 0, \qquad u = t \text{ on the left side} . $$
 #
@@ -35,8 +35,8 @@
 #
 # ## The same problem in Python
 #
-# This file describes the same problem in Python, and solves it in two parts. On a cluster run it with
-# `srun python cluster.py`. On a workstation run it in the clone with `mpirun -n 2 .venv/bin/python demos/cluster.py`.
+# This tutorial describes the same problem in Python, and solves it in two parts. On a cluster, run the tutorial with
+# `srun python cluster.py`. On a workstation, run it in a clone with `mpirun -n 2 .venv/bin/python demos/cluster.py`.
 
 # %%
 import matplotlib.pyplot as plt
@@ -69,8 +69,8 @@ first = solve(half, keep="ice")
 
 # %% [markdown]
 # The second part continues from the checkpoint up to $t = 1$. Its history contains the time steps of both parts. The
-# code checks that this history agrees with the history of a run without interruption, and that the front is correct to
-# one cell.
+# code checks that this history agrees with the history of a run without interruption, and that the error of the front
+# is smaller than one cell.
 
 # %%
 second = solve(scene, keep="ice", restart="ice")
@@ -100,9 +100,9 @@ read = Answer.read("ice")
 assert np.isclose(read.at([0.5, 0.06]), second.at([0.5, 0.06]), rtol=1e-12)
 
 # %% [markdown]
-# The values in `second.report` are the same on every rank. To test or print them, no communication is needed. Functions
-# such as `second.u` are distributed over the ranks, as always in DOLFINx. The page *Performance* of the documentation
-# has measured times on several processes.
+# The values in `second.report` are the same on every rank, and can be tested or printed without communication.
+# Functions such as `second.u` are distributed over the ranks, as always in DOLFINx. The page *Performance* of the
+# documentation has measured times on several processes.
 #
 # Left: $u$ at $t = 1$ along a horizontal line. Right: the position of the front over time in both parts.
 

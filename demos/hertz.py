@@ -3,7 +3,7 @@
 The cylinder is fixed and touches the block at the origin. The bottom of the block is lifted by 0.118. By symmetry only
 the half 0 < x < 40, -40 < y < 0 of the block is computed.
 
-Run it in the clone with `.venv/bin/python demos/hertz.py`, or in parallel with
+Run this file in a clone with `.venv/bin/python demos/hertz.py`, or in parallel with
 `mpirun -n 2 .venv/bin/python demos/hertz.py`.
 """
 

@@ -16,7 +16,7 @@
 #
 # The solution of these equations is $a = 0.69797$ and $A = 0.68026$. The force on the ball is $2\pi A$.
 #
-# Run it in the clone with `.venv/bin/python demos/membrane.py`, or in parallel with
+# Run this tutorial in a clone with `.venv/bin/python demos/membrane.py`, or in parallel with
 # `mpirun -n 2 .venv/bin/python demos/membrane.py`.
 
 # %%
@@ -60,8 +60,8 @@ assert np.isclose(solution.force.lower, 2 * np.pi * A, rtol=2e-3)
 assert abs(radius - a) < 4 / 64  # one cell
 
 # %% [markdown]
-# The picture shows $u$. The colour is the contact pressure. The black line is the free boundary, which is the edge of
-# the contact set.
+# The picture shows $u$. The colour shows the contact pressure. The black line is the free boundary, that
+# is, the edge of the contact set.
 
 # %%
 picture = solution.plot("membrane.png")

@@ -11,7 +11,7 @@
 # points are the nodes. The contact pressure at the nodes is $p = (g - u)^+/\varepsilon$. $F$ may be linear or
 # nonlinear in $u$.
 #
-# Run it in the clone with `.venv/bin/python demos/one_added_line.py`.
+# Run this tutorial in a clone with `.venv/bin/python demos/one_added_line.py`.
 
 # %%
 from mpi4py import MPI  # before dolfinx: DOLFINx from pip requires that MPI is already loaded
@@ -36,7 +36,7 @@ functionspace = getattr(fem, "functionspace", None) or fem.FunctionSpace  # its 
 
 # %%
 def newton(F, u, bc, rtol):
-    """PETSc SNES with its usual tests, as in any DOLFINx code."""
+    """PETSc SNES with its default convergence tests; returns the reason why it stopped."""
     form, J = fem.form(F), fem.form(ufl.derivative(F, u))
     A = fem.petsc.create_matrix(J)
     owned = u.function_space.dofmap.index_map.size_local
@@ -76,8 +76,8 @@ def newton(F, u, bc, rtol):
 # %% [markdown]
 # ## The residual, and the added line
 #
-# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$. The stress $\sigma$ is an argument of
-# the function `over_ball`. The values of $u$ on the boundary are given. The obstacle is a ball of radius 1 below $u$.
+# The residual is $F(u; v) = \int \sigma(\nabla u) \cdot \nabla v$ on $(-2, 2)^2$. The function `over_ball` has two
+# arguments: the stress $\sigma$ and the values of $u$ on the boundary. The obstacle is a ball of radius 1 below $u$.
 
 
 # %%
@@ -117,8 +117,8 @@ def over_ball(stress, outside, cells=64, eps=1e-4, rtol=1e-10):
 #
 # The energy of a soap film is its area. Therefore $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
 # set the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$ with constants $a$ and $c$. The contact set is the disk
-# $r \le b$ with $b = 0.6$. At $r = b$ the film and the ball have the same value and slope if $a = b^2$, which is `neck`
-# in the code. The force on the ball is $2 \pi a$.
+# $r \le b$ with $b = 0.6$. At $r = b$ the film and the ball have the same value and slope if $a = b^2$. In the code,
+# $a$ is the variable `neck`. The force on the ball is $2 \pi a$.
 
 # %%
 A, b = 0.680259411891719, 0.6

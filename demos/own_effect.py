@@ -15,13 +15,16 @@
 # - `key`, the name of the effect in a scene;
 # - `terms`, its term in the residual as UFL, with a test function `v`;
 # - `energy`, its energy as UFL, here the integral of $-\lambda/(1 + u)$;
-# - `affine` and `convex`, which determine the solver: the term is not linear in $u$, and the energy is not convex;
-# - `equation`, `left`, `term` and `unit`, which are for the output of `./obstacle explain`.
+# - `affine` and `convex`, from which the package chooses the solver. Here both are false, because the term is not
+#   linear in $u$, and the energy is not convex;
+# - `equation`, `left`, `term` and `unit`, which appear in the output of `./obstacle explain`. `unit` is the unit of
+#   $\lambda$.
 #
-# The user may give $\lambda$ as a number, a formula or a Function; `data.cellwise(self.value)` is its value in each
-# cell. `data.dI` is the measure of the quadrature rule whose points are the nodes.
+# `self.value` is what the user gives for $\lambda$: a number, a formula or a Function. `data.cellwise` returns the
+# value of $\lambda$ in each cell. With `least=0.0` negative values are rejected. `data.dI` is the measure of the
+# quadrature rule whose points are the nodes.
 #
-# Run it in the clone with `.venv/bin/python demos/own_effect.py`.
+# Run this tutorial in a clone with `.venv/bin/python demos/own_effect.py`.
 
 # %%
 import matplotlib.pyplot as plt
@@ -37,7 +40,10 @@ comm = MPI.COMM_WORLD
 
 @register
 class Electrostatic(Effect):
-    """lambda/(1 + u)^2 on the left side of the equation; lambda >= 0 has the unit of a force, as 1 + u is a length."""
+    """lambda/(1 + u)^2 on the left side of the equation, lambda >= 0.
+
+    This term is a force per area, and 1 + u is a length. Therefore lambda has the unit of a force.
+    """
 
     key = "electrostatic"
     equation = "electrostatic/(1 + u)^2"
@@ -86,8 +92,9 @@ assert np.isclose(pull_in, 1.400, atol=1e-3) and np.isclose(release, 0.560, atol
 #
 # `electrostatic` is now a key of scenes, like `tension`. The load rises from 0 to 1.8 and falls to 0 again. The effect
 # `rate` adds a damping force to the equation. The load changes slowly, and the state is therefore close to an
-# equilibrium, except during pull-in and release. With the key `tolerance` the program chooses the time steps, which are
-# short during pull-in and release.
+# equilibrium, except during pull-in and release. The first time step has the length `end/steps`. Because of the key
+# `tolerance`, the program then chooses the length of each step so that the error that a step adds is smaller than
+# `tolerance`. The steps are short during pull-in and release.
 
 # %%
 scene = Scene(
@@ -116,8 +123,9 @@ assert np.isclose(distance.min(), 0.2, atol=1e-3)
 
 # %% [markdown]
 # The picture shows the distance in the middle over the load. The dashed black line shows the equilibria without
-# contact. The computed curve follows the stable ones. For loads between release and pull-in there are two stable
-# states, with and without contact. The history of the load determines which of them is observed.
+# contact. Where there is no contact, the computed curve follows the stable part of this line. For loads between release
+# and pull-in there are two stable states, one with contact and one without. The history of the load determines the
+# state of the membrane.
 
 # %%
 if comm.rank == 0:

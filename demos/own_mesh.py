@@ -10,7 +10,7 @@
 # Gmsh makes the mesh and its physical groups, which DOLFINx reads as `MeshTags`. The cells of the patch have the tag 5,
 # the other cells have the tag 6, and the facets on the left and right sides have the tag 1.
 #
-# Run it in the clone with `.venv/bin/python demos/own_mesh.py`, or with `mpirun -n 2 .venv/bin/python
+# Run this tutorial in a clone with `.venv/bin/python demos/own_mesh.py`, or with `mpirun -n 2 .venv/bin/python
 # demos/own_mesh.py`.
 
 # %%
@@ -43,14 +43,14 @@ mesh, cell_tags, facet_tags = model_to_mesh(gmsh.model, comm, 0, gdim=2)[:3]
 gmsh.finalize()
 
 # %% [markdown]
-# ## Names for tags, one number per material
+# ## Names for tags, and one tension per material
 #
 # A `Scene` takes the mesh and its tags. The arguments `facet_names` and `cell_names` give names to tags. Data and
 # boundary conditions refer to these names.
 #
-# With `tol=0.01` the package refines the mesh and its tags until the relative error in the energy norm is proved to be
-# below 1 %. The domain is a polygon, so the mesh has no geometric error. The package cannot know this. It
-# therefore reports 'certified on the polygon of the mesh'.
+# With `tol=0.01` the package refines the mesh until the relative error in the energy norm is proved to be below 1 %.
+# The tags are transferred to the cells and facets of each refined mesh. The domain is a polygon, so the mesh has no
+# geometric error. The package cannot know this. It therefore reports 'certified on the polygon of the mesh'.
 
 # %%
 common = {

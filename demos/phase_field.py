@@ -15,8 +15,8 @@
 #    d_{\text{old}} \le d \le 1 . $$
 #
 # The energy is quadratic in $w$ for a given $d$, and quadratic in $d$ for a given $w$. The staggered scheme minimises
-# it alternately over $w$ and over $d$, until $d$ no longer changes. The first problem is linear, the second is an
-# obstacle problem.
+# the energy alternately over $w$ and over $d$, until $d$ no longer changes. The problem for $w$ is linear, and the
+# problem for $d$ is an obstacle problem.
 #
 # ## A crack that grows in proportion to the load
 #
@@ -32,11 +32,14 @@
 #
 # $$ a = t\,\sqrt{\mu H/G_c} . $$
 #
-# In this tutorial the load rises to $t = 3.25$ and then decreases. While the crack grows, its length must have the
-# slope $\sqrt{\mu H/G_c}$ over the load. When the load decreases, the length must not change. $w$ is odd and $d$ is
-# even in $y$. It is therefore enough to compute the upper half, with $w = 0$ at $y = 0$.
+# In this tutorial the load rises to $t = 3.25$ and then decreases. While the crack grows, $da/dt$ must be
+# $\sqrt{\mu H/G_c}$. When the load decreases, the length must not change.
 #
-# Run it in the clone with `.venv/bin/python demos/phase_field.py`.
+# $w$ is odd and $d$ is even in $y$. It is therefore enough to compute the upper half, with $w = 0$ at $y = 0$. This
+# condition holds along the crack too, because in the phase-field model $w$ is continuous. In place of a jump at the
+# crack, $w$ changes steeply in the damaged cells beside the line $y = 0$.
+#
+# Run this tutorial in a clone with `.venv/bin/python demos/phase_field.py`.
 
 # %%
 from mpi4py import MPI  # before dolfinx: DOLFINx from pip requires that MPI is already loaded
@@ -66,8 +69,8 @@ surface = 3 * G_c / 8 * (d / ell + ell * ufl.inner(ufl.grad(d), ufl.grad(d))) * 
 # ## The two problems
 #
 # The forms of both problems are derivatives of the same energy. The problem for the damage is an `ObstacleProblem`. The
-# argument `lower=d_old` makes the damage irreversible. `d_old` is a Function, and each call of `solve()` uses the
-# current values of this Function. The problem for the displacement is an ordinary linear problem.
+# argument `lower=d_old` makes the damage irreversible. `d_old` is a Function, and each call of `damage.solve()` uses
+# the current values of this Function. The problem for the displacement is an ordinary linear problem.
 
 # %%
 damage = ObstacleProblem(ufl.derivative(elastic + surface, d, test), d, lower=d_old, upper=1.0)
@@ -81,7 +84,7 @@ def on(where):
 pulled = fem.Function(V)
 bcs = [
     fem.dirichletbc(pulled, on(lambda x: np.isclose(x[0], 0.0))),
-    fem.dirichletbc(fem.Function(V), on(lambda x: np.isclose(x[1], 0.0))),  # the last one counts at the corner
+    fem.dirichletbc(fem.Function(V), on(lambda x: np.isclose(x[1], 0.0))),  # at the corner this last condition holds
 ]
 K = fem.form(ufl.derivative(ufl.derivative(elastic, w, test), w, trial))
 zero = fem.form(fem.Constant(domain, 0.0) * test * ufl.dx)
@@ -110,7 +113,7 @@ def displace():
 #
 # The crack length is computed from the elastic energy $E$ of both arms, as $a = \mu H t^2/E$. By symmetry $E$ is twice
 # the elastic energy of the upper half. The strip ahead of the crack tip also deforms. The length $a$ is therefore
-# larger than the length of the damaged line. The difference is constant, and a fraction of $H$.
+# larger than the length of the damaged line. While the crack grows, the difference is constant, and a fraction of $H$.
 
 
 # %%
@@ -133,7 +136,7 @@ for t in loads:
         damage.solve(method="vi")
         change = comm.allreduce(np.abs(d.x.array - before).max(initial=0.0), op=MPI.MAX)
         steps += 1
-    assert comm.allreduce((d.x.array - d_old.x.array).min(initial=0.0), op=MPI.MIN) > -1e-12  # nowhere healed
+    assert comm.allreduce((d.x.array - d_old.x.array).min(initial=0.0), op=MPI.MIN) > -1e-12  # no decrease of d
     d_old.x.array[:] = d.x.array
     lengths.append(mu * H * t**2 / total(energies[0]))
     surfaces.append(total(energies[1]))
@@ -141,9 +144,10 @@ for t in loads:
         print(f"t = {t:4.2f}  {steps:3d} steps  crack length {lengths[-1]:.3f}  surface energy {surfaces[-1]:.3f}")
 
 # %% [markdown]
-# The crack grows from $t = 2.5$ to $t = 3.25$. In this range the computed slope of the crack length over the load
-# agrees with $\sqrt{\mu H/G_c} = 1$ to within 5 %. The computed surface energy per unit of crack length agrees with
-# $G_c = 1$, also to within 5 %. When the load decreases, the length does not change.
+# Up to $t = 2.25$ the length increases only slightly, because damage develops around the crack tip. From $t = 2.5$ to
+# $t = 3.25$ the crack grows. For these four loads, a straight line is fitted to the crack length over the load. The
+# slope of this line agrees with $\sqrt{\mu H/G_c} = 1$ to within 5 %. The surface energy per unit of crack length, also
+# from a fit, agrees with $G_c = 1$ to within 5 %. When the load decreases, the length does not change.
 
 # %%
 growing = slice(loads.index(2.5), loads.index(3.25) + 1)

@@ -16,7 +16,7 @@
 # In the scene below, $\sigma^2/2$ is the tension, $\sigma^2/2 - r$ the drift, and $r$ the foundation. The output
 # quantity `exercise` is $S^*$: the largest price at which a node is in contact.
 #
-# Run it in the clone with `.venv/bin/python demos/put.py`.
+# Run this tutorial in a clone with `.venv/bin/python demos/put.py`.
 
 # %%
 import matplotlib.pyplot as plt
@@ -47,8 +47,8 @@ delta = (above - below) / (2 * 0.004 * K)  # dV/dS at S = K
 # %% [markdown]
 # ## Comparison with a binomial tree
 #
-# The binomial tree of Cox, Ross and Rubinstein is a method without finite elements. Here it has 2000 steps. The code
-# compares the price $V$ and the derivative *delta* $= \partial V/\partial S$ at $S = K$, one year before expiry.
+# The binomial tree of Cox, Ross and Rubinstein is a method without finite elements. Here the tree has 2000 steps. The
+# code compares the price $V$ and the derivative *delta* $= \partial V/\partial S$ at $S = K$, one year before expiry.
 
 
 # %%
@@ -82,7 +82,8 @@ assert np.all(np.diff(exercise[1:]) <= 0) and exercise[-1] > perpetual  # S* dec
 # ## Picture
 #
 # Left: the value one year before expiry, which is tangent to the payoff at $S^*$. Right: the exercise boundary $S^*$
-# over the time to expiry. In the picture it moves in steps of one cell, because it is the position of a node.
+# over the time to expiry. In the picture $S^*$ moves in steps of one cell, because the computed value is the position
+# of a node.
 
 # %%
 line = solution.along([-0.6], [0.6], n=301)

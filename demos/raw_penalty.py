@@ -7,11 +7,14 @@ the contact is about 1. The unit of k is E* per half-width.
 
 If k is too small, the cylinder penetrates the block. If k is large, u_y = g holds nearly exactly at the Gauss points,
 which lie between the nodes. The piecewise linear u_y then differs from the curved gap g at the nodes by up to
-h^2/(8R), with the cell size h. k times this difference is much larger than the true pressure. The contact force is
-then right, but the pressure at the nodes is meaningless. Newton's method starts from u = 0, and takes more steps for
-a larger k.
+h^2/(8R), with the cell size h. Multiplied by a large k, this difference is much larger than the true pressure. The
+contact force is then right, but the pressure at the nodes is meaningless. Newton's method starts from u = 0, and takes
+more steps for a larger k.
 
-mpirun -n 2 python3 raw_penalty.py
+This file prints the Newton steps, the contact force and the error of the pressure, for ObstacleProblem and for five
+values of k. Run this file with
+
+    mpirun -n 2 python3 raw_penalty.py
 """
 
 import numpy as np

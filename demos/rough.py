@@ -13,7 +13,7 @@
 #
 # The tutorial computes the contact area and the contact force for several loads.
 #
-# Run it in the clone with `.venv/bin/python demos/rough.py`.
+# Run this tutorial in a clone with `.venv/bin/python demos/rough.py`.
 
 # %%
 from pathlib import Path
@@ -44,8 +44,8 @@ if comm.rank == 0:
 comm.barrier()
 
 # %% [markdown]
-# Along a line through the surface, the power spectrum is one-dimensional. The exponent is then larger by 1: the
-# spectrum must fall like $|k|^{-1 - 2H}$. The next cell checks this:
+# The next cell checks the spectrum of $z$ along straight lines. This one-dimensional spectrum must fall like
+# $|k|^{-1 - 2H}$: its exponent is larger by 1 than that of the surface.
 
 # %%
 power = np.abs(np.fft.fft(z, axis=1)[:, 1:128] ** 2).mean(axis=0)

@@ -6,17 +6,18 @@
 # $$ -\Delta u = 0 \ \text{in } \Omega, \qquad u \ge 0, \quad p = \partial_n u \ge 0, \quad p\,u = 0
 #    \ \text{on } \Gamma_C. $$
 #
-# Let $\Omega = (-1, 1) \times (0, 1)$, let $\Gamma_C$ be its bottom side, and let $r$ and $\theta$ be polar coordinates
-# around the origin. If the values of the following function $u$ are prescribed on the other three sides, $u$ and $p$
-# are the solution:
+# Let $\Omega = (-1, 1) \times (0, 1)$, let $\Gamma_C$ be the bottom side of $\Omega$, and let $r$ and $\theta$ be polar
+# coordinates around the origin. A solution is
 #
 # $$ u = r^{3/2} \cos \tfrac{3}{2}\theta, \qquad
 #    p = \tfrac32 \sqrt{-x} \ \text{for } x < 0, \quad p = 0 \ \text{for } x > 0 . $$
 #
+# In this tutorial the values of this function $u$ are prescribed on the other three sides.
+#
 # The contact set is the part of the bottom side with $x \le 0$. The free boundary is a single point, the origin. The
 # contact length is 1. The contact force $\int_{-1}^0 \frac32 \sqrt{-x}\,dx$ is also 1.
 #
-# Run it in the clone with `.venv/bin/python demos/signorini.py`.
+# Run this tutorial in a clone with `.venv/bin/python demos/signorini.py`.
 
 # %%
 import matplotlib.pyplot as plt
@@ -40,7 +41,7 @@ def exact(x):
 # The facets of the bottom side have the tag 3. `measure=ds(3)` tells `ObstacleProblem` that contact is possible on
 # these facets only. The rest is ordinary DOLFINx. The exact values are prescribed on the other three sides, but not at
 # the corner $(-1, 0)$, which belongs to the contact set. `method="vi"` solves the variational inequality without a
-# penalty. The error is then the error of the discretisation.
+# penalty. Then there is no error of a penalty, only the error of the discretisation.
 
 
 # %%

@@ -10,8 +10,8 @@
 #
 # This notebook goes through the paper of N. Kikuchi, *Convergence of a penalty-finite element approximation for an
 # obstacle problem*, Numer. Math. 37 (1981) 105-120. Numbers such as (3.4) are those of the paper. The meshes are
-# coarse, so that each code cell runs in seconds. Statements about errors, orders and counts are checked by `assert`.
-# Each section has exercises. If an exercise changes the data, remove the asserts that no longer apply.
+# coarse, so that each code cell runs in seconds. Statements about errors, orders and numbers of steps are checked by
+# `assert`. Each section has exercises. If an exercise changes the data, remove the asserts that no longer apply.
 #
 # `.venv/bin/python docs/kikuchi_in_an_hour.py` runs the file as a script, on any number of ranks, and writes the
 # pictures to `out/kikuchi`. Spyder and VS Code run single cells. To make a notebook, run
@@ -117,7 +117,7 @@ V = answer.level.V
 p = contact_pressure(answer.u, upper=c, eps=eps)
 assert np.allclose(p.x.array, answer.pressure.x.array)
 
-# the same from a residual of your own, without its penalty
+# the same from a residual of your own, without the penalty term
 u, v = fem.Function(V), ufl.TestFunction(V)
 F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - f * v * ufl.dx
 ends = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0] * (1 - x[0]), 0))
@@ -158,8 +158,8 @@ keep(page, "1_string")
 #    \qquad (5.5) $$
 #
 # The picture below shows that both errors are of order $\varepsilon$ for small $\varepsilon$. For $\varepsilon > h^2$
-# they do not depend on the mesh, and the bound (5.5) is not sharp. The orders in $\varepsilon$ are then about 3/4 for u
-# and 1/4 for p. Section 7 explains these orders. Since the stiffness matrix is an M-matrix,
+# both errors hardly depend on the mesh, and the bounds (5.5) are not sharp. The orders in $\varepsilon$ are then about
+# 3/4 for u and 1/4 for p. Section 7 explains these orders. Since the stiffness matrix is an M-matrix,
 # $|u_\varepsilon - u_h| \le \varepsilon \max|p_h|$ at every node and for every $\varepsilon$.
 #
 # **Exercise 2.1.** Repeat with `cells=64` and `cells=1024`. How does the value of $\varepsilon$ at which the order
@@ -193,12 +193,11 @@ keep(page, "2_eps")
 # %% [markdown]
 # ## 3. h tends to 0, and eps with it
 #
-# This section compares the computed solutions with the exact ones. For the discrete inequality, the error of u in
-# $H^1$ has order 1
-# (5.6), and so has the error of p in the dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, $v \in H^1_0$ (5.8). The
-# penalty method with $\varepsilon = h^2$ has the same orders (5.9). With $\varepsilon = h$ the orders are lower,
-# because the error of the penalty dominates. For u this error is about $\varepsilon^{3/4}$, since the pressure jumps at
-# the free boundary.
+# This section compares the computed solutions with the exact ones. For the discrete inequality, the error of u in $H^1$
+# has order 1 (5.6). The error of p in the dual norm $\|q\|_1^* = \sup_v (q, v)/\|v\|_1$, $v \in H^1_0$, also has order
+# 1 (5.8). The penalty method with $\varepsilon = h^2$ has the same orders (5.9). With $\varepsilon = h$ the orders are
+# lower, because the error of the penalty dominates. For u the error of the penalty is of order $\varepsilon^{3/4}$,
+# because the pressure jumps at the free boundary.
 #
 # **Exercise 3.1.** What is the smallest power k for which $\varepsilon = h^k$ gives order 1 for u? Use section 2, then
 # test your answer.
@@ -234,14 +233,15 @@ keep(page, "3_h")
 #
 # $$ \sup_{v \in V_h} I(q, v)/\|v\|_1 \ge \alpha_h \|q\|_0 \quad \text{for all } q \in Q_h \qquad (3.18) $$
 #
-# with $\alpha_h > 0$. The paper proves it with $\alpha_h = h/C$ for P1 (Example 2) and for Q1 with the trapezoid rule
-# (Example 3). The order of $\alpha_h$ is optimal. For a q that changes sign from node to node, $I(q, v)/\|v\|_1$ is at
-# most of order $h\,\|q\|_0$ for every v. The bounds (5.5) contain $1/h$ and $1/h^2$ because $\alpha_h$ is of order h.
+# with $\alpha_h > 0$. The paper proves (3.18) with $\alpha_h = h/C$ for P1 (Example 2) and for Q1 with the trapezoid
+# rule (Example 3). The order of $\alpha_h$ is optimal. For a q that changes sign from node to node, $I(q, v)/\|v\|_1$
+# is at most of order $h\,\|q\|_0$ for every v. The bounds (5.5) contain $1/h$ and $1/h^2$ because $\alpha_h$ is of
+# order h.
 #
 # In the dual norm of section 3 no power of h is lost, because the dual norm of such an oscillating q is small too. Let
-# $\beta_h$ be the constant of (3.18) with $\|q\|_1^*$ in place of $\|q\|_0$. It is bounded away from 0 as h tends to 0.
-# For this reason (5.8) and (5.9) contain no negative power of h. Both constants are computed for pressures q that are 0
-# at the boundary nodes, because every v in $V_h$ vanishes there.
+# $\beta_h$ be the constant of (3.18) with $\|q\|_1^*$ in place of $\|q\|_0$. $\beta_h$ is bounded away from 0 as h
+# tends to 0. For this reason (5.8) and (5.9) contain no negative power of h. Both constants are computed for pressures
+# q that are 0 at the boundary nodes, because every v in $V_h$ vanishes there.
 #
 # **Exercise 4.1.** Add `"P1-voronoi"` to the loop, with `"diagonal": "crossed"` in its mesh. This is P1 with the
 # Voronoi area of each node as its weight in I (see section 6). For which of the two
@@ -279,13 +279,13 @@ keep(page, "4_stability")
 #
 # Example 3 also treats Q1 with the one-point Gauss rule for I. For this pair $\alpha_h$ need not be positive. The
 # penalty now acts at the centres of the cells. On $n \times n$ cells there are $n^2$ centres, but only $(n - 1)^2$
-# interior nodes. Therefore the kernel, that is, the space of pressures q with $I(q, v) = 0$ for all v in $V_h$, has
-# $2n - 1$ dimensions. It contains a checkerboard, whose mean around each node is 0. The equations determine $p_h$ only
-# up to a q of the kernel, and only the condition $p_h \le 0$ limits the size of this q. u is as accurate as with the
-# trapezoid rule, but the pressure is not.
+# interior nodes. Let the kernel be the space of pressures q with $I(q, v) = 0$ for all v in $V_h$. Its dimension is
+# $n^2 - (n - 1)^2 = 2n - 1$. A checkerboard is in the kernel, because its mean over the four cells around each node is
+# 0. The equations determine $p_h$ only up to a q of the kernel, and only the condition $p_h \le 0$ limits the size of
+# this q. u is as accurate as with the trapezoid rule, but the pressure is not.
 #
-# **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that each is the sum of a
-# pressure that alternates in sign along x and one that alternates along y.
+# **Exercise 5.1.** Which pressures other than the checkerboard are in the kernel? Show that each of them is a sum of
+# two pressures: one alternates in sign from cell to cell along x, the other along y.
 #
 # **Exercise 5.2.** Solve by the penalty method, with `eps="h^2"` in place of `method="vi"`. Does the pressure oscillate
 # less?
@@ -312,21 +312,22 @@ keep(page, "5_chessboard")
 # %% [markdown]
 # ## 6. A pressure that does not converge in L2, and two remedies
 #
-# Theorem 4.2 states only that $\|p - p_h\|_0$ is bounded (5.7). This is sharp on certain meshes, such as criss-cross
-# meshes, if the obstacle is curved. In contact u = g at the nodes, so that $p_i = (A g)_i/D_i - f_i$ with the stiffness
-# matrix A, the weight $D_i$ of the node in I, and the load $f_i$ at the node. On a criss-cross mesh $D_i = h^2/3$ at
-# nodes with four triangles (centres of squares), and $D_i = 2h^2/3$ at nodes with eight triangles (corners of squares).
-# A consistent approximation of $-\Delta g$ by $(A g)_i/D_i$ would need $D_i = h^2/2$ at both. Instead, $(A g)_i/D_i$
-# tends to $-\Delta g$ times 3/2 at centres and times 3/4 at corners, and the pressure oscillates from node to node on
-# every mesh.
+# Theorem 4.2 states only that $\|p - p_h\|_0$ is bounded (5.7). If the obstacle is curved, $p_h$ does not converge in
+# $L^2$ on certain meshes, such as criss-cross meshes. In contact u = g at the nodes, so that $p_i = (A g)_i/D_i - f_i$
+# with the stiffness matrix A, the weight $D_i$ of the node in I, and the load $f_i$ at the node. On a criss-cross mesh
+# $D_i = h^2/3$ at nodes with four triangles (centres of squares), and $D_i = 2h^2/3$ at nodes with eight triangles
+# (corners of squares). A consistent approximation of $-\Delta g$ by $(A g)_i/D_i$ would need $D_i = h^2/2$ at all
+# nodes. Instead, $(A g)_i/D_i$ tends to $-\Delta g$ times 3/2 at centres and times 3/4 at corners, and the pressure
+# oscillates from node to node on every mesh.
 #
 # There are two remedies:
 #
-# - The penalty method with $\varepsilon = h^2$ damps this oscillation. A much smaller $\varepsilon$ does not.
+# - The penalty method with $\varepsilon = h^2$ damps this oscillation. With a much smaller $\varepsilon$ the
+#   oscillation remains.
 # - With the element `P1-voronoi` the weight of each node is its Voronoi area, here $h^2/2$. These weights are positive,
 #   as (3.6) requires.
 #
-# **Exercise 6.1.** Replace the obstacle by a flat one. Why does the effect disappear?
+# **Exercise 6.1.** Replace the obstacle by a flat one. Why does the oscillation disappear?
 #
 # **Exercise 6.2.** Compute the factors 3/2 (centre of a square) and 3/4 (corner) by hand for $g = x^2$.
 
@@ -386,15 +387,14 @@ keep(page, "6_stall")
 # - In contact $w = u_\varepsilon - c$ solves $-w'' + w/\varepsilon = f$ with $w(\alpha) = 0$. By symmetry
 #   $w = \varepsilon f\, [1 - \cosh((x - \frac12)/\sqrt\varepsilon) / \cosh(b/\sqrt\varepsilon)]$. Its slope at $\alpha$
 #   is $s = \sqrt\varepsilon f \tanh(b/\sqrt\varepsilon)$.
-# - For $x < \alpha$, $u_\varepsilon = c + s(x - \alpha) - f(x - \alpha)^2/2$, which has the same value and slope at
-#   $\alpha$. The condition $u_\varepsilon(0) = 0$ gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. Since s hardly depends on
-#   $\alpha$, a fixed-point
-#   iteration for $\alpha$ converges in a few steps.
+# - For $x < \alpha$, $u_\varepsilon = c + s(x - \alpha) - f(x - \alpha)^2/2$. At $\alpha$ this function has the value c
+#   and the slope s. The condition $u_\varepsilon(0) = 0$ gives $\alpha = (\sqrt{s^2 + 2cf} - s)/f$. Since s hardly
+#   depends on $\alpha$, a fixed-point iteration for $\alpha$ converges in a few steps.
 #
 # Let u, p be the solution of the obstacle problem without penalty (section 1). Its contact set begins at $x = a$. The
-# contact set of the penalised solution $u_\varepsilon$, $p_\varepsilon$ begins earlier, at about $a -
-# \sqrt\varepsilon$, and its pressure grows to its full size in a layer of
-# width $\sqrt\varepsilon$. Let $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures
+# contact set of the penalised solution $u_\varepsilon$, $p_\varepsilon$ begins earlier, at about
+# $x = a - \sqrt\varepsilon$. From there, $p_\varepsilon$ grows to its full size in a layer of width
+# $\sqrt\varepsilon$. Let $z = (x - \alpha)/\sqrt\varepsilon$ in the layer on the left. For $z < 0$ both pressures
 # are 0, and the slopes agree to leading order. For $z > 0$, to leading order:
 #
 # - $p_\varepsilon = -f(1 - e^{-z})$, while p jumps from 0 to $-f$ at $z = 1$;
@@ -408,13 +408,13 @@ keep(page, "6_stall")
 # $$ \|u_\varepsilon - u\|_a^2 = 2 f^2 \varepsilon^{3/2} \left[ \int_0^1 (e^{-z} - 1 + z)^2 dz
 #    + \int_1^\infty e^{-2z} dz \right] = f^2 (5/3 - 4/e)\, \varepsilon^{3/2}. $$
 #
-# The square roots have the orders 3/4 for u and 1/4 for p, as in section 2. There is such a layer wherever the pressure
-# jumps. With $\varepsilon = h^2$ it has the width of one element.
+# Take the square roots: the orders in $\varepsilon$ are 3/4 for u and 1/4 for p, as in section 2. There is such a layer
+# wherever the pressure jumps. With $\varepsilon = h^2$ the layer has the width of one element.
 #
 # **Exercise 7.1.** Verify the two integrals, 4/e - 1 and 5/3 - 4/e.
 #
 # **Exercise 7.2.** What are the orders if p is continuous and its slope jumps? The scene `smooth_square` has such a
-# pressure. Compare with its rows in the output of `./obstacle theory 3.3`.
+# pressure. Compare with the rows of this scene in the output of `./obstacle theory 3.3`.
 
 
 # %%
@@ -474,14 +474,15 @@ keep(page, "7_layer")
 # ## 8. The iteration (3.4)*
 #
 # If the contact set were known, (3.4) would be linear. The iteration (3.4)* starts with the empty set as contact set.
-# In each step it solves the linear problem of the present set. The nodes with $u > g$ are the next set. The iteration
-# stops when a set is the same as the one before. Then u solves (3.4) exactly. This iteration is Newton's method for
-# (3.4). With an M-matrix, u and the sets decrease after the first step, so that the iteration ends after finitely many
-# steps. The code below programs the iteration for the string in NumPy and compares it with the iteration of the
-# package.
+# In each step it solves the linear problem for the current set. The nodes at which this solution is larger than g form
+# the next set. The iteration stops when two consecutive sets are equal. Then u solves (3.4) exactly. This iteration is
+# Newton's method for (3.4). With an M-matrix, u and the sets decrease after the first step, so that the iteration ends
+# after finitely many steps. The code below programs the iteration for the string in NumPy and compares it with the
+# iteration of the package.
 #
 # For a small $\varepsilon$ each step removes about one layer of nodes from the set, so that the number of steps grows
-# like 1/h. Nested iteration starts from the solution on a mesh twice as coarse. Its number of steps does not grow.
+# like 1/h. Nested iteration starts from the solution on a mesh with cells of twice the size. The number of steps of
+# nested iteration does not grow.
 #
 # **Exercise 8.1.** Start from the set of all nodes in place of the empty set. Does each set still contain the next one?
 #
