@@ -11,11 +11,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle import Scene
+from fenicsx_obstacle import Scene, releases
 
 COMM = MPI.COMM_WORLD
 HOOKS = COMM.Dup()  # the tests' own collective calls must not meet those of the hooks
@@ -137,3 +139,10 @@ def membrane(**given: Any) -> Scene:
     """A membrane on the unit square with 16 cells a side, u = 0 on the boundary."""
     data: dict[str, Any] = {"mesh": {"shape": "rectangle", "cells": 16}, "tension": 1, **given}
     return Scene(**data)
+
+
+def by_hand(points: np.ndarray, cells: np.ndarray, comm: MPI.Comm = COMM) -> dmesh.Mesh:
+    """A mesh of triangles, all on the last rank."""
+    last = comm.rank == comm.size - 1
+    cells, points = (cells, points) if last else (cells[:0], points[:0])
+    return releases.create_mesh(comm, cells, points, "triangle", stay=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, slow_except
+from conftest import COMM, by_hand, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -218,13 +218,6 @@ def test_counts_are_those_of_one_rank(method):
     assert ours.record["energy"] == pytest.approx(alone.record["energy"], rel=1e-9)
     levels = [[one.level.dofs for one in levels_of(square(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]
     assert levels[0] == levels[1]
-
-
-def by_hand(points, cells):
-    """A mesh of triangles, all on the last rank."""
-    last = COMM.rank == COMM.size - 1
-    cells, points = (cells, points) if last else (cells[:0], points[:0])
-    return releases.create_mesh(COMM, cells, points, "triangle", stay=True)
 
 
 def grid(cells, slit):

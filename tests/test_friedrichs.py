@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, slow_except
+from conftest import COMM, by_hand, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -17,13 +17,6 @@ from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
 BOXES = {1: dmesh.create_unit_interval, 2: dmesh.create_unit_square, 3: dmesh.create_unit_cube}
 MEETING = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2]], dtype=float)
 HALVES = np.array([[0, 1, 3], [0, 3, 2], [3, 4, 6], [3, 6, 5]])
-
-
-def by_hand(points, cells, comm=COMM):
-    """A mesh of triangles, all on the last rank."""
-    last = comm.rank == comm.size - 1
-    cells, points = (cells, points) if last else (cells[:0], points[:0])
-    return releases.create_mesh(comm, cells, points, "triangle", stay=True)
 
 
 def constant(level: Level, where) -> float:
