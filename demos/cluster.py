@@ -22,7 +22,7 @@
 # ```sh
 # #!/bin/bash
 # #SBATCH --nodes=2 --ntasks-per-node=32 --time=01:00:00
-# module load fenicsx    # or activate the environment with DOLFINx
+# module load fenicsx    # or activate the environment in which DOLFINx and this package are installed
 # srun fenicsx-obstacle solve ice.toml --output $SCRATCH/ice
 # ```
 #
@@ -68,7 +68,7 @@ half = scene.change({"time.end": 0.5, "time.steps": 25})
 first = solve(half, keep="ice")
 
 # %% [markdown]
-# The second part continues from the checkpoint up to $t = 1$. Its history contains the time steps of both parts. The
+# The second part continues from the checkpoint up to $t = 1$. The answer `second` has the history of both parts. The
 # code checks that this history agrees with the history of a run without interruption, and that the error of the front
 # is smaller than one cell.
 
