@@ -383,6 +383,22 @@ def test_large_strains():
     assert np.isclose(forces[True], exact, rtol=1e-6)
 
 
+def test_forces_of_large_strains():
+    """The residual of another state is that of the forms, not of the last matrix; the state stays."""
+    body = Box(6, large=True)
+    problem = body.problem()
+    problem.solve(method="vi")
+    forms = problem._problem.forms
+    kept, r = forms.w.x.array.copy(), forms.reference.x.array.copy()
+    other = 0.5 * (kept + r)
+    found = forms.forces_at(other)
+    assert np.array_equal(forms.w.x.array, kept)
+    forms.w.x.array[:], forms.reference.x.array[:] = other, 0.0
+    exact = forms.vector()
+    forms.elastic(exact)
+    assert np.allclose(found, exact.array, rtol=0, atol=1e-13 * np.abs(exact.array).max(initial=1.0))
+
+
 def test_data_that_change():
     """A second solve takes new values of Constants, of the obstacle and of bcs, and starts from the last contact."""
     body = Hertz(cells=16, degree=1)
