@@ -260,6 +260,35 @@ def test_contact_on_a_part_of_the_boundary():
         own.problem(measure=ufl.dx)
 
 
+def tagged(mesh, dim, number=3):
+    """Cells, or facets of the left side, tagged with a number."""
+    find = dmesh.locate_entities if dim == mesh.topology.dim else dmesh.locate_entities_boundary
+    there = np.sort(find(mesh, dim, lambda x: x[0] < 0.26)).astype(np.int32)
+    return dmesh.meshtags(mesh, dim, there, np.full(len(there), number, np.int32))
+
+
+@pytest.mark.parametrize("cells", [2, 4, 16])
+def test_measures_of_another_mesh(cells):
+    """A measure whose domain or MeshTags are of another mesh, for the contact or within a form: an error on all
+    ranks."""
+    own, other = Membrane(4), Membrane(cells)
+    facets, inside = tagged(other.mesh, 1), tagged(other.mesh, 2)
+    for measure, words in (
+        (ufl.Measure("ds", domain=other.mesh, subdomain_data=facets)(3), "measure is of another mesh than u"),
+        (ufl.Measure("ds", domain=other.mesh), "measure is of another mesh than u"),
+        (ufl.Measure("ds", domain=own.mesh, subdomain_data=facets)(3), "measure: subdomain_data: these MeshTags"),
+        (ufl.Measure("dS", subdomain_data=facets)(3), "measure: subdomain_data: these MeshTags belong to another mesh"),
+        (ufl.Measure("ds", subdomain_data=facets), "measure: subdomain_data: these MeshTags belong to another mesh"),
+        (ufl.Measure("ds", subdomain_data=tagged(own.mesh, 2))(3), "measure: subdomain_data = .*: expected MeshTags"),
+    ):
+        with pytest.raises(InputError, match=f"ObstacleProblem: {words}"):
+            own.problem(measure=measure)
+    for kind, tags in (("dx", inside), ("ds", facets)):
+        loaded = own.F - own.v * ufl.Measure(kind, domain=own.mesh, subdomain_data=tags)(3)
+        with pytest.raises(InputError, match="F: a measure: subdomain_data: these MeshTags belong to another mesh"):
+            ObstacleProblem(loaded, own.u, bcs=own.bc, upper=own.g)
+
+
 def test_options_belong_to_the_problem():
     """Two problems with a prefix each; the database is as before afterwards; a limit of steps is kept."""
     one, other = Membrane(), Membrane()

@@ -25,7 +25,15 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
-from fenicsx_obstacle.problems.residual_form import ResidualForm, check_form, conditions, facets_of, number_of, obstacle
+from fenicsx_obstacle.problems.residual_form import (
+    ResidualForm,
+    check_form,
+    check_measure,
+    conditions,
+    facets_of,
+    number_of,
+    obstacle,
+)
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.problems.values import Seconds
@@ -165,6 +173,9 @@ class ObstacleProblem:
                 for name, g in (("lower", lower), ("upper", upper))
             }
             held = conditions(bcs, V, self.name)
+        for name, given in (("F", F), ("energy", energy), ("J", J)):
+            for integral in () if given is None else given.integrals():
+                check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
         data: Data

@@ -22,6 +22,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.fields import field, foreign
+from fenicsx_obstacle.discrete.mesh_tags import check_tags
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
@@ -226,6 +227,25 @@ def obstacle(g: Any, u: fem.Function, place: str) -> Field:
     return field(g, place)
 
 
+def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: str) -> None:
+    """Reject a measure, or the measure of an integral, whose domain or MeshTags are of another mesh (collective).
+
+    Args:
+        measure: What was given; its domain may be open.
+        mesh: Mesh of u.
+        place: What messages call it.
+
+    Raises:
+        InputError: If it is of another mesh.
+    """
+    domain, tags = measure.ufl_domain(), measure.subdomain_data()
+    if domain is not None and domain != mesh.ufl_domain():
+        raise InputError(f"{place} is of another mesh than u: take domain=u.function_space.mesh")
+    codim = {"cell": 0, "exterior_facet": 1, "interior_facet": 1}.get(measure.integral_type())
+    if codim is not None and hasattr(tags, "find"):
+        check_tags(tags, mesh, mesh.topology.dim - codim, f"{place}: subdomain_data")
+
+
 def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
     """Local facets of a measure (collective).
 
@@ -235,6 +255,7 @@ def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
     kinds = ("exterior_facet", "interior_facet")
     if not isinstance(measure, ufl.Measure) or measure.integral_type() not in kinds:
         raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
+    check_measure(measure, mesh, f"{name}: measure")
     tags, ids = measure.subdomain_data(), measure.subdomain_id()
     if ids == "everywhere" or ids == ("everywhere",):
         mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
