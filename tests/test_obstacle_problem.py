@@ -14,7 +14,17 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, compare, penalty, releases, solve
+from fenicsx_obstacle import (
+    InputError,
+    NotConverged,
+    ObstacleProblem,
+    Scene,
+    Solution,
+    compare,
+    penalty,
+    releases,
+    solve,
+)
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.releases import NEW, vec
@@ -287,6 +297,38 @@ def test_measures_of_another_mesh(cells):
         loaded = own.F - own.v * ufl.Measure(kind, domain=own.mesh, subdomain_data=tags)(3)
         with pytest.raises(InputError, match="F: a measure: subdomain_data: these MeshTags belong to another mesh"):
             ObstacleProblem(loaded, own.u, bcs=own.bc, upper=own.g)
+
+
+@pytest.mark.parametrize("way", ["form", "scene"])
+def test_a_mesh_that_was_moved(way):
+    """A vertex of one rank is moved between two solves: an error on all ranks; a new problem has the new mesh."""
+    own = Membrane(8)
+    scene = Scene(mesh=own.mesh, tension=1, load=8, upper=0.3)
+
+    def made():
+        return own.problem() if way == "form" else scene.problem()
+
+    problem = made()
+    before = problem.solve().force.upper
+    assert same(problem.solve().force.upper, before)
+    if COMM.rank == COMM.size - 1:
+        own.mesh.geometry.x[0] *= 1.01
+    with pytest.raises(InputError, match="ObstacleProblem: the mesh was moved since this problem was created: create"):
+        problem.solve()
+    own.mesh.geometry.x[:] *= 2.0
+    assert not same(made().solve().force.upper, before)
+
+
+def test_a_scene_on_a_mesh_that_was_moved():
+    """Each solve of a scene takes the mesh as it then is."""
+    own = Membrane(8)
+    given = {"mesh": own.mesh, "tension": 1, "load": lambda x: 8 + x[0], "upper": lambda x: 0.3 + 0.1 * x[1]}
+    scene = Scene(**given)
+    before = solve(scene, bound=True)
+    own.mesh.geometry.x[:, 0] = 1 + 2 * own.mesh.geometry.x[:, 0]
+    after, new = solve(scene, bound=True), solve(Scene(**given), bound=True)
+    assert same(after.force.upper, new.force.upper) and same(after.bound.total, new.bound.total)
+    assert same(after.area, new.area) and after.area > before.area
 
 
 def test_options_belong_to_the_problem():

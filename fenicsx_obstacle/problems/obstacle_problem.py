@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,7 +81,8 @@ class ObstacleProblem:
     coefficients in it stay the same.
 
     Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
-    values are updated, and the iteration starts from u, as a loop over time steps needs it. Where F is linear and
+    values are updated, and the iteration starts from u, as a loop over time steps needs it. The mesh must stay where
+    it is: after a move create a new ObstacleProblem. Where F is linear and
     symmetric, and u is one number or turns out to be a bad start, algebraic coarse levels give a better one.
 
     All methods are collective.
@@ -262,6 +264,7 @@ class ObstacleProblem:
     ) -> None:
         """Assemble what stays (collective)."""
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
+        self._vertices = _digests(data.level)
         if options is not None and not isinstance(options, Mapping):
             wanted = "expected a dict, such as {'ksp_type': 'cg'}"
             raise InputError(f"{self.name}: petsc_options = {shown(options)}: {wanted}")
@@ -362,6 +365,7 @@ class ObstacleProblem:
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
+        self._check_mesh()
         options = SolverOptions(method, source=f"{self.name}:")
         if not 0 < rtol < 1:
             raise InputError(f"{self.name}: rtol = {rtol:g}: expected a number between 0 and 1")
@@ -384,6 +388,17 @@ class ObstacleProblem:
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         return Solved(outcome, way, state)
+
+    def _check_mesh(self) -> None:
+        """Reject a mesh that was moved: weights, eps and sampled obstacles are those of its former vertices
+        (collective).
+
+        Raises:
+            InputError: On all ranks, if vertices of any rank were moved.
+        """
+        moved = _digests(self._data.level) != self._vertices
+        if total(self.level.comm, float(moved)) > 0:
+            raise InputError(f"{self.name}: the mesh was moved since this problem was created: create a new one")
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
@@ -590,6 +605,12 @@ def _assembled(form: ufl.Form, level: Level) -> np.ndarray:
     found = vector.array_r[: level.owned].copy()
     vector.destroy()
     return found
+
+
+def _digests(level: Level) -> list[bytes]:
+    """Digests of the local vertices of a mesh, and of those that it was refined from (local)."""
+    meshes = {id(one.mesh): one.mesh for one in level.downward}
+    return [sha256(np.ascontiguousarray(mesh.geometry.x)).digest() for mesh in meshes.values()]
 
 
 def _values_in(form: ufl.Form) -> list[np.ndarray]:
