@@ -455,6 +455,17 @@ def test_quantities_of_another_mesh(change, words):
         body.problem(**change(body, other))
 
 
+def test_a_body_on_a_part_of_the_mesh():
+    """Nodes of cells over which F has no integral are named."""
+    body = Box()
+    cells = dmesh.locate_entities(body.mesh, body.dim, lambda x: np.full(x.shape[1], COMM.rank == 0))
+    tags = dmesh.meshtags(body.mesh, body.dim, cells[:1], np.full(len(cells[:1]), 3, np.int32))
+    dx = ufl.Measure("dx", domain=body.mesh, subdomain_data=tags)
+    body.F = ufl.inner(stress(strain_of(body.u), 0.3), strain_of(body.v)) * dx(3)
+    with pytest.raises(InputError, match=r"the derivative of F has no integral over the cells at .* nodes, such as \("):
+        body.problem()
+
+
 def test_a_load_that_pulls():
     """A body that contact alone holds, and a load that pulls it away: rejected before anything is solved."""
     body = Box()

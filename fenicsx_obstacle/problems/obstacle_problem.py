@@ -29,6 +29,7 @@ from fenicsx_obstacle.problems.output_quantities import course_of, output_quanti
 from fenicsx_obstacle.problems.residual_form import (
     ResidualForm,
     check_form,
+    check_integrals,
     check_measure,
     conditions,
     facets_of,
@@ -180,6 +181,8 @@ class ObstacleProblem:
                 check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
+        with releases.compiled_with(*compiled):
+            check_integrals(form, self.name)
         data: Data
         if vector_valued:
             data = self._vector_data(form, sides, held, of, measure)

@@ -168,6 +168,73 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     elsewhere = [integral for integral in form.integrals() if foreign(integral.integrand(), domain)]
     if elsewhere or any(one != domain for one in form.ufl_domains()):
         raise InputError(f"{place} holds a Function or a measure of another mesh than that of u")
+    tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
+    for one in form.integrals():
+        tags = [tag for tag in _ids(one) if isinstance(tag, numbers.Integral)]
+        if tags and one.integral_type() not in tagged:
+            raise InputError(f"{place}: a measure has the tag {tags[0]} without MeshTags: give it subdomain_data=")
+
+
+def check_integrals(form: ResidualForm, place: str) -> None:
+    """Reject a form whose derivative has no integral over the cells of some nodes: its matrix has no entries there
+    (collective).
+
+    Args:
+        form: The residual.
+        place: What messages call it.
+
+    Raises:
+        InputError: With the remedy.
+    """
+    V = form.u.function_space
+    given = form.J is not None and not form.affine
+    integrals = _plain(form.J if given else form.slope).integrals()
+    if any(one.integral_type() == "cell" and "everywhere" in _ids(one) for one in integrals):
+        return
+    place = f"{place}: J" if given else f"{place}: the derivative of F"
+    if not integrals:
+        raise InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
+    reached = fem.Function(V)
+    cells = _cells_of(integrals, V.mesh)
+    nodes = reached.x.array.reshape(-1, V.dofmap.index_map_bs)
+    nodes[releases.cell_dofs(V)[cells]] = 1.0
+    releases.add_ghosts(reached)
+    lost = np.flatnonzero(nodes[: V.dofmap.index_map.size_local, 0] == 0)
+    comm, every = V.mesh.comm, V.dofmap.index_map.size_global
+    count = total(comm, len(lost))
+    if count == every:
+        raise InputError(f"{place} has integrals over no cell: does a measure have a tag that no cell has?")
+    if count > 0:
+        points = V.tabulate_dof_coordinates()[lost[:1], : V.mesh.geometry.dim].tolist()
+        where = ", ".join(f"{x:.4g}" for x in min(point for part in comm.allgather(points) for point in part))
+        raise InputError(
+            f"{place} has no integral over the cells at {count:.0f} of {every} nodes, such as ({where}): integrate "
+            "over the whole domain, or solve on a mesh of the other cells alone, made by dolfinx.mesh.create_submesh"
+        )
+
+
+def _ids(integral: ufl.Integral) -> tuple[Any, ...]:
+    """The tags of an integral, or 'everywhere'."""
+    found = integral.subdomain_id()
+    return found if isinstance(found, tuple) else (found,)
+
+
+def _cells_of(integrals: Sequence[ufl.Integral], mesh: dmesh.Mesh) -> np.ndarray:
+    """Owned cells that are in, or at a facet of, the domain of an integral (collective)."""
+    W = releases.functionspace(mesh, "DG", 0)
+    q = ufl.TestFunction(W)
+    kinds = {"cell": q, "exterior_facet": q, "interior_facet": q("+") + q("-")}
+    measured = [
+        one.reconstruct(integrand=kinds[one.integral_type()], metadata={})
+        for one in integrals
+        if one.integral_type() in kinds
+    ]
+    sizes = fem.petsc.assemble_vector(releases.form(ufl.Form(measured)))
+    sizes.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    own = mesh.topology.index_map(mesh.topology.dim).size_local
+    found = np.flatnonzero(sizes.array_r[releases.cell_dofs(W)[:own, 0]] > 0)
+    sizes.destroy()
+    return found
 
 
 def conditions(bcs: Any, V: fem.FunctionSpace, place: str) -> list[Any]:
