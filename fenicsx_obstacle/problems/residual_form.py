@@ -21,7 +21,7 @@ from ufl.classes import Abs, Condition, MaxValue, MinValue
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.fields import field, foreign
+from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
 from fenicsx_obstacle.discrete.mesh_tags import check_tags
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
@@ -168,6 +168,8 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     elsewhere = [integral for integral in form.integrals() if foreign(integral.integrand(), domain)]
     if elsewhere or any(one != domain for one in form.ufl_domains()):
         raise InputError(f"{place} holds a Function or a measure of another mesh than that of u")
+    if any(is_complex(integral.integrand()) for integral in form.integrals()):
+        raise InputError(f"{place} holds complex numbers: expected real ones; take the real part of its data")
     tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
     for one in form.integrals():
         tags = [tag for tag in _ids(one) if isinstance(tag, numbers.Integral)]
