@@ -613,7 +613,7 @@ def _assembled(form: ufl.Form, level: Level) -> np.ndarray:
 def _digests(level: Level) -> list[bytes]:
     """Digests of the local vertices of a mesh, and of those that it was refined from (local)."""
     meshes = {id(one.mesh): one.mesh for one in level.downward}
-    return [sha256(np.ascontiguousarray(mesh.geometry.x)).digest() for mesh in meshes.values()]
+    return [sha256(np.ascontiguousarray(mesh.geometry.x).data).digest() for mesh in meshes.values()]
 
 
 def _values_in(form: ufl.Form) -> list[np.ndarray]:

@@ -231,6 +231,8 @@ def _cells_of(integrals: Sequence[ufl.Integral], mesh: dmesh.Mesh) -> np.ndarray
         for one in integrals
         if one.integral_type() in kinds
     ]
+    if not measured:
+        return np.empty(0, dtype=np.int64)
     sizes = fem.petsc.assemble_vector(releases.form(ufl.Form(measured)))
     sizes.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     own = mesh.topology.index_map(mesh.topology.dim).size_local
