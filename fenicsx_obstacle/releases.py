@@ -111,6 +111,13 @@ def geometry_dofs(mesh: dmesh.Mesh) -> np.ndarray:
     return dofs[:, :vertices]
 
 
+def topology_of(owner: Any) -> Any:
+    """The C++ topology of a mesh or of MeshTags, the same Python object for both; None where it is not known."""
+    owner = getattr(owner, "mesh", owner)  # MeshTags of 0.5 have their mesh, later ones its topology
+    topology = getattr(owner, "topology", None)
+    return getattr(topology, "_cpp_object", topology)
+
+
 def geometry_degree(mesh: dmesh.Mesh) -> int:
     """Degree of the polynomials that map the reference cell to the cells of a mesh; 1 where edges are straight."""
     geometry = mesh.geometry

@@ -446,6 +446,42 @@ def test_what_is_rejected(change, words):
         body.problem(**change(body))
 
 
+def wrongly_tagged(body, other):
+    """ds(3) of a body, with the tags of another one."""
+    return ufl.Measure("ds", domain=body.mesh, subdomain_data=other.ds.subdomain_data())(3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda body, other: {"measure": other.ds(3)}, "measure is of another mesh than u: take domain="),
+        (lambda body, other: {"measure": 2.0 * other.ds(3)}, "measure is of another mesh than u"),
+        (lambda body, other: {"measure": wrongly_tagged(body, other)}, "measure: subdomain_data: these MeshTags"),
+        (lambda body, other: {"measure": 2.0 * wrongly_tagged(body, other)}, "measure: subdomain_data: these MeshTags"),
+        (lambda body, other: {"measure": other.x[0] * ufl.Measure("ds", domain=body.mesh)}, "the factor of measure"),
+        (lambda body, other: {"of": ufl.dot(body.u, ufl.FacetNormal(other.mesh))}, "of holds a FacetNormal"),
+        (lambda body, other: {"of": body.u[0] + other.x[0]}, "of holds a FacetNormal, a Function or coordinates"),
+        (lambda body, other: {"stress": other.x[0] * ufl.sym(ufl.grad(body.u))}, "stress holds a Function or"),
+    ],
+)
+def test_quantities_of_another_mesh(change, words):
+    """A measure, a normal, a factor or a stress of another mesh is named, on all ranks."""
+    body, other = Box(), Box()
+    with pytest.raises(InputError, match=f"ObstacleProblem: {words}"):
+        body.problem(**change(body, other))
+
+
+def test_a_body_on_a_part_of_the_mesh():
+    """Nodes of cells over which F has no integral are named."""
+    body = Box()
+    cells = dmesh.locate_entities(body.mesh, body.dim, lambda x: np.full(x.shape[1], COMM.rank == 0))
+    tags = dmesh.meshtags(body.mesh, body.dim, cells[:1], np.full(len(cells[:1]), 3, np.int32))
+    dx = ufl.Measure("dx", domain=body.mesh, subdomain_data=tags)
+    body.F = ufl.inner(stress(strain_of(body.u), 0.3), strain_of(body.v)) * dx(3)
+    with pytest.raises(InputError, match=r"the derivative of F has no integral over the cells at .* nodes, such as \("):
+        body.problem()
+
+
 def test_a_load_that_pulls():
     """A body that contact alone holds, and a load that pulls it away: rejected before anything is solved."""
     body = Box()

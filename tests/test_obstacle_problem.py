@@ -14,7 +14,17 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, compare, penalty, releases, solve
+from fenicsx_obstacle import (
+    InputError,
+    NotConverged,
+    ObstacleProblem,
+    Scene,
+    Solution,
+    compare,
+    penalty,
+    releases,
+    solve,
+)
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.releases import NEW, vec
@@ -258,6 +268,122 @@ def test_contact_on_a_part_of_the_boundary():
         own.problem(measure=ds(7))
     with pytest.raises(InputError, match="expected ds or dS"):
         own.problem(measure=ufl.dx)
+
+
+def tagged(mesh, dim, number=3):
+    """Cells, or facets of the left side, tagged with a number."""
+    find = dmesh.locate_entities if dim == mesh.topology.dim else dmesh.locate_entities_boundary
+    there = np.sort(find(mesh, dim, lambda x: x[0] < 0.26)).astype(np.int32)
+    return dmesh.meshtags(mesh, dim, there, np.full(len(there), number, np.int32))
+
+
+@pytest.mark.parametrize("cells", [2, 4, 16])
+def test_measures_of_another_mesh(cells):
+    """A measure whose domain or MeshTags are of another mesh, for the contact or within a form: an error on all
+    ranks."""
+    own, other = Membrane(4), Membrane(cells)
+    facets, inside = tagged(other.mesh, 1), tagged(other.mesh, 2)
+    for measure, words in (
+        (ufl.Measure("ds", domain=other.mesh, subdomain_data=facets)(3), "measure is of another mesh than u"),
+        (ufl.Measure("ds", domain=other.mesh), "measure is of another mesh than u"),
+        (ufl.Measure("ds", domain=own.mesh, subdomain_data=facets)(3), "measure: subdomain_data: these MeshTags"),
+        (ufl.Measure("dS", subdomain_data=facets)(3), "measure: subdomain_data: these MeshTags belong to another mesh"),
+        (ufl.Measure("ds", subdomain_data=facets), "measure: subdomain_data: these MeshTags belong to another mesh"),
+        (ufl.Measure("ds", subdomain_data=tagged(own.mesh, 2))(3), "measure: subdomain_data = .*: expected MeshTags"),
+    ):
+        with pytest.raises(InputError, match=f"ObstacleProblem: {words}"):
+            own.problem(measure=measure)
+    for kind, tags in (("dx", inside), ("ds", facets)):
+        loaded = own.F - own.v * ufl.Measure(kind, domain=own.mesh, subdomain_data=tags)(3)
+        with pytest.raises(InputError, match="F: a measure: subdomain_data: these MeshTags belong to another mesh"):
+            ObstacleProblem(loaded, own.u, bcs=own.bc, upper=own.g)
+
+
+@pytest.mark.parametrize("way", ["form", "scene"])
+def test_a_mesh_that_was_moved(way):
+    """A vertex of one rank is moved between two solves: an error on all ranks; a new problem has the new mesh."""
+    own = Membrane(8)
+    scene = Scene(mesh=own.mesh, tension=1, load=8, upper=0.3)
+
+    def made():
+        return own.problem() if way == "form" else scene.problem()
+
+    problem = made()
+    before = problem.solve().force.upper
+    assert same(problem.solve().force.upper, before)
+    if COMM.rank == COMM.size - 1:
+        own.mesh.geometry.x[0] *= 1.01
+    with pytest.raises(InputError, match="ObstacleProblem: the mesh was moved since this problem was created: create"):
+        problem.solve()
+    own.mesh.geometry.x[:] *= 2.0
+    assert not same(made().solve().force.upper, before)
+
+
+def test_a_scene_on_a_mesh_that_was_moved():
+    """Each solve of a scene takes the mesh as it then is."""
+    own = Membrane(8)
+    given = {"mesh": own.mesh, "tension": 1, "load": lambda x: 8 + x[0], "upper": lambda x: 0.3 + 0.1 * x[1]}
+    scene = Scene(**given)
+    before = solve(scene, bound=True)
+    own.mesh.geometry.x[:, 0] = 1 + 2 * own.mesh.geometry.x[:, 0]
+    after, new = solve(scene, bound=True), solve(Scene(**given), bound=True)
+    assert same(after.force.upper, new.force.upper) and same(after.bound.total, new.bound.total)
+    assert same(after.area, new.area) and after.area > before.area
+
+
+def on_a_part(own, tags, factor):
+    """F on the tagged cells or facets alone, with a load on all cells."""
+    kind = "dx" if tags.dim == own.mesh.topology.dim else "ds"
+    some = ufl.Measure(kind, domain=own.mesh, subdomain_data=tags)(3)
+    return factor * ufl.inner(ufl.grad(own.u), ufl.grad(own.v)) * some - own.f * own.v * ufl.dx
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_forms_on_a_part_of_the_mesh(degree, nonlinear):
+    """Nodes at which the derivative of F has no integral: named with the remedy, in place of an error of PETSc."""
+    own = Membrane(4, degree=degree)
+    factor = 1 + own.u**2 if nonlinear else 1
+    nothing = dmesh.meshtags(own.mesh, 2, np.empty(0, np.int32), np.empty(0, np.int32))
+    nodes = (4 * degree + 1) ** 2
+    for tags, lost in ((tagged(own.mesh, 2), 15 if degree == 1 else 9 * 6), (tagged(own.mesh, 1), None)):
+        words = rf"the derivative of F has no integral over the cells at {lost or '.*'} of {nodes} nodes, such as \("
+        with pytest.raises(InputError, match=words):
+            ObstacleProblem(on_a_part(own, tags, factor), own.u, bcs=own.bc, upper=own.g)
+    with pytest.raises(InputError, match="the derivative of F has integrals over no cell: does a measure have a tag"):
+        ObstacleProblem(on_a_part(own, nothing, factor), own.u, bcs=own.bc, upper=own.g)
+    mass = factor * own.u * own.v * ufl.ds - own.f * own.v * ufl.dx
+    inside = 1 if degree == 1 else 17
+    with pytest.raises(InputError, match=rf"over the cells at {inside} of {nodes} .*: integrate over the whole domain"):
+        ObstacleProblem(mass, own.u, upper=own.g)
+
+
+def test_forms_on_all_parts_of_the_mesh():
+    """Integrals over all materials, one by one, are those over the mesh; so are those over all facets and their
+    cells."""
+    own = Membrane(8)
+    expected = own.problem().solve(eps=1e-6).u.x.array.copy()
+    count = own.mesh.topology.index_map(2)
+    cells = np.arange(count.size_local + count.num_ghosts, dtype=np.int32)
+    tags = dmesh.meshtags(own.mesh, 2, cells, cells % 2)
+    dx = ufl.Measure("dx", domain=own.mesh, subdomain_data=tags)
+    stiff = own.mu * ufl.inner(ufl.grad(own.u), ufl.grad(own.v))
+    for F in (stiff * dx(0) + stiff * dx(1) - own.f * own.v * ufl.dx, stiff * dx((0, 1)) - own.f * own.v * dx):
+        own.u.x.array[:] = 0
+        found = ObstacleProblem(F, own.u, bcs=own.bc, upper=own.g).solve(eps=1e-6)
+        assert np.allclose(found.u.x.array, expected, atol=1e-9)
+    jumps = ufl.avg(own.u) * ufl.avg(own.v) * ufl.dS - own.f * own.v * ufl.dx
+    assert ObstacleProblem(jumps, own.u, bcs=own.bc, upper=own.g).solve().force.upper > 0
+
+
+def test_a_form_with_a_tag_alone_or_without_u():
+    """dx(3) without MeshTags, which DOLFINx 0.5 takes for 0; a derivative that is zero."""
+    own = Membrane(4)
+    for F in (own.F + own.v * ufl.dx(3), own.F + own.u * own.v * ufl.ds((1, 2))):
+        with pytest.raises(InputError, match=r"F: a measure has the tag \d without MeshTags: give it subdomain_data="):
+            ObstacleProblem(F, own.u, bcs=own.bc, upper=own.g)
+    with pytest.raises(InputError, match="the derivative of F with respect to u is zero"):
+        ObstacleProblem(ufl.sign(own.u) * own.v * ufl.dx, own.u, bcs=own.bc, upper=own.g)
 
 
 def test_options_belong_to_the_problem():

@@ -1,5 +1,7 @@
 """Scenes on the caller's own mesh: MeshTags, names, and data that are Functions, Constants, UFL or callables."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import ufl
@@ -222,6 +224,27 @@ def test_exact_solution_as_ufl():
 def test_mistakes(given, words):
     with pytest.raises(InputError, match=words):
         solve(Own(4).scene(**given))
+
+
+def test_tags_of_another_mesh():
+    """MeshTags of a finer, coarser or equal mesh: an error on all ranks, not another problem or the end of the
+    process."""
+    own = Own(8)
+    for cells in (4, 8, 24):
+        other = Own(cells)
+        for key in ("facet_tags", "cell_tags"):
+            with pytest.raises(InputError, match=f"scene: {key}: these MeshTags belong to another mesh: create"):
+                own.scene(**{key: getattr(other, key)})
+
+
+@pytest.mark.parametrize("index", [-1, 10**6])
+def test_tags_of_no_entity(index):
+    """Where MeshTags do not tell their mesh, an index that the mesh has not is an error on all ranks."""
+    own = Own(8)
+    tags = SimpleNamespace(dim=2, indices=np.array([0, index if COMM.rank == COMM.size - 1 else 1]),
+                           values=np.array([5, 6]), find=own.cell_tags.find)  # fmt: skip
+    with pytest.raises(InputError, match=r"scene: cell_tags: index .* is not on this mesh, which has"):
+        own.scene(cell_tags=tags)
 
 
 def test_tags_as_keys_and_data_in_time():

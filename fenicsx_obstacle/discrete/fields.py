@@ -13,6 +13,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from ufl.algorithms import extract_arguments, extract_coefficients
+from ufl.classes import ComplexValue, Imag
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
@@ -107,7 +108,10 @@ class OfCallable(Field):
             return np.empty(0)
         given = (x.copy(), names.get("t", 0.0)) if self.moves else (x.copy(),)
         try:
-            values = np.asarray(self.function(*given), dtype=np.float64)
+            values = np.asarray(self.function(*given))
+            if np.iscomplexobj(values):
+                raise TypeError("complex values, where real ones are expected")
+            values = np.asarray(values, dtype=np.float64)
             return np.array(np.broadcast_to(values, x.shape[1:]))
         except Exception as error:
             got = f"{type(error).__name__}: {error}"
@@ -351,6 +355,8 @@ def field(value: Any, source: str) -> Field:
         return value
     if isinstance(value, Table):
         return value.on(source)
+    if isinstance(value, ufl.core.expr.Expr) and is_complex(value):
+        raise InputError(f"{source} is complex: expected real values; take the real part of its data")
     if isinstance(value, fem.Function):
         return OfFunction(value, source)
     if isinstance(value, fem.Constant) and value.ufl_shape == ():
@@ -364,6 +370,16 @@ def field(value: Any, source: str) -> Field:
     if callable(value) and not isinstance(value, type):
         return OfCallable(value, source)
     raise InputError(f"{source} = {shown(value)}: expected {EXPECTED}")
+
+
+def is_complex(expression: Any) -> bool:
+    """Whether a UFL expression holds a complex number, Constant or Function, or an imaginary part."""
+    for node in unique_pre_traversal(expression):
+        if isinstance(node, ComplexValue | Imag):
+            return True
+        if isinstance(node, fem.Function | fem.Constant) and np.iscomplexobj(array_of(node)):
+            return True
+    return False
 
 
 def foreign(expression: Any, domain: Any) -> bool:

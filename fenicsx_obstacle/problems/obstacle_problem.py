@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,16 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
-from fenicsx_obstacle.problems.residual_form import ResidualForm, check_form, conditions, facets_of, number_of, obstacle
+from fenicsx_obstacle.problems.residual_form import (
+    ResidualForm,
+    check_form,
+    check_integrals,
+    check_measure,
+    conditions,
+    facets_of,
+    number_of,
+    obstacle,
+)
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.problems.values import Seconds
@@ -72,7 +82,8 @@ class ObstacleProblem:
     coefficients in it stay the same.
 
     Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
-    values are updated, and the iteration starts from u, as a loop over time steps needs it. Where F is linear and
+    values are updated, and the iteration starts from u, as a loop over time steps needs it. The mesh must stay where
+    it is: after a move create a new ObstacleProblem. Where F is linear and
     symmetric, and u is one number or turns out to be a bad start, algebraic coarse levels give a better one.
 
     All methods are collective.
@@ -165,8 +176,13 @@ class ObstacleProblem:
                 for name, g in (("lower", lower), ("upper", upper))
             }
             held = conditions(bcs, V, self.name)
+        for name, given in (("F", F), ("energy", energy), ("J", J)):
+            for integral in () if given is None else given.integrals():
+                check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
+        with releases.compiled_with(*compiled):
+            check_integrals(form, self.name)
         data: Data
         if vector_valued:
             data = self._vector_data(form, sides, held, of, measure)
@@ -251,6 +267,7 @@ class ObstacleProblem:
     ) -> None:
         """Assemble what stays (collective)."""
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
+        self._vertices = _digests(data.level)
         if options is not None and not isinstance(options, Mapping):
             wanted = "expected a dict, such as {'ksp_type': 'cg'}"
             raise InputError(f"{self.name}: petsc_options = {shown(options)}: {wanted}")
@@ -351,6 +368,7 @@ class ObstacleProblem:
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
+        self._check_mesh()
         options = SolverOptions(method, source=f"{self.name}:")
         if not 0 < rtol < 1:
             raise InputError(f"{self.name}: rtol = {rtol:g}: expected a number between 0 and 1")
@@ -373,6 +391,17 @@ class ObstacleProblem:
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         return Solved(outcome, way, state)
+
+    def _check_mesh(self) -> None:
+        """Reject a mesh that was moved: weights, eps and sampled obstacles are those of its former vertices
+        (collective).
+
+        Raises:
+            InputError: On all ranks, if vertices of any rank were moved.
+        """
+        moved = _digests(self._data.level) != self._vertices
+        if total(self.level.comm, float(moved)) > 0:
+            raise InputError(f"{self.name}: the mesh was moved since this problem was created: create a new one")
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
@@ -579,6 +608,12 @@ def _assembled(form: ufl.Form, level: Level) -> np.ndarray:
     found = vector.array_r[: level.owned].copy()
     vector.destroy()
     return found
+
+
+def _digests(level: Level) -> list[bytes]:
+    """Digests of the local vertices of a mesh, and of those that it was refined from (local)."""
+    meshes = {id(one.mesh): one.mesh for one in level.downward}
+    return [sha256(np.ascontiguousarray(mesh.geometry.x).data).digest() for mesh in meshes.values()]
 
 
 def _values_in(form: ufl.Form) -> list[np.ndarray]:

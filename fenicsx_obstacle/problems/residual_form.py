@@ -21,7 +21,8 @@ from ufl.classes import Abs, Condition, MaxValue, MinValue
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.fields import field, foreign
+from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
+from fenicsx_obstacle.discrete.mesh_tags import check_tags
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
@@ -167,6 +168,77 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     elsewhere = [integral for integral in form.integrals() if foreign(integral.integrand(), domain)]
     if elsewhere or any(one != domain for one in form.ufl_domains()):
         raise InputError(f"{place} holds a Function or a measure of another mesh than that of u")
+    if any(is_complex(integral.integrand()) for integral in form.integrals()):
+        raise InputError(f"{place} holds complex numbers: expected real ones; take the real part of its data")
+    tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
+    for one in form.integrals():
+        tags = [tag for tag in _ids(one) if isinstance(tag, numbers.Integral)]
+        if tags and one.integral_type() not in tagged:
+            raise InputError(f"{place}: a measure has the tag {tags[0]} without MeshTags: give it subdomain_data=")
+
+
+def check_integrals(form: ResidualForm, place: str) -> None:
+    """Reject a form whose derivative has no integral over the cells of some nodes: its matrix has no entries there
+    (collective).
+
+    Args:
+        form: The residual.
+        place: What messages call it.
+
+    Raises:
+        InputError: With the remedy.
+    """
+    V = form.u.function_space
+    given = form.J is not None and not form.affine
+    integrals = _plain(form.J if given else form.slope).integrals()
+    if any(one.integral_type() == "cell" and "everywhere" in _ids(one) for one in integrals):
+        return
+    place = f"{place}: J" if given else f"{place}: the derivative of F"
+    if not integrals:
+        raise InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
+    reached = fem.Function(V)
+    cells = _cells_of(integrals, V.mesh)
+    nodes = reached.x.array.reshape(-1, V.dofmap.index_map_bs)
+    nodes[releases.cell_dofs(V)[cells]] = 1.0
+    releases.add_ghosts(reached)
+    lost = np.flatnonzero(nodes[: V.dofmap.index_map.size_local, 0] == 0)
+    comm, every = V.mesh.comm, V.dofmap.index_map.size_global
+    count = total(comm, len(lost))
+    if count == every:
+        raise InputError(f"{place} has integrals over no cell: does a measure have a tag that no cell has?")
+    if count > 0:
+        points = V.tabulate_dof_coordinates()[lost[:1], : V.mesh.geometry.dim].tolist()
+        where = ", ".join(f"{x:.4g}" for x in min(point for part in comm.allgather(points) for point in part))
+        raise InputError(
+            f"{place} has no integral over the cells at {count:.0f} of {every} nodes, such as ({where}): integrate "
+            "over the whole domain, or solve on a mesh of the other cells alone, made by dolfinx.mesh.create_submesh"
+        )
+
+
+def _ids(integral: ufl.Integral) -> tuple[Any, ...]:
+    """The tags of an integral, or 'everywhere'."""
+    found = integral.subdomain_id()
+    return found if isinstance(found, tuple) else (found,)
+
+
+def _cells_of(integrals: Sequence[ufl.Integral], mesh: dmesh.Mesh) -> np.ndarray:
+    """Owned cells that are in, or at a facet of, the domain of an integral (collective)."""
+    W = releases.functionspace(mesh, "DG", 0)
+    q = ufl.TestFunction(W)
+    kinds = {"cell": q, "exterior_facet": q, "interior_facet": q("+") + q("-")}
+    measured = [
+        one.reconstruct(integrand=kinds[one.integral_type()], metadata={})
+        for one in integrals
+        if one.integral_type() in kinds
+    ]
+    if not measured:
+        return np.empty(0, dtype=np.int64)
+    sizes = fem.petsc.assemble_vector(releases.form(ufl.Form(measured)))
+    sizes.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    own = mesh.topology.index_map(mesh.topology.dim).size_local
+    found = np.flatnonzero(sizes.array_r[releases.cell_dofs(W)[:own, 0]] > 0)
+    sizes.destroy()
+    return found
 
 
 def conditions(bcs: Any, V: fem.FunctionSpace, place: str) -> list[Any]:
@@ -226,6 +298,25 @@ def obstacle(g: Any, u: fem.Function, place: str) -> Field:
     return field(g, place)
 
 
+def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: str) -> None:
+    """Reject a measure, or the measure of an integral, whose domain or MeshTags are of another mesh (collective).
+
+    Args:
+        measure: What was given; its domain may be open.
+        mesh: Mesh of u.
+        place: What messages call it.
+
+    Raises:
+        InputError: If it is of another mesh.
+    """
+    domain, tags = measure.ufl_domain(), measure.subdomain_data()
+    if domain is not None and domain != mesh.ufl_domain():
+        raise InputError(f"{place} is of another mesh than u: take domain=u.function_space.mesh")
+    codim = {"cell": 0, "exterior_facet": 1, "interior_facet": 1}.get(measure.integral_type())
+    if codim is not None and hasattr(tags, "find"):
+        check_tags(tags, mesh, mesh.topology.dim - codim, f"{place}: subdomain_data")
+
+
 def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
     """Local facets of a measure (collective).
 
@@ -235,6 +326,7 @@ def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
     kinds = ("exterior_facet", "interior_facet")
     if not isinstance(measure, ufl.Measure) or measure.integral_type() not in kinds:
         raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
+    check_measure(measure, mesh, f"{name}: measure")
     tags, ids = measure.subdomain_data(), measure.subdomain_id()
     if ids == "everywhere" or ids == ("everywhere",):
         mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)

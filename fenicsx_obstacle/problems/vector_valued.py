@@ -15,13 +15,14 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.contact_nodes import VectorLevel, over
+from fenicsx_obstacle.discrete.fields import foreign
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.problems.residual_form import facets_of
+from fenicsx_obstacle.problems.residual_form import check_measure, facets_of
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.values import Force, Profile
 from fenicsx_obstacle.text import nearest, shown
@@ -280,6 +281,8 @@ class VonMises:
             raise InputError(
                 f"{name}: stress = {shown(stress)}: expected a tensor in UFL with three rows, in plane stress two"
             )
+        if foreign(stress, mesh.ufl_domain()):
+            raise InputError(f"{name}: stress holds a Function or coordinates of another mesh than u")
         full = stress
         if stress.ufl_shape == (2, 2):
             full = ufl.as_matrix([[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, 0]])
@@ -350,6 +353,10 @@ def facets_and_weight(measure: Any, mesh: dmesh.Mesh, name: str) -> tuple[np.nda
         weight = integrals[0].integrand()
         if measure.arguments() or any(one.integrand() != weight for one in integrals):
             raise InputError(f"{name}: measure = {shown(measure)}: {wanted}")
+        if foreign(weight, mesh.ufl_domain()):
+            raise InputError(f"{name}: the factor of measure is of another mesh than u")
+        for one in integrals:
+            check_measure(one, mesh, f"{name}: measure")
         ids: list[Any] = []
         for one in integrals:
             ids += list(one.subdomain_id()) if isinstance(one.subdomain_id(), tuple) else [one.subdomain_id()]

@@ -10,6 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
+from fenicsx_obstacle.discrete.mesh_tags import check_tags
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
@@ -101,7 +102,7 @@ class OwnMesh:
         """From MeshTags and the names of their values (collective if there are tags).
 
         Raises:
-            InputError: If tags are of another dimension, or a name is of no facet or cell.
+            InputError: If tags are of another mesh or dimension, or a name is of no facet or cell.
         """
         dim = mesh.topology.dim
         facets = _named(mesh, facet_tags, facet_names, dim - 1, "facet")
@@ -133,9 +134,7 @@ def _named(mesh: Any, tags: Any, names: Any, dim: int, kind: str) -> dict[str, n
         if names:
             raise InputError(f"scene: {kind}_names needs {kind}_tags, the MeshTags that have these numbers")
         return {}
-    if not hasattr(tags, "find") or tags.dim != dim:
-        got = shown(tags) if not hasattr(tags, "find") else f"MeshTags of dimension {tags.dim}"
-        raise InputError(f"scene: {kind}_tags = {got}: expected MeshTags of dimension {dim}")
+    check_tags(tags, mesh, dim, f"scene: {kind}_tags")
     if names is None:
         names = {str(one): one for one in set().union(*mesh.comm.allgather(np.unique(tags.values).tolist()))}
     if not isinstance(names, Mapping):

@@ -1,0 +1,44 @@
+"""Validation of MeshTags that callers pass: they must be of the mesh, and of entities that it has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import agree
+from fenicsx_obstacle.text import shown
+
+_REMEDY = "create MeshTags of this mesh, with dolfinx.mesh.meshtags"
+
+
+def check_tags(tags: Any, mesh: dmesh.Mesh, dim: int, place: str) -> None:
+    """Reject what is not MeshTags of entities of a mesh (collective).
+
+    Indices of another mesh would be taken for those of this one, or lead out of its arrays.
+
+    Args:
+        tags: What was given.
+        mesh: The mesh to which they must belong.
+        dim: Dimension of the tagged entities.
+        place: What messages call the tags.
+
+    Raises:
+        InputError: On all ranks, if any rank has other tags.
+    """
+    mesh.topology.create_entities(dim)
+    entities = mesh.topology.index_map(dim)
+    with agree(mesh.comm):
+        if not hasattr(tags, "find") or tags.dim != dim:
+            got = shown(tags) if not hasattr(tags, "find") else f"MeshTags of dimension {tags.dim}"
+            raise InputError(f"{place} = {got}: expected MeshTags of dimension {dim}")
+        topology = releases.topology_of(tags)
+        if topology is not None and topology is not releases.topology_of(mesh):
+            raise InputError(f"{place}: these MeshTags belong to another mesh: {_REMEDY}")
+        count = entities.size_local + entities.num_ghosts
+        lost = tags.indices[(tags.indices < 0) | (tags.indices >= count)]
+        if len(lost):
+            there = f"which has {count} entities of dimension {dim} on this rank"
+            raise InputError(f"{place}: index {lost[0]} is not on this mesh, {there}: {_REMEDY}")
