@@ -16,6 +16,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory
+from fenicsx_obstacle.discrete.admissible import giver, worst
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -28,7 +29,7 @@ from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
 EVERY = 20.0  # seconds between states on the disk
-CROSSES = 1e-9  # of the range of u: how far initial values may be beyond an obstacle
+CROSSES = 1e-9  # of the range of u: how far initial values may be beyond an obstacle, or from boundary values
 
 
 class TimeStepper:
@@ -165,6 +166,8 @@ class TimeStepper:
         problem, start = self.problem, self.moments.start
         assert start is not None
         u = problem.data.nodal(start).x.array.copy()
+        if self.moments.order == INERTIA:
+            self._check_edge(u)
         lower, upper = problem.obstacles()
         beyond = np.maximum(lower - u, u - upper)
         beyond[problem.data.fixed[0]] = -np.inf
@@ -173,6 +176,31 @@ class TimeStepper:
         if worst > CROSSES * max(height, abs(worst)) and worst > CROSSES * largest(problem.level.comm, np.abs(u)):
             raise InputError(f"{start}: is beyond an obstacle by {worst:.3g}")
         return np.clip(u, lower, upper)
+
+    def _check_edge(self, u: np.ndarray) -> None:
+        """Reject a start that is not the boundary value where u is given: the energy of a jump is infinite, and that of
+        its interpolant grows like 1/h. With `rate` alone a jump is smoothed (collective).
+
+        Raises:
+            InputError: Naming place and values.
+        """
+        data, start = self.problem.data, self.moments.start
+        (dofs, values), comm = data.fixed, data.level.comm
+        off = np.full(len(u), -np.inf)
+        off[dofs] = np.abs(u - values.x.array)[dofs]
+        size = largest(comm, np.abs(np.concatenate([u, values.x.array[dofs]])))
+        found = worst(data, off, CROSSES * size)
+        if found is None:
+            return
+        _, point, dof = found
+        mine = None
+        if dof is not None:
+            name = giver(data, dof).removeprefix(f"{data.model.source}: ")
+            mine = f"is {u[dof]:.6g} at {data.place(point)}, where {name} gives {values.x.array[dof]:.6g}"
+        both = next(text for text in comm.allgather(mine) if text is not None)
+        raise InputError(
+            f"{start}: {both}; with inertia such a jump has infinite energy: both must agree at t = 0, so change one"
+        )
 
     def _velocity(self) -> np.ndarray | None:
         """u_t at t = 0, ghosts included, with inertia."""
