@@ -328,7 +328,12 @@ REJECTED = {
     "inertia cannot be combined with soft_obstacle": {
         "inertia": 1, "soft_obstacle": {"upper": 0, "stiffness": 1}, "time": {"end": 1, "steps": 1, "start": 0},
     },
-    "is beyond an obstacle": {"rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"}},
+    "= -x: lies below the lower obstacle: -0.9375 against 0 at .0.9375.; take a start .*max.a, b. of both formulas": {
+        "rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"},
+    },
+    "= x: lies above the upper obstacle: 0.9375 against 0 at .0.9375.; take a start .*min.a, b. of both formulas": {
+        "rate": 1, "upper": 0, "time": {"end": 1, "steps": 1, "start": "x"},
+    },
     "has a column of this name": {"report": {"energy": "integral(u)"}, "time": {"end": 1, "steps": 1}},
     "is needed if boundary values depend on t": {
         "inertia": 1, "boundary": [{"value": "t"}], "time": {"end": 1, "steps": 1, "start": 0},

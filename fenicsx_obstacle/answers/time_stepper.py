@@ -168,13 +168,24 @@ class TimeStepper:
         u = problem.data.nodal(start).x.array.copy()
         if self.moments.order == INERTIA:
             self._check_edge(u)
-        lower, upper = problem.obstacles()
+        lower, upper = (np.broadcast_to(side, len(u)) for side in problem.obstacles())
         beyond = np.maximum(lower - u, u - upper)
         beyond[problem.data.fixed[0]] = -np.inf
-        height = largest(problem.level.comm, u) - smallest(problem.level.comm, u)
-        worst = largest(problem.level.comm, beyond)
-        if worst > CROSSES * max(height, abs(worst)) and worst > CROSSES * largest(problem.level.comm, np.abs(u)):
-            raise InputError(f"{start}: is beyond an obstacle by {worst:.3g}")
+        comm = problem.level.comm
+        height = largest(comm, u) - smallest(comm, u)
+        size = max(height, largest(comm, np.abs(u)))
+        found = worst(problem.data, beyond, CROSSES * size)
+        if found is not None:
+            _, point, dof = found
+            mine = None
+            if dof is not None:
+                below = lower[dof] > u[dof]
+                side, limit, of_both = ("below the lower", lower, "max") if below else ("above the upper", upper, "min")
+                mine = (
+                    f"lies {side} obstacle: {u[dof]:.6g} against {limit[dof]:.6g} at {problem.data.place(point)}; take "
+                    f"a start between the obstacles, for example {of_both}(a, b) of both formulas"
+                )
+            raise InputError(f"{start}: {next(text for text in comm.allgather(mine) if text is not None)}")
         return np.clip(u, lower, upper)
 
     def _check_edge(self, u: np.ndarray) -> None:
