@@ -106,8 +106,17 @@ class Data:
         return self._here[field]
 
     def names(self, field: Field) -> Names:
-        """Present values on which a datum may depend besides x (collective if it is the first to need the distance)."""
-        return {**self.now, **({"distance": self.boundary_distance} if field.needs_distance else {})}
+        """Present values on which a datum may depend besides x (collective if it is the first to need the distance).
+
+        Raises:
+            InputError: If it needs the distance, and this mesh has none.
+        """
+        if not field.needs_distance:
+            return self.now
+        try:
+            return {**self.now, "distance": self.boundary_distance}
+        except InputError as error:
+            raise InputError(f"{field}: {error}") from None
 
     def at(self, field: Field, x: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
         """Values of a datum at points (3, n), of local cells where these are known, now (collective on first use)."""
