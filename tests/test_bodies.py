@@ -407,6 +407,21 @@ MISTAKES = {
     "field": ({"report": {"q": "integral(u)"}}, "unknown name 'u'"),
     "defined": ({"define": {"peak": 1}}, r"\[define\] peak: has a meaning of elastic bodies"),
     "loose": ({"boundary": [ABOVE]}, "the body is not supported"),
+    "held in an obstacle": (
+        {"boundary": [{"on": "left", "value": [0, 0]}, {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 0.9]}}]},
+        r"\(no. 1\) value and the obstacle of \[\[boundary\]\] \(no. 2\) exclude each other: the given u is beyond "
+        r"the obstacle by 0.1 at \(0, 1\); change one, or leave",
+    ),
+    "held, and an obstacle that comes": (
+        {
+            "boundary": [
+                {"on": "left", "value": [0, 0]},
+                {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "t"}},
+            ],
+            "time": {"end": 0.1, "steps": 2},
+        },
+        r"\(no. 2\), moved by 0.05, exclude each other: .* by 0.05 at \(0, 1\); .*, at t = 0.05",
+    ),
 }
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.time_differences import Moment, Motion
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
+ROUND_OFF = 1e-14  # of the largest coordinate of a point: its others are 0 up to that
 
 
 class Weighted:
@@ -600,8 +601,11 @@ class Data:
         return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
 
     def place(self, point: np.ndarray) -> str:
-        """A point (3,) in words."""
-        return "(" + ", ".join(f"{x:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
+        """A point (3,) in words; coordinates that are round-off are 0."""
+        least = ROUND_OFF * np.abs(point).max()
+        return (
+            "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
+        )
 
 
 class _Radius(Field):
