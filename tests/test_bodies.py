@@ -407,6 +407,16 @@ MISTAKES = {
     "field": ({"report": {"q": "integral(u)"}}, "unknown name 'u'"),
     "defined": ({"define": {"peak": 1}}, r"\[define\] peak: has a meaning of elastic bodies"),
     "loose": ({"boundary": [ABOVE]}, "the body is not supported"),
+    "held along an obstacle": (
+        {
+            "boundary": [
+                {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 1]}},
+                ROLLERS[0],
+                {"on": "top", "value": ["free", "-0.001*x"]},
+            ]
+        },
+        r"\(no. 1\) obstacle has no effect where u is given along its direction, by no. 3; .* 'free'",
+    ),
     "held in an obstacle": (
         {"boundary": [{"on": "left", "value": [0, 0]}, {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 0.9]}}]},
         r"\(no. 1\) value and the obstacle of \[\[boundary\]\] \(no. 2\) exclude each other: the given u is beyond "

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.contact_nodes import KINK, HeldBeyond, assembled, over, vector_pair
+from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, at_surface
 from fenicsx_obstacle.discrete.reference import Reference
@@ -117,11 +117,35 @@ class Body:
         self._surfaces: dict[Facing, NodalGap] = {}
         self._distance = [None if one.obstacle.at_nodes else self._compiled(one) for one in self.facing]
         self._go_places()
+        bcs = self._conditions()
+        self._check_effect()
         with self._naming_parts():
             self.problem = _Problem(
-                scene.source, F, self.u, bcs=self._conditions(), lower=self.gap, of=-ufl.dot(self.u, self._normals),
+                scene.source, F, self.u, bcs=bcs, lower=self.gap, of=-ufl.dot(self.u, self._normals),
                 measure=self._measure(), stress=self.law.stress,
             )  # fmt: skip
+
+    def _check_effect(self) -> None:
+        """Reject an obstacle where u is given along its direction at all nodes (collective)."""
+        normals, node_of = self._normals.x.array.reshape(-1, self.level.mesh.geometry.dim), self.vectors.node_of
+        parts, held = self.scene.model.boundary, np.zeros(normals.shape, dtype=bool)
+        given = []  # by parts: nodes where u is given along the direction of an obstacle, at least in part
+        for part, facets in zip(parts, self.data.facets, strict=True):
+            there = node_of[self.data.dofs_on(facets)]
+            along = [k for k, field in enumerate(part.components) if field is not None]
+            held[there[:, None], along] = True
+            given.append(there[np.abs(normals[there][:, along]).max(axis=1, initial=0.0) > HELD])
+        for one in self.facing:
+            there = node_of[one.dofs]
+            free = np.linalg.norm(np.where(held[there], 0.0, normals[there]), axis=1)
+            if largest(self.level.comm, free) > HELD:
+                continue
+            shared = [total(self.level.comm, np.count_nonzero(np.isin(nodes, there))) > 0 for nodes in given]
+            others = " and ".join(f"no. {number + 1}" for number, found in enumerate(shared) if found)
+            raise InputError(
+                f"{self.scene.source}: {parts[one.obstacle.part].name} obstacle has no effect where u is given along "
+                f"its direction, by {others}; leave out one of both, or write 'free' for this component"
+            )
 
     @contextmanager
     def _naming_parts(self) -> Iterator[None]:
