@@ -404,7 +404,7 @@ class _Near:
         self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.whole = bounds.whole
         self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
-        constant = self.finite & self.settled & (self.upper == self.lower)
+        constant = self.finite & self.settled & (self.upper == self.lower) & (not self.sampled)
         self.rest, self.steep = self._half(), np.where(constant, 0.0, np.inf)
         smooth = bounds.whole & self.finite & self.settled
         exact = smooth & (bounds.degree <= polynomials.MAX_DEGREE)
