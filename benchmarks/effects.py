@@ -18,6 +18,7 @@ from typing import Any
 
 MATRIX = [[2, 0.5], [0.5, 1]]
 LEFT = {"on": "left", "value": 0}
+PLATEAU = "min(0.1, x, 1 - x, y, 1 - y)"  # with inertia the start agrees with the boundary value
 REST = {"on": ["bottom", "top"], "value": 0}
 # what is changed of a membrane over a paraboloid, held along its whole boundary; None takes a key away
 CHANGES: dict[str, dict[str, Any]] = {
@@ -35,8 +36,8 @@ CHANGES: dict[str, dict[str, Any]] = {
         "obstacle": {}, "effects.load": -1, "boundary": [LEFT, REST, {"on": "right", "lower": "-0.05*y"}]},
     "rate, one step": {"effects.rate": 1, "time": {"end": 0.01, "steps": 1, "start": 0.1}},
     "rate, ten steps": {"effects.rate": 1, "time": {"end": 0.1, "steps": 10, "start": 0.1}},
-    "inertia, one step": {"effects.inertia": 1, "time": {"end": 0.01, "steps": 1, "start": 0.1}},
-    "inertia, ten steps": {"effects.inertia": 1, "time": {"end": 0.1, "steps": 10, "start": 0.1}},
+    "inertia, one step": {"effects.inertia": 1, "time": {"end": 0.01, "steps": 1, "start": PLATEAU}},
+    "inertia, ten steps": {"effects.inertia": 1, "time": {"end": 0.1, "steps": 10, "start": PLATEAU}},
     "drift": {"effects.drift": [5, 3]},
     "soft obstacle": {"effects.soft_obstacle": {"upper": 0.05, "stiffness": 100}},
     "large slope": {"effects": {"large_slope": 1}},

@@ -27,6 +27,7 @@ from fenicsx_obstacle import (
     solve,
     study,
 )
+from fenicsx_obstacle.scenes.body_report import _nodes_across
 from fenicsx_obstacle.show.explain import explain
 
 LAW = {"young": 1, "poisson": 0.3, "plane": "strain"}
@@ -406,6 +407,31 @@ MISTAKES = {
     "field": ({"report": {"q": "integral(u)"}}, "unknown name 'u'"),
     "defined": ({"define": {"peak": 1}}, r"\[define\] peak: has a meaning of elastic bodies"),
     "loose": ({"boundary": [ABOVE]}, "the body is not supported"),
+    "held along an obstacle": (
+        {
+            "boundary": [
+                {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 1]}},
+                ROLLERS[0],
+                {"on": "top", "value": ["free", "-0.001*x"]},
+            ]
+        },
+        r"\(no. 1\) obstacle has no effect where u is given along its direction, by no. 3; .* 'free'",
+    ),
+    "held in an obstacle": (
+        {"boundary": [{"on": "left", "value": [0, 0]}, {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 0.9]}}]},
+        r"\(no. 1\) value and the obstacle of \[\[boundary\]\] \(no. 2\) exclude each other: the given u is beyond "
+        r"the obstacle by 0.1 at \(0, 1\); change one, or leave",
+    ),
+    "held, and an obstacle that comes": (
+        {
+            "boundary": [
+                {"on": "left", "value": [0, 0]},
+                {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "t"}},
+            ],
+            "time": {"end": 0.1, "steps": 2},
+        },
+        r"\(no. 2\), moved by 0.05, exclude each other: .* by 0.05 at \(0, 1\); .*, at t = 0.05",
+    ),
 }
 
 
@@ -459,3 +485,39 @@ def test_scripts(name, words, tmp_path):
     if name == "hertz":
         numbers = [float(word.rstrip(",")) for word in done.stdout.splitlines()[1].split() if word[0].isdigit()]
         assert np.isclose(*numbers, rtol=1e-2)
+
+
+def test_contact_narrower_than_the_cells(folder):
+    """Fewer than three nodes in contact: half-width and peak are null, with a remark; finer meshes have them."""
+    pressed = {"on": "top", "obstacle": {"cylinder": 2, "centre": [0.53, 3.1], "force": 0.005, "moves": [0, -1]}}
+    scene = block(6, [*ROLLERS, pressed], report={"a": "half_width", "f": "force_y"})
+    answer = solve(scene)
+    contact = answer.record["contact"]
+    assert np.count_nonzero(answer.nodes.pressure > 0) < 3
+    assert contact["half_width"] is contact["peak"] is answer.report["a"] is None
+    assert np.isclose(answer.report["f"], -0.005) and np.isfinite(contact["approach"])
+    summary = answer.summary()
+    assert "fewer than 3 nodes across: it is narrower than the cells" in summary and "[mesh] cells" in summary
+    assert not any(word in summary for word in ("; half-width", "; peak"))
+    answer.save(folder)
+    assert Answer.read(folder).record["contact"]["half_width"] is None
+    fine = solve(scene.change({"mesh.cells": 24})).record
+    hertz = np.sqrt(4 * 0.005 * 2 * (1 - 0.3**2) / np.pi)
+    assert np.isclose(fine["contact"]["half_width"], hertz, rtol=0.2) and "remarks" not in fine
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("count", "places"),
+    [
+        (1, [(0.0,)]), (2, [(0.2,), (0.2 + 1e-9,)]), (2, [(-0.1,), (0.2,)]), (3, [(-0.1,), (0.0,), (0.1,)]),
+        (3, [(0.0,), (0.1,)]), (4, [(0.05,), (0.15,)]), (2, [(0.2,)]),
+        (3, [(0, 0), (0.1, 0), (-0.1, 0), (0, 0.1), (0, -0.1)]), (1, [(0, 0), (0.1, 0), (-0.1, 0)]),
+        (3, [(0, 0), (0.1, 0), (0, 0.1)]),
+    ],
+)  # fmt: skip
+def test_nodes_across_a_contact(count, places):
+    """In the direction where they are fewest; those of one half or one quarter with their mirror images."""
+    places = np.array(places, dtype=float)
+    arms = np.insert(places, places.shape[1], 0.0, axis=1)
+    assert _nodes_across(arms, np.full(len(arms), 0.01), places.shape[1]) == count

@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 from conftest import COMM
 
-from fenicsx_obstacle import Scene
+from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.estimation.pieces import Group
+from fenicsx_obstacle.estimation.surface_data import _slopes_on_facets
 from fenicsx_obstacle.parallel import largest
 
 SIDES = [-1, 1]
 BOX = {"shape": "box", "x": SIDES, "y": SIDES, "z": SIDES, "cells": 4, "perturb": 0.2}
 BALL = "r^2/6 + 0.6^3/(3*r) - 0.6^2/2"
+CROSSING = "-(where(x > 0.4, 1, 0)*max(y - 0.4, 0)^2 + where(y > 0.4, 1, 0)*max(x - 0.4, 0)^2)/2"
 SCENES = {
     "string": Scene(
         mesh={"shape": "interval", "x": [0, 1], "cells": 16}, tension=1, load=-1, lower=0,
@@ -56,3 +59,48 @@ def test_the_flux_on_tetrahedra_is_in_balance():
     assert largest(COMM, np.abs(both[inside])) <= 4e-15 * largest(COMM, np.abs(flux.normal))
     assert flux.incompatible <= 1e-12
     context.close()
+
+
+@pytest.mark.parametrize(
+    ("exact", "data", "effectivity"),
+    [
+        ("max(x - 0.4, 0)^2*max(y - 0.4, 0)^2/4", {"load": CROSSING}, 4),
+        ("max(x - 0.4, 0)*max(y - 0.4, 0)", {"load": 1, "upper": "u_exact"}, np.inf),
+        ("where(x > 0.4 and y > 0.4, (x - 0.4)*(y - 0.4), 0)", {"load": 1, "upper": "u_exact"}, np.inf),
+        ("abs(x - 0.3)*abs(y - 0.3)", {"load": 1, "upper": "u_exact"}, np.inf),
+    ],
+)
+def test_kinks_that_cross_on_facets(exact, data, effectivity):
+    """Two cuts of a facet leave parts without an area; the bound is above the error, which is known."""
+    scene = Scene(
+        mesh={"shape": "box", "cells": 4}, tension=1, define={"u_exact": exact}, exact="u_exact",
+        boundary=[{"value": "u_exact"}], **data,
+    )  # fmt: skip
+    context = SolverContext(scene)
+    answer = context.answer(bound=True)
+    error = answer.record["errors"]["energy"]
+    assert "certified" in answer.bound.words
+    assert error <= answer.bound.total <= effectivity * error
+    context.close()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("width", [0.3, 1e-6, 1e-12, 1e-17, 0.0])
+def test_slopes_on_narrow_parts_of_facets(width):
+    """They are those of the polynomial; on parts that are lines, up to round-off, those along the line."""
+    rng = np.random.default_rng(3)
+    x, slope = 1e3 + rng.random((1, 3, 3)), np.array([0.7, -1.3])  # of a linear function of the last two coordinates
+    corners = np.array([[[0.2, 0.5, 0.3], [0.4, 0.3, 0.3], [0.3 - width, 0.4, 0.3 + width]]])
+    group = Group(
+        np.zeros(1, dtype=int), corners, np.ones(1), 1, corners[..., 1:] @ slope, *np.zeros((4, 1)), smooth=True
+    )
+    found, height = _slopes_on_facets(group, polynomials.slopes(group.coefficients, 3, 1), x)
+    edges = x[0, 1:] - x[0, 0]
+    gradient = np.linalg.lstsq(edges, slope, rcond=None)[0]
+    along = (corners[0, 1] - corners[0, 0]) @ x[0]
+    length = np.linalg.norm(along)
+    if width > 1e-14:
+        assert found[0] == pytest.approx(np.linalg.norm(gradient), rel=1e-15 / width + 1e-9)
+        assert height[0] <= 2 * width * np.linalg.norm(edges, axis=1).max()
+    else:
+        assert found[0] == pytest.approx(abs(gradient @ along) / length) and height[0] == pytest.approx(length)

@@ -604,6 +604,8 @@ def test_common_mistakes():
     every = fem.dirichletbc(fem.Function(own.V), np.arange(len(own.u.x.array), dtype=np.int32))
     with pytest.raises(InputError, match="u is given at every node"):
         ObstacleProblem(own.F, own.u, bcs=every, upper=own.g).solve()
+    with pytest.raises(InputError, match="at every node where the obstacle acts, so that the obstacle has no effect; "):
+        ObstacleProblem(own.F, own.u, bcs=own.bc, upper=1.0, measure=ufl.ds).solve()
     with pytest.raises(InputError, match="petsc_options = '-ksp_type cg': expected a dict"):
         own.problem(petsc_options="-ksp_type cg")
     with pytest.raises(InputError, match="monitor = 3: expected a function"):

@@ -264,9 +264,13 @@ def test_distance_where_formulas_stand():
 
 
 def test_distance_needs_a_boundary_in_the_same_space(folder):
-    scene = Scene.read(DEMOS / "bearing.toml").change({"obstacle.lower": "-distance"})
-    with pytest.raises(InputError, match="not available on curves and surfaces in space"):
-        solve(scene)
+    scene, words = Scene.read(DEMOS / "bearing.toml"), "'distance' to the boundary is not available on curves"
+    for change, key in (
+        ({"obstacle.lower": "-distance"}, r"\[obstacle\] lower = -distance"),
+        ({"report": {"d": "integral(distance*u)"}}, r"\[report\] d"),
+    ):
+        with pytest.raises(InputError, match=f"{key}: {words}"):
+            solve(scene.change(change))
 
 
 @pytest.mark.serial

@@ -328,10 +328,23 @@ REJECTED = {
     "inertia cannot be combined with soft_obstacle": {
         "inertia": 1, "soft_obstacle": {"upper": 0, "stiffness": 1}, "time": {"end": 1, "steps": 1, "start": 0},
     },
-    "is beyond an obstacle": {"rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"}},
+    "= -x: lies below the lower obstacle: -0.9375 against 0 at .0.9375.; take a start .*max.a, b. of both formulas": {
+        "rate": 1, "lower": 0, "time": {"end": 1, "steps": 1, "start": "-x"},
+    },
+    "= x: lies above the upper obstacle: 0.9375 against 0 at .0.9375.; take a start .*min.a, b. of both formulas": {
+        "rate": 1, "upper": 0, "time": {"end": 1, "steps": 1, "start": "x"},
+    },
     "has a column of this name": {"report": {"energy": "integral(u)"}, "time": {"end": 1, "steps": 1}},
     "is needed if boundary values depend on t": {
         "inertia": 1, "boundary": [{"value": "t"}], "time": {"end": 1, "steps": 1, "start": 0},
+    },
+    "[time] start = 0: is 0 at .0., where [[boundary]] .no. 2. value = 0.2 gives 0.2; with inertia": {
+        "inertia": 1, "boundary": [{"on": "right", "value": 0}, {"on": "left", "value": 0.2}],
+        "time": {"end": 1, "steps": 1, "start": 0},
+    },
+    "is 0.1 at .1., where .* 1. value = t gives 0; .*: both must agree at t = 0": {
+        "inertia": 1, "boundary": [{"value": "t"}],
+        "time": {"end": 1, "steps": 1, "start": "0.1*x", "velocity": 1},
     },
     "must be positive; it is": {"inertia": 0, "time": {"end": 1, "steps": 1, "start": 0}},
     "lies below the lower obstacle": {"lower": "t - 0.5", "time": {"end": 1, "steps": 4}},
@@ -344,6 +357,16 @@ def test_refused(words):
     """What contradicts itself is told, on all ranks, also where only a later moment shows it."""
     with pytest.raises(InputError, match=words.replace("[", r"\[")):
         solve(Scene(**{"mesh": INTERVAL, "tension": 1, **REJECTED[words]}))
+
+
+def test_a_start_beside_the_boundary_value():
+    """With rate alone the jump is smoothed; with inertia it is the boundary value up to round-off."""
+    data = {"mesh": INTERVAL, "tension": 1, "lower": -9, "boundary": [{"value": 0.2}]}
+    moments = {"end": 2, "steps": 4}
+    answer = solve(Scene(**data, rate=1, time={**moments, "start": 0}, report={"middle": "at(u, 0.5)"}))
+    assert answer.report["middle"] == pytest.approx(0.2, abs=1e-3)
+    answer = solve(Scene(**data, inertia=1, time={**moments, "start": "0.2 + 1e-14*x"}))
+    assert np.all(np.abs(answer.time_history.column("energy")) < 1e-20)
 
 
 def test_no_bound_and_no_restart():

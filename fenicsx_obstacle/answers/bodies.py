@@ -22,7 +22,7 @@ from fenicsx_obstacle.problems.solution import Files
 from fenicsx_obstacle.problems.vector_valued import VectorSolution
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.bodies import Body
-from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities
+from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities, contact_remarks
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.stopping import StepMonitor
@@ -135,8 +135,8 @@ class BodyContext:
         }  # fmt: skip
         if body.level.remarks:
             record["mesh_remarks"] = list(body.level.remarks)
-        if body.law.remarks:
-            record["remarks"] = list(body.law.remarks)
+        if remarks := [*body.law.remarks, *contact_remarks(body, solution)]:
+            record["remarks"] = remarks
         if scene.report:
             record["report"] = self._report.of(solution, known)
             if self._report.places:

@@ -16,6 +16,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory
+from fenicsx_obstacle.discrete.admissible import giver, worst
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -29,7 +30,7 @@ from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
 EVERY = 20.0  # seconds between states on the disk
-CROSSES = 1e-9  # of the range of u: how far initial values may be beyond an obstacle
+CROSSES = 1e-9  # of the range of u: how far initial values may be beyond an obstacle, or from boundary values
 
 
 class TimeStepper:
@@ -167,14 +168,52 @@ class TimeStepper:
         problem, start = self.problem, self.moments.start
         assert start is not None
         u = problem.data.nodal(start).x.array.copy()
-        lower, upper = problem.obstacles()
+        if self.moments.order == INERTIA:
+            self._check_edge(u)
+        lower, upper = (np.broadcast_to(side, len(u)) for side in problem.obstacles())
         beyond = np.maximum(lower - u, u - upper)
         beyond[problem.data.fixed[0]] = -np.inf
-        height = largest(problem.level.comm, u) - smallest(problem.level.comm, u)
-        worst = largest(problem.level.comm, beyond)
-        if worst > CROSSES * max(height, abs(worst)) and worst > CROSSES * largest(problem.level.comm, np.abs(u)):
-            raise InputError(f"{start}: is beyond an obstacle by {worst:.3g}")
+        comm = problem.level.comm
+        height = largest(comm, u) - smallest(comm, u)
+        size = max(height, largest(comm, np.abs(u)))
+        found = worst(problem.data, beyond, CROSSES * size)
+        if found is not None:
+            _, point, dof = found
+            mine = None
+            if dof is not None:
+                below = lower[dof] > u[dof]
+                side, limit, of_both = ("below the lower", lower, "max") if below else ("above the upper", upper, "min")
+                mine = (
+                    f"lies {side} obstacle: {u[dof]:.6g} against {limit[dof]:.6g} at {problem.data.place(point)}; take "
+                    f"a start between the obstacles, for example {of_both}(a, b) of both formulas"
+                )
+            raise InputError(f"{start}: {next(text for text in comm.allgather(mine) if text is not None)}")
         return np.clip(u, lower, upper)
+
+    def _check_edge(self, u: np.ndarray) -> None:
+        """Reject a start that is not the boundary value where u is given: the energy of a jump is infinite, and that of
+        its interpolant grows like 1/h. With `rate` alone a jump is smoothed (collective).
+
+        Raises:
+            InputError: Naming place and values.
+        """
+        data, start = self.problem.data, self.moments.start
+        (dofs, values), comm = data.fixed, data.level.comm
+        off = np.full(len(u), -np.inf)
+        off[dofs] = np.abs(u - values.x.array)[dofs]
+        size = largest(comm, np.abs(np.concatenate([u, values.x.array[dofs]])))
+        found = worst(data, off, CROSSES * size)
+        if found is None:
+            return
+        _, point, dof = found
+        mine = None
+        if dof is not None:
+            name = giver(data, dof).removeprefix(f"{data.model.source}: ")
+            mine = f"is {u[dof]:.6g} at {data.place(point)}, where {name} gives {values.x.array[dof]:.6g}"
+        both = next(text for text in comm.allgather(mine) if text is not None)
+        raise InputError(
+            f"{start}: {both}; with inertia such a jump has infinite energy: both must agree at t = 0, so change one"
+        )
 
     def _velocity(self) -> np.ndarray | None:
         """u_t at t = 0, ghosts included, with inertia."""

@@ -68,25 +68,30 @@ def _refuse_beyond(
     data: Data, beyond: np.ndarray, tolerance: float, values: fem.Function, obstacle: fem.Function, where: str
 ) -> None:
     """Reject boundary values beyond an obstacle, naming the table that gives the value (collective)."""
-    found = _worst(data, beyond, tolerance)
+    found = worst(data, beyond, tolerance)
     if found is not None:
         _, point, dof = found
         mine = None
         if dof is not None:
-            giver = next(place for place, dofs in reversed(data.givers) if dof in dofs)
-            mine = f"{giver} {where}: {values.x.array[dof]:.6g} against {obstacle.x.array[dof]:.6g}"
+            both = f"{values.x.array[dof]:.6g} against {obstacle.x.array[dof]:.6g}"
+            mine = f"{giver(data, dof)} {where}: {both}"
         message = next(text for text in data.level.comm.allgather(mine) if text is not None)
         raise InputError(f"{message} at {data.place(point)}, so that no u satisfies both")
 
 
+def giver(data: Data, dof: int) -> str:
+    """Where the boundary value at a local dof stands (local)."""
+    return next(place for place, dofs in reversed(data.givers) if dof in dofs)
+
+
 def _refuse_gap(data: Data, excess: np.ndarray, tolerance: float, message: str) -> None:
     """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
-    found = _worst(data, excess, tolerance)
+    found = worst(data, excess, tolerance)
     if found is not None:
         raise InputError(f"{message}: by {found[0]:.3g} at {data.place(found[1])}")
 
 
-def _worst(data: Data, excess: np.ndarray, tolerance: float) -> tuple[float, np.ndarray, int | None] | None:
+def worst(data: Data, excess: np.ndarray, tolerance: float) -> tuple[float, np.ndarray, int | None] | None:
     """The largest excess above the tolerance, its place, and the dof there on ranks that have it (collective).
 
     Of places alike it is the first by coordinates, whatever the partition.

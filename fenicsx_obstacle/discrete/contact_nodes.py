@@ -324,6 +324,11 @@ class ContactNodes:
         taken = np.einsum("ij,ij->i", self._in_held_directions, held)
         return ((g[self.nodes] - self._offset) / self._scale - taken) / self._lengths
 
+    @property
+    def held_nodes(self) -> np.ndarray:
+        """The nodes of `excess_where_held`."""
+        return self._held[0]
+
     def excess_where_held(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
         """How far N . u is above an obstacle at nodes where u is given."""
         nodes, unit, scale, offset = self._held
@@ -414,6 +419,19 @@ def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:
     return values.reshape(len(values) // components, components)
 
 
+class HeldBeyond(InputError):
+    """A given value of u is beyond an obstacle.
+
+    Attributes:
+        point: Where, shape (3,).
+        distance: By how much.
+    """
+
+    def __init__(self, message: str, point: np.ndarray, distance: float):
+        super().__init__(message)
+        self.point, self.distance = point, distance
+
+
 class VectorData(Data):
     """The data of a vector-valued problem: obstacles bound the normal components at contact nodes."""
 
@@ -456,14 +474,23 @@ class VectorData(Data):
         return function
 
     def _check_held(self, g: np.ndarray, given: np.ndarray, side: float) -> None:
-        """Reject values of bcs beyond an obstacle (collective)."""
+        """Reject values of bcs beyond an obstacle (collective).
+
+        Raises:
+            HeldBeyond: With the place where they are farthest beyond it; of places alike the first by coordinates.
+        """
         beyond = side * self.contact.excess_where_held(g, given)
         comm = self.level.comm
         size = max(largest(comm, np.abs(given)), largest(comm, np.abs(g[np.isfinite(g)])))
         most = largest(comm, beyond)
         if most > BEYOND * size:
+            worst = self.contact.held_nodes[beyond >= most * (1 - 1e-9)]
+            points = (min(self.level.nodes.T[worst].tolist(), default=None),)
+            point = np.array(min(one for (one,) in comm.allgather(points) if one is not None))
             word = "upper" if side > 0 else "lower"
-            raise InputError(
-                f"{self.model.source}: a given value of u is beyond the {word} obstacle by {most:.3g}, so that no u "
-                "satisfies both"
+            raise HeldBeyond(
+                f"{self.model.source}: a given value of u is beyond the {word} obstacle by {most:.3g} at "
+                f"{self.place(point)}, so that no u satisfies both",
+                point,
+                most,
             )

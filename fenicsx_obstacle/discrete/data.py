@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.time_differences import Moment, Motion
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
+ROUND_OFF = 1e-14  # of the largest coordinate of a point: its others are 0 up to that
 
 
 class Weighted:
@@ -106,8 +107,17 @@ class Data:
         return self._here[field]
 
     def names(self, field: Field) -> Names:
-        """Present values on which a datum may depend besides x (collective if it is the first to need the distance)."""
-        return {**self.now, **({"distance": self.boundary_distance} if field.needs_distance else {})}
+        """Present values on which a datum may depend besides x (collective if it is the first to need the distance).
+
+        Raises:
+            InputError: If it needs the distance, and this mesh has none.
+        """
+        if not field.needs_distance:
+            return self.now
+        try:
+            return {**self.now, "distance": self.boundary_distance}
+        except InputError as error:
+            raise InputError(f"{field}: {error}") from None
 
     def at(self, field: Field, x: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
         """Values of a datum at points (3, n), of local cells where these are known, now (collective on first use)."""
@@ -591,8 +601,11 @@ class Data:
         return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
 
     def place(self, point: np.ndarray) -> str:
-        """A point (3,) in words."""
-        return "(" + ", ".join(f"{x:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
+        """A point (3,) in words; coordinates that are round-off are 0."""
+        least = ROUND_OFF * np.abs(point).max()
+        return (
+            "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
+        )
 
 
 class _Radius(Field):

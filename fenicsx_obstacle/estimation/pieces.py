@@ -404,7 +404,8 @@ class _Near:
         self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.whole = bounds.whole
         self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
-        self.rest, self.steep = self._half(), np.full(len(self.lower), np.inf)
+        constant = self.finite & self.settled & (self.upper == self.lower) & (not self.sampled)
+        self.rest, self.steep = self._half(), np.where(constant, 0.0, np.inf)
         smooth = bounds.whole & self.finite & self.settled
         exact = smooth & (bounds.degree <= polynomials.MAX_DEGREE)
         for degree in np.unique(bounds.degree[exact]):

@@ -30,7 +30,7 @@ from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.edges import Edges, Jumps
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges, sizes
+from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -40,6 +40,7 @@ MIN_DEPTH = 2  # of the division of the smallest ones, along the line where a co
 STEEP = 0.02  # this fraction of the slope of d
 MAX_PARTS = 100_000  # of facets; no subdivision beyond
 ROUND_OFF = 1e-14  # relative to the values of u
+NO_WIDTH = 1e-14  # relative to the facet: parts between two cuts that are narrower are lines, up to round-off
 INSIDE = 1e-11  # relative shift of edge points towards the facet's centroid, where the datum is that of this facet
 ALONG = np.linspace(0.0, 1.0, polynomials.MAX_DEGREE + 1)  # polynomials that agree there agree on the edge
 DEGREE = 4
@@ -304,17 +305,10 @@ class SurfaceData(BoundaryValues):
         there = np.einsum("fpn,fn->fp", at_points, polynomial[rows])
         coefficients = polynomials.coefficients(group.values(points) - there, 3, degree)
         along = polynomials.slopes(coefficients, 3, degree)
-        assert group.corners is not None
-        corners = group.corners @ x[rows]
-        # derivatives along two edges, and from them gradients within the facet; their coefficients bound them
-        edges = corners[:, 1:] - corners[:, :1]
-        gram = edges @ edges.transpose(0, 2, 1)
-        turned = np.linalg.solve(gram, edges)
-        gradients = np.einsum("fkn,fkx->fnx", along[:, 1:] - along[:, :1], turned)
-        slope = np.linalg.norm(gradients, axis=2).max(axis=1, initial=0.0)
+        slope, narrowest = _slopes_on_facets(group, along, x)
         unknown = ~np.isfinite(group.steep)
         # where nothing is known of the slope the bound rests on samples
-        more = np.where(unknown, (group.upper - group.lower) / least_heights(corners), group.steep)
+        more = np.where(unknown, (group.upper - group.lower) / narrowest, group.steep)
         away = polynomials.row_size(coefficients)
         exact = (away <= 64 * ROUND_OFF * self._heights) & (group.rest == 0)
         away = away + np.where(np.isfinite(group.rest), group.rest, 0.0)
@@ -436,6 +430,41 @@ class SurfaceData(BoundaryValues):
             found = local.array_r.copy()
         vector.destroy()
         return found
+
+
+def _slopes_on_facets(group: Group, along: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the slopes of polynomials within parts of facets, and the least heights of the parts.
+
+    Parts between two cuts may be so narrow that they are lines, up to round-off. They contribute nothing to integrals
+    over facets, and the parts beside them have the same values and their slopes across the line. But such a part may be
+    all there is of an edge of its facet: the slope along its longest side is taken, and the height is this length.
+
+    Args:
+        group: Of the parts.
+        along: The Bernstein coefficients of `polynomials.slopes` on the parts.
+        x: Corners of the facets.
+    """
+    assert group.corners is not None
+    # edges in an orthonormal basis of their facet, without the round-off of large coordinates
+    facets = x[:, 1:] - x[:, :1]
+    basis = np.linalg.qr(facets.transpose(0, 2, 1))[0]
+    edges = (group.corners[:, 1:, 1:] - group.corners[:, :1, 1:]) @ (facets @ basis)[group.rows]
+    derivatives = along[:, 1:] - along[:, :1]  # along these two edges
+    first, second = edges[:, 0], edges[:, 1]
+    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]  # of the parallelogram, with sign
+    third, third_derivative = second - first, derivatives[:, 1] - derivatives[:, 0]
+    sides = np.stack([first, second, third], axis=1)
+    lengths = np.linalg.norm(sides, axis=2)
+    longest = lengths.max(axis=1, initial=0.0)
+    least = NO_WIDTH * longest_edges(x)[group.rows]
+    line = np.abs(area) <= least * longest
+    # the gradient times the area, turned by a right angle
+    combined = derivatives[:, :1] * second[:, :, None] - derivatives[:, 1:] * first[:, :, None]
+    slope = np.linalg.norm(combined, axis=1).max(axis=1, initial=0.0) / np.where(line, 1.0, np.abs(area))
+    of_sides = np.abs(np.concatenate([derivatives, third_derivative[:, None]], axis=1)).max(axis=2, initial=0.0)
+    tangential = np.take_along_axis(of_sides, lengths.argmax(axis=1)[:, None], axis=1)[:, 0]
+    length = np.maximum(longest, least)
+    return np.where(line, tangential / length, slope), np.where(line, length, np.abs(area) / length)
 
 
 def _share_of_edge(group: Group, i: int, j: int) -> np.ndarray:

@@ -544,6 +544,11 @@ class ObstacleProblem:
                     "write F = a(u, v) - f(v) with a(v, v) > 0"
                 )
             self._refuse_no_number()
+            if not total(problem.level.comm, np.count_nonzero(weights > 0)):
+                raise InputError(
+                    f"{self.name}: u is given at every node where the obstacle acts, so that the obstacle has no "
+                    "effect; leave it out, or give u on a smaller part of the boundary"
+                )
             raise InputError(
                 f"{self.name}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number"
             )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.contact_nodes import KINK, assembled, over, vector_pair
+from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, at_surface
 from fenicsx_obstacle.discrete.reference import Reference
@@ -116,10 +117,65 @@ class Body:
         self._surfaces: dict[Facing, NodalGap] = {}
         self._distance = [None if one.obstacle.at_nodes else self._compiled(one) for one in self.facing]
         self._go_places()
-        self.problem = _Problem(
-            scene.source, F, self.u, bcs=self._conditions(), lower=self.gap, of=-ufl.dot(self.u, self._normals),
-            measure=self._measure(), stress=self.law.stress,
-        )  # fmt: skip
+        bcs = self._conditions()
+        self._check_effect()
+        with self._naming_parts():
+            self.problem = _Problem(
+                scene.source, F, self.u, bcs=bcs, lower=self.gap, of=-ufl.dot(self.u, self._normals),
+                measure=self._measure(), stress=self.law.stress,
+            )  # fmt: skip
+
+    def _check_effect(self) -> None:
+        """Reject an obstacle where u is given along its direction at all nodes (collective)."""
+        normals, node_of = self._normals.x.array.reshape(-1, self.level.mesh.geometry.dim), self.vectors.node_of
+        parts, held = self.scene.model.boundary, np.zeros(normals.shape, dtype=bool)
+        given = []  # by parts: nodes where u is given along the direction of an obstacle, at least in part
+        for part, facets in zip(parts, self.data.facets, strict=True):
+            there = node_of[self.data.dofs_on(facets)]
+            along = [k for k, field in enumerate(part.components) if field is not None]
+            held[there[:, None], along] = True
+            given.append(there[np.abs(normals[there][:, along]).max(axis=1, initial=0.0) > HELD])
+        for one in self.facing:
+            there = node_of[one.dofs]
+            free = np.linalg.norm(np.where(held[there], 0.0, normals[there]), axis=1)
+            if largest(self.level.comm, free) > HELD:
+                continue
+            shared = [total(self.level.comm, np.count_nonzero(np.isin(nodes, there))) > 0 for nodes in given]
+            others = " and ".join(f"no. {number + 1}" for number, found in enumerate(shared) if found)
+            raise InputError(
+                f"{self.scene.source}: {parts[one.obstacle.part].name} obstacle has no effect where u is given along "
+                f"its direction, by {others}; leave out one of both, or write 'free' for this component"
+            )
+
+    @contextmanager
+    def _naming_parts(self) -> Iterator[None]:
+        """Name the tables of the scene in the message of a given value of u beyond an obstacle (collective)."""
+        try:
+            yield
+        except HeldBeyond as error:
+            near, parts = SAME * self.data.extent, self.scene.model.boundary
+            others = [
+                number
+                for number, part in enumerate(parts)
+                if part.components and self._has(self.data.dofs_on(self.data.facets[number]), error.point, near)
+            ]
+            facing = [one for one in self.facing if self._has(one.dofs, error.point, near)]
+            if not others or not facing:
+                raise
+            values = " and ".join(f"{parts[number].name} value" for number in others)
+            obstacle, travel = facing[0].obstacle, facing[0].travel.value
+            goal = "" if obstacle.force is None else " towards its force"
+            moved = f", moved by {travel:.4g}{goal}," if obstacle.moves else ""
+            raise InputError(
+                f"{self.scene.source}: {values} and the obstacle of {parts[obstacle.part].name}{moved} "
+                f"exclude each other: the given u is beyond the obstacle by {error.distance:.3g} at "
+                f"{self.data.place(error.point)}; change one, or leave this place out of one of both parts"
+            ) from None
+
+    def _has(self, dofs: np.ndarray, point: np.ndarray, near: float) -> bool:
+        """Whether a point is among those of some dofs (collective)."""
+        there = np.linalg.norm(self.level.points.T[dofs] - point, axis=1) <= near
+        return total(self.level.comm, np.count_nonzero(there)) > 0
 
     @property
     def pressing(self) -> Facing | None:
@@ -214,7 +270,8 @@ class Body:
         return self._without_far(solution)
 
     def _solved(self, eps: Any, method: str) -> VectorSolution:
-        solution = self.problem.solve(eps=eps, method=method)
+        with self._naming_parts():
+            solution = self.problem.solve(eps=eps, method=method)
         assert isinstance(solution, VectorSolution)
         return solution
 

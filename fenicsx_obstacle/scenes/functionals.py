@@ -53,7 +53,8 @@ class Report:
         """Check [report] with the mesh, before anything is solved (collective).
 
         Raises:
-            InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside.
+            InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside, a distance on a
+                mesh that has none.
         """
         dim = self.level.mesh.geometry.dim
         if self.data.model.elastic.isotropic_tension is None:
@@ -63,6 +64,11 @@ class Report:
                         f"{formula.place}: flux needs an isotropic tension that does not depend on the slope"
                     )
         for formula in self.scene.report.values():
+            if "distance" in self.scene.needs(formula):
+                try:
+                    _ = self.data.boundary_distance  # rejects a mesh on which there is none
+                except InputError as error:
+                    raise InputError(f"{formula.place}: {error}") from None
             if self.data.model.radial and NORMAL_FLUX in formula.names:
                 raise InputError(f"{formula.place}: {NORMAL_FLUX} is for plane problems, not for axial symmetry")
             for node in ast.walk(formula.tree):
