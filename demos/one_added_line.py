@@ -116,9 +116,10 @@ def over_ball(stress, outside, cells=64, eps=1e-4, rtol=1e-10):
 # ## A nonlinear equation: a soap film
 #
 # The energy of a soap film is its area. Therefore $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
-# set the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$ with constants $a$ and $c$. The contact set is the disk
-# $r \le b$ with $b = 0.6$. At $r = b$ the film and the ball have the same value and slope if $a = b^2$. In the code,
-# $a$ is the variable `neck`. The force on the ball is $2 \pi a$.
+# set the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$ with constants $a$ and $c$. We choose the contact set
+# $r \le b$ with $b = 0.6$. At $r = b$ the film and the ball have the same slope if $a = b^2$, and the same value for one
+# $c$. The values of this film are prescribed on the boundary. In the code, $a$ is the variable `neck`. The force on the
+# ball is $2 \pi a$.
 
 # %%
 A, b = 0.680259411891719, 0.6
@@ -147,7 +148,7 @@ def soap_film(**options):
 
 # %%
 def line(function):
-    """Rows r and value at the owned nodes with y = 0, x >= 0, on rank 0."""
+    """An array with the rows r and value at all nodes with y = 0, x >= 0: on rank 0; None on other ranks."""
     V, own = function.function_space, function.function_space.dofmap.index_map.size_local
     x = V.tabulate_dof_coordinates()[:own]
     mine = np.column_stack([x[:, 0], function.x.array[:own]])[(abs(x[:, 1]) < 1e-9) & (x[:, 0] > -1e-9)]

@@ -81,7 +81,9 @@ def case(name: str) -> Case:
     """
     known = {one.name: one for one in cases()}
     if name not in known:
-        raise InputError(f"hard {name}: no such scene" + nearest(name, sorted({*known, *(one.family for one in cases())})))
+        raise InputError(
+            f"hard {name}: no such scene" + nearest(name, sorted({*known, *(one.family for one in cases())}))
+        )
     return known[name]
 
 
