@@ -117,9 +117,9 @@ def over_ball(stress, outside, cells=64, eps=1e-4, rtol=1e-10):
 #
 # The energy of a soap film is its area. Therefore $\sigma = \nabla u / \sqrt{1 + |\nabla u|^2}$. Outside of the contact
 # set the film is a catenoid, $u = c - a \,\mathrm{arcosh}(r/a)$ with constants $a$ and $c$. We choose the contact set
-# $r \le b$ with $b = 0.6$. At $r = b$ the film and the ball have the same slope if $a = b^2$, and the same value for one
-# $c$. The values of this film are prescribed on the boundary. In the code, $a$ is the variable `neck`. The force on the
-# ball is $2 \pi a$.
+# $r \le b$ with $b = 0.6$. At $r = b$ the film and the ball have the same slope if $a = b^2$, and the same value for
+# one $c$. The values of this film are prescribed on the boundary. In the code, $a$ is the variable `neck`. The force on
+# the ball is $2 \pi a$.
 
 # %%
 A, b = 0.680259411891719, 0.6
