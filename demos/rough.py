@@ -2,9 +2,9 @@
 # # A rough surface from a file
 #
 # An obstacle may be read from a file of measured heights. The file may contain an array, an image, an STL surface, or
-# a table with the columns x, y and z. This tutorial first writes such a file with the heights $z$ of a self-affine surface. The
-# power spectrum of this surface falls like $|k|^{-2 - 2H}$. Here $k$ is the wave vector, and $H = 0.8$ the Hurst
-# exponent. Many fractured or ground surfaces have such a spectrum.
+# a table with the columns x, y and z. This tutorial first writes such a file with the heights $z$ of a self-affine
+# surface. The power spectrum of this surface falls like $|k|^{-2 - 2H}$. Here $k$ is the wave vector, and $H = 0.8$
+# the Hurst exponent. Many fractured or ground surfaces have such a spectrum.
 #
 # A membrane with tension 1 is fixed at the height 0 on the boundary of a square. The surface is below it, at the height
 # $z - 0.1$. The load $f$ presses the membrane down:
