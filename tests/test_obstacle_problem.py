@@ -368,7 +368,7 @@ def test_forms_on_all_parts_of_the_mesh():
     tags = dmesh.meshtags(own.mesh, 2, cells, cells % 2)
     dx = ufl.Measure("dx", domain=own.mesh, subdomain_data=tags)
     stiff = own.mu * ufl.inner(ufl.grad(own.u), ufl.grad(own.v))
-    for F in (stiff * dx(0) + stiff * dx(1) - own.f * own.v * ufl.dx, stiff * dx((0, 1)) - own.f * own.v * dx):
+    for F in (stiff * dx(0) + stiff * dx(1) - own.f * own.v * dx, stiff * dx((0, 1)) - own.f * own.v * dx):
         own.u.x.array[:] = 0
         found = ObstacleProblem(F, own.u, bcs=own.bc, upper=own.g).solve(eps=1e-6)
         assert np.allclose(found.u.x.array, expected, atol=1e-9)
