@@ -1,6 +1,7 @@
 """The Newton loop, its stopping test and SNES VI: right answers at every eps, in every unit, or none."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from petsc4py import PETSc
 from fenicsx_obstacle import NotConverged, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.solvers import newton
+from fenicsx_obstacle.solvers.snes import Outcome
+from fenicsx_obstacle.solvers.stopping import CYCLING
 
 sys.path.insert(0, str(DEMOS))
 TRUE_MAXIMUM = 6.0e-4  # nodal error of the discrete solution on 64 cells; what is more is the solver's
@@ -138,6 +142,26 @@ def test_state_of_an_eps_ladder_is_independent_of_its_order(ball):
     again = context.answer(ball.options_with(eps=1e-3)).record
     assert first["newton_iterations"] == again["newton_iterations"]
     assert np.isclose(first["energy"], again["energy"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("eps", [1e-4, 1e-14])
+def test_cycling_ends_by_continuation_in_eps(ball, eps, monkeypatch):
+    """Where active sets repeat, eps is lowered step by step: the solution is that of a solve that does not cycle."""
+    problem = SolverContext(ball.change({"mesh.cells": 16})).problem
+    exact = newton.solve_penalty(problem, eps), problem.solution().x.array.copy()
+    problem.set_reference(problem.cold_start())
+    settled, outcomes = newton._settled, list[Outcome]()
+
+    def cycles_first(*given):
+        outcome = settled(*given)
+        outcomes.append(outcome if outcomes else replace(outcome, reason=CYCLING))
+        return outcomes[-1]
+
+    monkeypatch.setattr(newton, "_settled", cycles_first)
+    found = newton.solve_penalty(problem, eps)
+    assert found.converged and len(outcomes) > 2
+    assert found.iterations == sum(one.iterations for one in outcomes) > exact[0].iterations
+    assert largest(COMM, np.abs(problem.solution().x.array - exact[1])) < 1e-12
 
 
 @pytest.mark.parametrize("name", ["ball", "disk", "two_sided", "string"])

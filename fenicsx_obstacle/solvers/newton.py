@@ -18,7 +18,7 @@ from fenicsx_obstacle.solvers.linear import user_has_set
 from fenicsx_obstacle.solvers.monotone_sets import Shrinking
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
-from fenicsx_obstacle.solvers.stopping import ACTIVE_SET_GREW, TOLERANCE, TOO_MANY, StepMonitor, Stopping
+from fenicsx_obstacle.solvers.stopping import ACTIVE_SET_GREW, CYCLING, TOLERANCE, TOO_MANY, StepMonitor, Stopping
 
 NEWTON = {
     "snes_type": "newtonls",
@@ -80,7 +80,12 @@ def solve_penalty(
     if patience is not None:
         how["patience"] = patience
     if problem.affine or not problem.constrained or is_limited(problem, "penalty"):
-        return require(_settled(problem, how, multigrid), problem, eps, tolerance)
+        outcome = _settled(problem, how, multigrid)
+        if outcome.reason == CYCLING and not (successive or is_limited(problem, "penalty")):
+            # a node that comes into contact from a distance d has a round-off of d times machine epsilon, and with a
+            # tiny eps its penetration is less; from a larger eps it comes from a penetration
+            outcome = joined(outcome, _by_continuation(problem, eps, how))
+        return require(outcome, problem, eps, tolerance)
     start = problem.solution().x.array
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
     if not outcome.converged:
