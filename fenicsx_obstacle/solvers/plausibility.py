@@ -16,6 +16,7 @@ from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negativ
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
@@ -209,8 +210,7 @@ def _in_words(number: float) -> str:
 def _longest_stay(problem: Problem, held: np.ndarray) -> tuple[float, float]:
     """The longest time that the drift stays in the domain, over that in which it crosses it; and the largest Peclet
     number of the cells (collective). The time is 0 where that number is at most 1."""
-    level, data, effects = problem.level, problem.data, problem.model.effects
-    velocity = next((found for effect in effects if (found := effect.velocity) is not None), None)
+    level, data, velocity = problem.level, problem.data, _velocity(problem)
     if velocity is None:
         return 0.0, 0.0
     from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
@@ -230,8 +230,14 @@ def _crossings(problem: Problem, time: float | None) -> float:
 
     if time is None:
         return np.inf if problem.level.dofs <= LARGEST else 0.0
-    velocity = next(found for effect in problem.model.effects if (found := effect.velocity) is not None)
+    velocity = _velocity(problem)
+    assert velocity is not None
     return time * speed(problem.data, velocity) / problem.data.extent
+
+
+def _velocity(problem: Problem) -> tuple[Field, ...] | None:
+    """The drift of the model, if it has one."""
+    return next((found for effect in problem.model.effects if (found := effect.velocity) is not None), None)
 
 
 def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float | None:
