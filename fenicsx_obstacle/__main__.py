@@ -116,6 +116,8 @@ def _leave(status: int, file: str) -> bool:
 
 def _begin(petsc: list[str]) -> None:
     """MPI, PETSc with its options, and an exception hook that ends all ranks."""
+    # huge pages for large arrays take the kernel longer than they save; NumPy reads this when it is imported
+    os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
     # first: mpirun ends all ranks once one has left with a status but without MPI, the one with the message too
     from mpi4py import MPI
 

@@ -5,9 +5,12 @@ import pytest
 import ufl
 from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
+from dolfinx.fem import petsc  # noqa: F401
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.transfer import downward
+from fenicsx_obstacle.parallel import gathered, largest, on_root, total
 from fenicsx_obstacle.scenes import meshes
 
 MESHES = {
@@ -51,14 +54,55 @@ def test_area_and_boundary_survive_refinement(name):
 def test_fine_dofs_are_means_of_coarse_dofs(name):
     """P1 prolongation: a linear function on the coarse level is the same function on the fine one."""
     level = build({**MESHES[name][0], "refine": 2})
-    for fine in (level, level.coarse):
+    for fine in level.on_meshes.downward[:2]:
         linear = [f.tabulate_dof_coordinates() @ [1.0, 2.0, 3.0] for f in (fine.coarse.V, fine.V)]
         assert np.allclose(linear[0][fine.ends].mean(axis=1), linear[1][: fine.owned])
 
 
+@pytest.mark.parametrize("shape", ["interval", "rectangle", "disk"])
+def test_grids_between_are_those_of_meshes(shape):
+    """Halved several times at once, a mesh has the points, parts and coarse matrices of meshes halved one by one.
+
+    P^T A P is the stiffness on the mesh between; on a disk, whose new boundary points leave their edges, nearly.
+    """
+    at_once = build({"shape": shape, "cells": 4, "refine": 3})
+    between, names = at_once.on_meshes, at_once.facets
+    assert len(at_once.grids) == 2 and not between.grids and len(between.downward) == 4
+    one_by_one = between.downward[-1]
+    for _ in range(3):
+        one_by_one = levels.refined(one_by_one)
+    for level in (between, one_by_one):
+        assert level.h == at_once.h and np.isclose(level.h_max, at_once.h_max)
+        assert {name: total(COMM, len(some)) for name, some in level.facets.items()} == {
+            name: total(COMM, len(some)) for name, some in names.items()
+        }
+        assert np.isclose(measure(level), measure(at_once), rtol=1e-14)
+    places = [gathered(COMM, level.points.T[: level.owned]) for level in (at_once, one_by_one)]
+    if COMM.rank == 0:
+        here, there = ({tuple(row) for row in np.round(one, 12) + 0.0} for one in places)
+        assert here == there and len(here) == len(places[0])
+    fine, transfers = stiffness(at_once), list(downward(at_once))
+    coarse = [stiffness(level) for level in between.downward[1:]]
+    assert len(transfers) == 3
+    for transfer, A in zip(transfers, coarse, strict=True):
+        fine = fine.ptap(transfer.P)
+        assert np.isclose(fine.norm(), A.norm(), rtol=0.05 if shape == "disk" else 1e-12)
+        ones = transfer.interpolate(np.ones(transfer.P.getLocalSize()[1]))
+        assert np.array_equal(ones, np.ones(len(ones)))
+        x = np.random.default_rng(COMM.rank).random(transfer.P.getLocalSize()[1])
+        assert np.array_equal(transfer.inject(transfer.interpolate(x)), x)
+
+
+def stiffness(level):
+    u, v = ufl.TrialFunction(level.V), ufl.TestFunction(level.V)
+    A = fem.petsc.assemble_matrix(releases.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx))
+    A.assemble()
+    return A
+
+
 def test_disk_approaches_the_circle():
     """Refined boundary vertices move onto the circle; the area tends to pi with order 2."""
-    level = build({"shape": "disk", "radius": 1, "cells": 8, "refine": 2})
+    level = build({"shape": "disk", "radius": 1, "cells": 8, "refine": 2}).on_meshes
     errors = []
     while level is not None:
         errors.append(np.pi - measure(level))

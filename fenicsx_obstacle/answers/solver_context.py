@@ -82,6 +82,7 @@ class SolverContext:
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(Data(scene.model, level))
         self._grids: list[Multigrid] | None = None
+        self._on_meshes = False
         self._problems: list[Problem] | None = None
         self._solved_below = before is not None and nested(scene.effects, scene.pair, self.options)
         if before is not None and self._solved_below:
@@ -201,7 +202,8 @@ class SolverContext:
         estimator = self.estimator if bound else None  # raises before anything is solved
         grids: Sequence[Multigrid | Problem] = []
         if nested(scene.effects, scene.pair, options):
-            grids = found if len(found := self._hierarchy()) > 1 else []
+            looked_at = uncertainty or monitor is not None
+            grids = found if len(found := self._hierarchy(on_meshes=looked_at)) > 1 else []
         at_rest = scene.time is None or scene.time.order == EQUILIBRIA
         if at_rest and stepwise(scene.effects, scene.pair, options) and problem.level.coarse is not None:
             grids = self._chain()
@@ -332,11 +334,15 @@ class SolverContext:
             below = [*below, Multigrid(Problem(Data(self.problem.model, level.coarse)), below[-1])]
         return [*below, Multigrid(self.problem, below[-1])]
 
-    def _hierarchy(self) -> list[Multigrid]:
-        """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective)."""
-        if self._grids is None:
+    def _hierarchy(self, *, on_meshes: bool = False) -> list[Multigrid]:
+        """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective).
+
+        Args:
+            on_meshes: As for `hierarchy`; what was made with meshes serves otherwise too.
+        """
+        if self._grids is None or (on_meshes and not self._on_meshes):
             start = time.perf_counter()
-            self._grids = multigrid.chain(hierarchy(self.problem))
+            self._grids, self._on_meshes = multigrid.chain(hierarchy(self.problem, on_meshes=on_meshes)), on_meshes
             for level in self.problem.level.downward:
                 level.forget_points()
             return_freed_memory()

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.parents import EDGES, numbers
+from fenicsx_obstacle.discrete.halving import EDGES, Numbers
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before, total
@@ -67,7 +67,8 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     place.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
     with place.localForm() as local:
         middles = local.array_r[halves[:own]].astype(np.int64)
-    number = np.hstack([numbers(comm, vertices, releases.cell_dofs(V)[:own], first), middles])
+    kept = Numbers.of(comm, vertices).moved(np.array(comm.allgather(first)))
+    number = np.hstack([kept[releases.cell_dofs(V)[:own]], middles])
     x = mesh.geometry.x[:, :gdim]
     corner, sides = x[releases.geometry_dofs(mesh)], np.array(EDGES[dim])
     middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
@@ -77,10 +78,10 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
         chosen = np.where(local.array_r[halves[:own]] > 0, order[halves[:own]], -1)
     parents, places = _bisected(chosen) if dim == 3 else _cut(order[halves[:own]], chosen >= 0)
     new = releases.create_mesh(comm, number[parents[:, None], places], points, releases.cell_name(mesh), stay=True)
-    kept = np.asarray(new.topology.original_cell_index)[: own_cells(new)] - before(comm, len(parents))
+    rows = np.asarray(new.topology.original_cell_index)[: own_cells(new)] - before(comm, len(parents))
     for owner in (marks, place):
         owner.destroy()
-    return new, parents[kept].astype(np.int32), places[kept].astype(np.int8)
+    return new, parents[rows].astype(np.int32), places[rows].astype(np.int8)
 
 
 def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[PETSc.Vec, np.ndarray, np.ndarray]:

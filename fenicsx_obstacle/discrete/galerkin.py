@@ -1,4 +1,4 @@
-"""The discrete problem on an algebraic coarse level: Galerkin products, and the data of the finer level injected."""
+"""The discrete problem on a coarse level: Galerkin products, and the data of the finer level injected."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fenicsx_obstacle.discrete.coarsening import BOUNDARY, FIXED, FREE, Nodes, c
 from fenicsx_obstacle.discrete.kernels import kernels
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.transfer import Transfer
+from fenicsx_obstacle.discrete.transfer import Transfer, downward
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.parallel import total
 
@@ -184,21 +184,35 @@ class GalerkinProblem(Problem):
         return self.finer.has_energy
 
 
-def coarse_problems(problem: Problem) -> list[Problem]:
-    """Algebraic levels below a problem with affine effects, the coarsest first (collective).
+def coarse_problems(problem: Problem, *, algebraic: bool = True) -> list[Problem]:
+    """The levels below a problem with affine effects, the coarsest first (collective).
 
-    There are none for few unknowns, or where contact is neither at the vertices nor that of P2, which is above P1.
+    Those of the meshes that its mesh was refined from, and below them algebraic ones. There are none for few unknowns,
+    or where contact is neither at the vertices nor that of P2, which is above P1.
+
+    Args:
+        problem: The problem.
+        algebraic: Whether to construct algebraic ones.
     """
     level, found = problem.level, list[Problem]()
     if level.pair.has_p1_coarse_space:
         assert level.coarse is not None
         level = level.coarse
-    if not level.pair.at_vertices or level.dofs < SMALLEST or (loops := kernels(level.comm)) is None:
+    if not level.pair.at_vertices:
         return []
+    loops = kernels(level.comm) if algebraic and level.downward[-1].dofs >= SMALLEST else None
     if level is not problem.level:
-        problem = GalerkinProblem(problem, problem.transfer, problem.transfer.inject(problem.fixed) > 0, level.pair)
+        if level.coarse is None and loops is None:
+            return []
+        problem = _below(problem, problem.transfer, level.pair)
         found.append(problem)
-    nodes = _nodes(problem, level)
+    for transfer in downward(level):
+        problem.transfer = transfer
+        problem = _below(problem, transfer, level.pair)
+        found.insert(0, problem)
+    if loops is None:
+        return found
+    nodes = _nodes(problem, level.downward[-1])
     while problem.level.dofs > COARSEST[nodes.dim]:
         transfer, nodes = coarsen(problem.nodal.stiffness, nodes, loops, level.comm)
         if total(level.comm, len(nodes.key)) > SLOWEST * problem.level.dofs:
@@ -207,6 +221,11 @@ def coarse_problems(problem: Problem) -> list[Problem]:
         problem = GalerkinProblem(problem, transfer, nodes.kind == FIXED, level.pair)
         found.insert(0, problem)
     return found
+
+
+def _below(problem: Problem, transfer: Transfer, pair: Pair) -> GalerkinProblem:
+    """The problem on the nodes that coincide with coarse ones (collective)."""
+    return GalerkinProblem(problem, transfer, transfer.inject(problem.fixed) > 0, pair)
 
 
 def _nodes(problem: Problem, level: Level) -> Nodes:

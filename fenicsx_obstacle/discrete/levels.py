@@ -15,9 +15,11 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, parents
-from fenicsx_obstacle.discrete.cells import corner_simplices, corners
+from fenicsx_obstacle.discrete.cells import corner_simplices, corners, own_cells
 from fenicsx_obstacle.discrete.components import Components, components
 from fenicsx_obstacle.discrete.conformity import check_mesh
+from fenicsx_obstacle.discrete.halving import Grid, halvings
+from fenicsx_obstacle.discrete.parents import Name
 from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
@@ -41,7 +43,9 @@ class Level:
         shape: The recipe asked for, for shapes; `mesh` has a coarser grid where it is to be refined.
         pair: V_h, the rule I and Q_h.
         coarse: The level it was refined from; of P2 that of P1 on the same mesh.
-        parents: For each owned cell the local cell of `coarse` it came from.
+        grids: Where all edges of `coarse` were halved several times: the grids between, which have no mesh, the coarser
+            first.
+        parents: For each owned cell the row of the last of `grids`, or else the local cell of `coarse`, it came from.
         places: Where in it the corners of the cell are.
         straight: Of a mesh from a file, whether its CAD curves are straight and, in solids, its surfaces flat; None
             where the file does not say, and for the caller's own mesh.
@@ -59,6 +63,7 @@ class Level:
     shape: Shape | None = None
     pair: Pair = P1
     coarse: Level | None = None
+    grids: tuple[Grid, ...] = ()
     parents: np.ndarray | None = None
     places: np.ndarray | None = None
     straight: bool | None = None
@@ -103,23 +108,36 @@ class Level:
 
     @property
     def ends(self) -> np.ndarray:
-        """For each owned dof the two local dofs of `coarse` of which it is the mean.
+        """For each owned dof the two local dofs of `coarse`, or vertices of the last of `grids`, of which it is the
+        mean.
 
         The ends of the edge it halves, or twice the vertex it coincides with; shape (owned dofs, 2).
         """
         assert self.coarse is not None
+        of_cells = self.grids[-1].cells if self.grids else releases.cell_dofs(self.coarse.V)
         if self.parents is None or self.places is None:  # P2 over P1 on the same mesh
             cells = len(releases.cell_dofs(self.V))
             places = np.tile(np.arange(releases.cell_dofs(self.V).shape[1]), (cells, 1))
-            return parents.ends_of(self.V, self.coarse.V, np.arange(cells), places)
-        return parents.ends_of(self.V, self.coarse.V, self.parents, self.places)
+            return parents.ends_of(self.V, of_cells, np.arange(cells), places)
+        return parents.ends_of(self.V, of_cells, self.parents, self.places)
 
     @cached_property
     def facets(self) -> dict[str, np.ndarray]:
         """Local facets of each named part of the boundary, curve or surface inside."""
         if self.coarse is None or self.parents is None:
             return self.named or {}
-        return parents.inherited(self.coarse.facets, self.coarse.mesh, self.mesh, self.parents)
+        return self._inherited(self.coarse, self.coarse.facets)
+
+    def _inherited(self, coarse: Level, named: dict[Name, np.ndarray]) -> dict[Name, np.ndarray]:
+        """Local facets within facets of the level this one was refined from."""
+        assert self.parents is not None and self.places is not None
+        return parents.inherited(named, coarse.mesh, self.mesh, self.parents, self.places, len(self.grids))
+
+    @property
+    def _ancestors(self) -> np.ndarray:
+        """For each owned cell the local cell of `coarse` it came from."""
+        assert self.parents is not None
+        return self.parents // 2 ** (self.mesh.topology.dim * len(self.grids))
 
     @cached_property
     def bent_parts(self) -> dict[tuple[int, int], np.ndarray]:
@@ -128,15 +146,35 @@ class Level:
             return self.bent or {}
         above, dim = self.coarse.bent_parts, self.mesh.topology.dim
         facets = {key: some for key, some in above.items() if key[0] < dim}
-        cells = {key: np.flatnonzero(np.isin(self.parents, some)) for key, some in above.items() if key[0] == dim}
-        return parents.inherited(facets, self.coarse.mesh, self.mesh, self.parents) | cells
+        cells = {key: np.flatnonzero(np.isin(self._ancestors, some)) for key, some in above.items() if key[0] == dim}
+        return self._inherited(self.coarse, facets) | cells
 
     @cached_property
     def groups(self) -> dict[str, np.ndarray]:
         """Owned cells of each named material."""
         if self.coarse is None or self.parents is None:
             return self.materials or {}
-        return {name: np.flatnonzero(np.isin(self.parents, cells)) for name, cells in self.coarse.groups.items()}
+        return {name: np.flatnonzero(np.isin(self._ancestors, cells)) for name, cells in self.coarse.groups.items()}
+
+    @cached_property
+    def on_meshes(self) -> Level:
+        """The same level above levels that all have a mesh (first use is collective)."""
+        below = None if self.coarse is None else self.coarse.on_meshes
+        if below is self.coarse and not self.grids:
+            return self
+        assert below is not None
+        rows = np.arange(own_cells(below.mesh))  # local cells of `below` by rows of the last grid
+        for grid in self.grids:
+            mesh, kept = grid.mesh()
+            assert grid.places is not None
+            cells = rows[kept // 2**grid.dim].astype(np.int32)
+            below = _above(below, mesh, below.h / 2, cells, grid.places[kept], below.pair)
+            rows = np.empty(len(kept), dtype=np.int32)
+            rows[kept] = np.arange(len(kept))
+        mine = self.parents if self.parents is None or not self.grids else rows[self.parents]
+        found = replace(self, coarse=below, grids=(), parents=mine)
+        found.__dict__["V"] = self.V
+        return found
 
     @property
     def polygonal(self) -> bool | None:
@@ -222,7 +260,7 @@ def of_pair(level: Level, pair: Pair) -> Level:
         return level
     if not pair.nested_hierarchy:
         below = level if pair.has_p1_coarse_space else None
-        return replace(level, pair=pair, coarse=below, parents=None, places=None, named=level.facets,
+        return replace(level, pair=pair, coarse=below, grids=(), parents=None, places=None, named=level.facets,
                        materials=level.groups, bent=level.bent_parts)  # fmt: skip
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
@@ -260,14 +298,27 @@ def _nodal_pair(cell: str, degree: int) -> Pair | None:
     return next((pair for pair in found if pair.nodal and not pair.own_weights), None)
 
 
-def refined(level: Level) -> Level:
-    """The level with every edge halved, each cell staying on its rank (collective)."""
-    new, cells, places = parents.halved(level.mesh, level.V)
-    fine = _above(level, new, level.h / 2, cells, places, P1)
-    moved = level.to_cad is not None or (level.shape is not None and level.shape.project is not None)
-    if level.mesh.topology.dim < 3 and not moved:  # cells are similar to their parents
-        fine.__dict__["h_max"] = level.h_max / 2  # in place of that found on first use
+def refined(level: Level, times: int = 1) -> Level:
+    """The level with every edge halved, each cell staying on its rank (collective).
+
+    Args:
+        level: P1 on simplices.
+        times: How often; more than once if `halves_at_once`.
+    """
+    project = None if level.shape is None else level.shape.project
+    *between, last = halvings(level.V, times, project)
+    mesh, kept = last.mesh()
+    assert last.places is not None
+    cells, places = kept // 2**last.dim, last.places[kept]
+    fine = _above(level, mesh, level.h / 2**times, cells, places, P1, tuple(between))
+    if halves_at_once(level) and project is None:  # cells are similar to their ancestors
+        fine.__dict__["h_max"] = level.h_max / 2**times  # in place of that found on first use
     return fine
+
+
+def halves_at_once(level: Level) -> bool:
+    """Whether edges can be halved several times without meshes in between."""
+    return level.mesh.topology.dim < 3 and level.to_cad is None
 
 
 def refined_where(level: Level, marked: np.ndarray) -> Level:
@@ -283,11 +334,14 @@ def refined_where(level: Level, marked: np.ndarray) -> Level:
     return _above(level, new, _largest_side(new), cells, places, level.pair)
 
 
-def _above(level: Level, new: dmesh.Mesh, h: float, cells: np.ndarray, places: np.ndarray, pair: Pair) -> Level:
+def _above(
+    level: Level, new: dmesh.Mesh, h: float, cells: np.ndarray, places: np.ndarray, pair: Pair,
+    grids: tuple[Grid, ...] = (),
+) -> Level:  # fmt: skip
     """The next finer level, new vertices on curved boundaries moved there (collective)."""
     fine = replace(
-        level, mesh=new, h=h, named=None, materials=None, bent=None, pair=pair, coarse=level, parents=cells,
-        places=places,
+        level, mesh=new, h=h, named=None, materials=None, bent=None, pair=pair, coarse=level, grids=grids,
+        parents=cells, places=places,
     )  # fmt: skip
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)

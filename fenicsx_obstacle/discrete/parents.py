@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from dolfinx import fem
@@ -12,7 +12,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import barycentric, cell_facets, corners, facet_vertices
+from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
+from fenicsx_obstacle.discrete.halving import CHILDREN, EDGES, Numbers
 from fenicsx_obstacle.parallel import before, on_root
 
 Name = TypeVar("Name", str, tuple[int, int])
@@ -20,25 +21,36 @@ ToCad: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 STAYS = 1e-12  # of its distance from 0: such a move is round-off
 
 
-def ends_of(V: fem.FunctionSpace, coarse: fem.FunctionSpace, parents: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """For each owned dof of V the two local dofs of `coarse` of which it is the mean, shape (owned dofs, 2).
+def ends_of(V: fem.FunctionSpace, coarse: np.ndarray, parents: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """For each owned dof of V the two local dofs of the coarser level of which it is the mean, shape (owned dofs, 2).
 
     A vertex of a refined cell is a vertex of its parent or the middle of one of its edges; `places` says which.
+
+    Args:
+        V: P1, or P2 on the same mesh.
+        coarse: Local dofs of the cells of the coarser level, at their vertices.
+        parents: Their row for each owned cell of V.
+        places: Of the dofs of the cell.
     """
     owned = V.dofmap.index_map.size_local
     dofs = releases.cell_dofs(V)[: len(parents)]
     one = np.empty(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one corner of a cell of each dof
     one[dofs.ravel()] = np.arange(dofs.size, dtype=np.int32)
     one = one[:owned]
-    rows = releases.cell_dofs(coarse)[parents[one // dofs.shape[1]]]
+    rows = coarse[parents[one // dofs.shape[1]]]
     dim = V.mesh.topology.dim
     of = np.array([(i, i) for i in range(dim + 1)] + EDGES[dim])[places.ravel()[one]]
     return np.take_along_axis(rows, of, axis=1)
 
 
-def prolongation(ends: np.ndarray, fine: fem.FunctionSpace, coarse: fem.FunctionSpace) -> PETSc.Mat:
-    """P1 interpolation from a mesh to its refinement as a matrix (collective)."""
-    numbering = coarse.dofmap.index_map
+def prolongation(ends: np.ndarray, number: Numbers, comm: MPI.Comm) -> PETSc.Mat:
+    """P1 interpolation from a level to its refinement as a matrix (collective).
+
+    Args:
+        ends: Of owned dofs of the refinement the two local dofs of the level.
+        number: Of these.
+        comm: Communicator.
+    """
     same = ends[:, 0] == ends[:, 1]
     starts = np.zeros(len(ends) + 1, dtype=PETSc.IntType)
     np.cumsum(2 - same, out=starts[1:])
@@ -46,127 +58,62 @@ def prolongation(ends: np.ndarray, fine: fem.FunctionSpace, coarse: fem.Function
     columns[starts[:-1]] = ends.min(axis=1)
     columns[starts[1:] - 1] = ends.max(axis=1)
     values[starts[:-1][same]] = 1.0
-    columns = np.asarray(numbering.local_to_global(columns))
-    size = [(space.dofmap.index_map.size_local, space.dofmap.index_map.size_global) for space in (fine, coarse)]
-    return PETSc.Mat().createAIJ(size, csr=(starts, columns.astype(PETSc.IntType), values), comm=fine.mesh.comm)
-
-
-def halved(mesh: dmesh.Mesh, V: fem.FunctionSpace) -> tuple[dmesh.Mesh, np.ndarray, np.ndarray]:
-    """The mesh with all edges halved (collective).
-
-    Triangles are cut into four of their own shape, so that a grid stays a grid; DOLFINx's own refinement bisects
-    longest edges, which turns every other diagonal.
-
-    Returns:
-        The mesh, the parent of each of its owned cells, and where in the parent the corners of the cell are: numbers of
-        vertices and, after these, of edges.
-    """
-    comm, dim, gdim = mesh.comm, mesh.topology.dim, mesh.geometry.dim
-    mesh.topology.create_entities(1)
-    mesh.topology.create_connectivity(dim, 1)
-    vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
-    own = mesh.topology.index_map(dim).size_local
-    dofs = releases.cell_dofs(V)[:own]
-    sides = EDGES[dim]
-    if dim == 1:
-        halves = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
-    else:
-        halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(sides))
-    # points in the order of ranks, of each its vertices and then the middles of its edges
-    first = before(comm, vertices.size_local + edges.size_local)
-    number = np.hstack(
-        [numbers(comm, vertices, dofs, first), numbers(comm, edges, halves[:own], first + vertices.size_local)]
-    )
-    points = np.empty((vertices.size_local + edges.size_local, gdim))
-    points[: vertices.size_local] = mesh.geometry.x[releases.dof_nodes(V)[: vertices.size_local], :gdim]
-    corner = mesh.geometry.x[releases.geometry_dofs(mesh), :gdim]
-    middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
-    for side, (i, j) in enumerate(sides):
-        middle[halves[:, side]] = (corner[:, i] + corner[:, j]) / 2
-    points[vertices.size_local :] = middle[: edges.size_local]
-    children = np.array([_CORNERS[dim] + [(*d, *edge) for edge in ring] for d, ring in _RING[dim].items()])
-    pattern = _inner_diagonal(corner[:own]) if dim == 3 else np.zeros(own, dtype=int)
-    patterns = children.reshape(len(children), -1)
-    cells = number[:, patterns[0]] if len(patterns) == 1 else np.take_along_axis(number, patterns[pattern], axis=1)
-    cells = cells.reshape(-1, dim + 1)
-    new = releases.create_mesh(comm, cells, points, releases.cell_name(mesh), stay=True)
-    start = before(comm, len(cells))
-    kept = np.asarray(new.topology.original_cell_index)[: new.topology.index_map(dim).size_local] - start
-    parents = (kept // 2**dim).astype(np.int32)
-    return new, parents, children.astype(np.int8)[pattern[parents], kept % 2**dim]
-
-
-# a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
-EDGES = {
-    1: [(0, 1)],
-    2: [(1, 2), (0, 2), (0, 1)],
-    3: [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)],
-}
-_CORNERS: dict[int, list[tuple[int, ...]]] = {
-    1: [(0, 2), (2, 1)],
-    2: [(0, 5, 4), (5, 1, 3), (4, 3, 2)],
-    3: [(0, 9, 8, 7), (9, 1, 6, 5), (8, 6, 2, 4), (7, 5, 4, 3)],
-}
-# children inside: the diagonal they share, and the ring of edges around it; of a tetrahedron there are three choices
-_RING: dict[int, dict[tuple[int, ...], list[tuple[int, ...]]]] = {
-    1: {(): []},
-    2: {(): [(3, 4, 5)]},
-    3: {
-        (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
-        (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
-        (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
-    },
-}
-
-
-def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
-    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `_RING[3]`.
-
-    The shortest; of two alike the one along the longest edge: then the six tetrahedra of a cube become those of its
-    eight parts.
-    """
-    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (EDGES[3][m - 4] for m in pair)] for pair in _RING[3]]
-    edges = np.stack([corner[:, j] - corner[:, i] for i, j in EDGES[3]], axis=1)
-    longest = edges[np.arange(len(edges)), (edges**2).sum(axis=2).argmax(axis=1)]
-    score = []
-    for a, b in ends:
-        along = np.abs(((a - b) * longest).sum(axis=1))
-        score.append(((a - b) ** 2).sum(axis=1) - 1e-6 * along)
-    return np.argmin(score, axis=0)
-
-
-def numbers(comm: MPI.Comm, entities: Any, local: np.ndarray, first: int) -> np.ndarray:
-    """Global numbers of local entities where those of each rank begin at its `first` (collective)."""
-    starts = np.array(comm.allgather((entities.local_range[0], first)), dtype=np.int64).reshape(-1, 2)
-    place = np.asarray(entities.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64)
-    # ranks that own none share their start with the next: take the last
-    rank = np.searchsorted(starts[:, 0], place, side="right") - 1
-    return (place - starts[rank, 0] + starts[rank, 1]).reshape(local.shape)
+    size = (len(ends), None), (number.owned, None)
+    columns = number.values[columns].astype(PETSc.IntType)
+    return PETSc.Mat().createAIJ(size, csr=(starts, columns, values), comm=comm)
 
 
 def inherited(
-    named: dict[Name, np.ndarray], mesh: dmesh.Mesh, new: dmesh.Mesh, parents: np.ndarray
+    named: dict[Name, np.ndarray],
+    mesh: dmesh.Mesh,
+    new: dmesh.Mesh,
+    parents: np.ndarray,
+    places: np.ndarray,
+    times: int,
 ) -> dict[Name, np.ndarray]:
-    """Named facets of a refined mesh: those that lie within a named facet of their parent cell (local)."""
-    dim = new.topology.dim
-    members = facet_vertices(dim)
-    old_facets, new_facets = cell_facets(mesh), cell_facets(new)
+    """Named facets of a refined mesh: those that lie within a named facet of the mesh it was refined from (local).
+
+    Args:
+        named: Local facets.
+        mesh: Theirs.
+        new: The refined mesh.
+        parents: Of each of its owned cells; after `times` halvings between both meshes, by rows of the last of these.
+        places: Where in the parent the corners of the cell are.
+        times: Number of these halvings, of intervals or triangles.
+    """
+    dim, own = mesh.topology.dim, own_cells(mesh)
+    old_facets, new_facets = cell_facets(mesh)[:own], cell_facets(new)
     found: dict[Name, np.ndarray] = {}
     for name, facets in named.items():
-        marked = np.zeros(old_facets.max(initial=-1) + 1, dtype=bool)
-        marked[facets] = True
+        flags = np.zeros(old_facets.max(initial=-1) + 1, dtype=bool)
+        flags[facets[facets < len(flags)]] = True
+        marked = flags[old_facets]
+        for _ in range(times):
+            within = facets_within(CHILDREN[dim][0])
+            marked = (marked[:, within] & (within >= 0)).reshape(-1, dim + 1)
         # nearly all cells lie inside: look at the children of those that have such a facet only
-        children = np.flatnonzero(marked[old_facets].any(axis=1)[parents])
-        on_facet = marked[old_facets[parents[children]]]
-        weights = barycentric(corners(new, children), corners(mesh, parents[children]))
-        inside = []
-        for i, of_new in enumerate(members):
-            for k, of_old in enumerate(members):
-                outside = [j for j in range(dim + 1) if j not in of_old]
-                on_old = np.all(weights[:, of_new][:, :, outside] < 0.25, axis=(1, 2))
-                inside.append(new_facets[children[on_old & on_facet[:, k]], i])
-        found[name] = np.unique(np.concatenate(inside)).astype(np.int32)
+        children = np.flatnonzero(marked.any(axis=1)[parents])
+        within = facets_within(places[children])
+        there = np.take_along_axis(marked[parents[children]], np.maximum(within, 0), axis=1) & (within >= 0)
+        found[name] = np.unique(new_facets[children][there]).astype(np.int32)
     return found
+
+
+def facets_within(places: np.ndarray) -> np.ndarray:
+    """The facet of its parent in which each facet of a cell lies, -1 where it is inside, shape (cells, dim + 1).
+
+    Args:
+        places: Where in the parent the corners of the cell are, as in `Grid`.
+    """
+    dim = places.shape[1] - 1
+    members = facet_vertices(dim)
+    points = [{i} for i in range(dim + 1)] + [set(edge) for edge in EDGES[dim]]
+    # the facets that each place is on, as bits
+    bits = np.array([sum(1 << k for k, facet in enumerate(members) if point <= set(facet)) for point in points])
+    common = np.stack([np.bitwise_and.reduce(bits[places[:, facet]], axis=1) for facet in members], axis=1)
+    number = np.full(2 ** (dim + 1), -1)
+    number[1 << np.arange(dim + 1)] = np.arange(dim + 1)
+    return number[common]
 
 
 def snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarray], np.ndarray]) -> None:

@@ -294,7 +294,7 @@ class Problem:
     def transfer(self) -> Transfer:
         """Interpolation from the next coarser problem; by default from the mesh that this one was refined from (first
         use is collective)."""
-        return to_parents(self.level)
+        return to_parents(self.level.on_meshes if self.level.grids else self.level)
 
     @property
     def nodal(self) -> Nodal:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
-from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import parents
+from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.levels import Level
 
 Injection = Callable[[np.ndarray], np.ndarray]
@@ -55,16 +55,38 @@ def _taken(result: PETSc.Vec, other: PETSc.Vec) -> np.ndarray:
 
 def to_parents(level: Level) -> Transfer:
     """Interpolation from the mesh that a mesh was refined from, or from P1 on the same mesh to P2 (collective)."""
-    assert level.coarse is not None
-    ends, coarse = level.ends, level.coarse.V
+    assert level.coarse is not None and not level.grids
+    return _transfer(level.ends, Numbers.of(level.comm, level.coarse.V.dofmap.index_map), level.comm)
+
+
+def downward(level: Level) -> Iterator[Transfer]:
+    """Interpolation to a level from the one below, to that from the next, and so on (collective).
+
+    Args:
+        level: P1.
+    """
+    while level.coarse is not None:
+        numbers = [Numbers.of(level.comm, level.coarse.V.dofmap.index_map), *(grid.number for grid in level.grids)]
+        yield _transfer(level.ends, numbers.pop(), level.comm)
+        for grid in reversed(level.grids):
+            assert grid.ends is not None
+            yield _transfer(grid.ends[: grid.number.owned], numbers.pop(), level.comm)
+        level = level.coarse
+
+
+def _transfer(ends: np.ndarray, number: Numbers, comm: MPI.Comm) -> Transfer:
+    """Interpolation at owned dofs from the two local dofs of the coarser level of which they are the mean."""
     same = np.flatnonzero(ends[:, 0] == ends[:, 1])
-    coincident, found = ends[same, 0], fem.Function(coarse)
-    own = coarse.dofmap.index_map.size_local
+    coincident, ghosts = ends[same, 0], number.values[number.owned :].astype(PETSc.IntType)
 
     def inject(fine: np.ndarray) -> np.ndarray:
-        found.x.array[:] = 0.0
-        found.x.array[coincident] = fine[same]  # of all fine nodes one coincides with a coarse node
-        releases.add_ghosts(found)
-        return found.x.array[:own].copy()
+        found = PETSc.Vec().createGhost(ghosts, (number.owned, None), comm=comm)
+        with found.localForm() as local:
+            local.set(0.0)
+            local.array[coincident] = fine[same]  # of all fine nodes one coincides with a coarse node
+        found.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        values = found.array.copy()
+        found.destroy()
+        return values
 
-    return Transfer(parents.prolongation(ends, level.V, coarse), inject)
+    return Transfer(parents.prolongation(ends, number, comm), inject)

@@ -10,7 +10,7 @@ from dolfinx import fem
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.parents import EDGES
+from fenicsx_obstacle.discrete.halving import EDGES
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes

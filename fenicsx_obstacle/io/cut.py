@@ -16,8 +16,8 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.duality import at_nodes
+from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.parents import numbers
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before
 
@@ -53,7 +53,7 @@ def cut(solution: Solution) -> Cut:
     dofs = releases.cell_dofs(V)[:own]
     # points in the order of ranks, of each its nodes and then the centres of its cells
     first = before(comm, count + centres)
-    nodes = numbers(comm, V.dofmap.index_map, dofs, first)
+    nodes = Numbers.of(comm, V.dofmap.index_map).moved(np.array(comm.allgather(first)))[dofs]
     points = level.points.T[:count, :gdim]
     if centres:
         nodes = np.column_stack([nodes, first + count + np.arange(own)])

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import files, shapes
 from fenicsx_obstacle.discrete.grids import coarsest_grid
-from fenicsx_obstacle.discrete.levels import Level, of_mesh, of_pair, refined
+from fenicsx_obstacle.discrete.levels import Level, halves_at_once, of_mesh, of_pair, refined
 from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.discrete.meshing import moved
 from fenicsx_obstacle.errors import InputError
@@ -28,10 +28,10 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     """
     pair = scene.pair
     level, refine = _begin(scene, comm)
-    for _ in range(refine):
-        dim = level.mesh.topology.dim
-        check_memory(level.dofs * (2.0 * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
-        level = refined(level)
+    while refine:
+        times, dim = refine if halves_at_once(level) else 1, level.mesh.topology.dim
+        check_memory(level.dofs * (2.0**times * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
+        level, refine = refined(level, times), refine - times
     return of_pair(level, pair)
 
 

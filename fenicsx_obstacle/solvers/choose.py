@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -68,8 +69,9 @@ def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> b
 
 def chain(problem: Problem) -> list[Problem]:
     """The problems from the coarsest mesh to this one; only this one without nested iteration (collective)."""
+    problem.__dict__.pop("transfer", None)  # from a coarse problem without a mesh
     problems = [problem]
-    for level in problem.level.downward[1:]:
+    for level in problem.level.on_meshes.downward[1:]:
         try:
             data = Data(problem.model, level, problem.data.moment)  # one clock for all levels
             problems.insert(0, Problem(data))
@@ -78,17 +80,26 @@ def chain(problem: Problem) -> list[Problem]:
     return problems
 
 
-def hierarchy(problem: Problem) -> list[Problem]:
+def hierarchy(problem: Problem, *, on_meshes: bool = False) -> list[Problem]:
     """The problems of all levels, the coarsest first, with algebraic ones below the coarsest mesh (collective).
 
-    Without obstacles BoomerAMG is as good, where there is hypre.
+    Without obstacles BoomerAMG is as good as algebraic levels, where there is hypre.
 
     Args:
         problem: That truncated multigrid serves.
+        on_meshes: Whether the coarse problems are to have meshes and data of their own, to be looked at, instead of
+            Galerkin products.
     """
-    problems = chain(problem)
-    pays = problem.constrained or releases.AMG != "hypre"
-    return [*(coarse_problems(problems[0]) if pays else []), *problems]
+    algebraic = problem.constrained or releases.AMG != "hypre"
+    if on_meshes:
+        problems = chain(problem)
+        return [*(coarse_problems(problems[0]) if algebraic else []), *problems]
+    problems, level = [problem], problem.level
+    if level.pair.has_p1_coarse_space:
+        assert level.coarse is not None
+        with suppress(InputError):  # data that only P2 resolves
+            problems.insert(0, Problem(Data(problem.model, level.coarse, problem.data.moment)))
+    return [*coarse_problems(problems[0], algebraic=algebraic), *problems]
 
 
 def penalty_parameter(problem: Problem, options: SolverOptions) -> float:

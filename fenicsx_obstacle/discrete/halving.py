@@ -1,0 +1,334 @@
+"""Uniform refinement of simplices as arrays.
+
+A mesh whose edges are halved several times needs no DOLFINx meshes in between: nodes of the coarser grids and the
+interpolation from them follow from the numbers of vertices, edges and cells alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.parallel import before
+
+Project: TypeAlias = Callable[[np.ndarray], np.ndarray]
+
+# a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
+EDGES = {
+    1: [(0, 1)],
+    2: [(1, 2), (0, 2), (0, 1)],
+    3: [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)],
+}
+_CORNERS: dict[int, list[tuple[int, ...]]] = {
+    1: [(0, 2), (2, 1)],
+    2: [(0, 5, 4), (5, 1, 3), (4, 3, 2)],
+    3: [(0, 9, 8, 7), (9, 1, 6, 5), (8, 6, 2, 4), (7, 5, 4, 3)],
+}
+# children inside: the diagonal they share, and the ring of edges around it; of a tetrahedron there are three choices
+_RING: dict[int, dict[tuple[int, ...], list[tuple[int, ...]]]] = {
+    1: {(): []},
+    2: {(): [(3, 4, 5)]},
+    3: {
+        (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
+        (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
+        (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
+    },
+}
+# shape (choices, children, dim + 1)
+CHILDREN = {
+    dim: np.array([_CORNERS[dim] + [(*d, *edge) for edge in ring] for d, ring in _RING[dim].items()], dtype=np.int8)
+    for dim in EDGES
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """Global numbers of local entities, the owned ones first; those of each rank follow those of the rank before.
+
+    Attributes:
+        values: Of each local entity.
+        per_rank: How many each rank owns.
+        rank: This one.
+    """
+
+    values: np.ndarray
+    per_rank: np.ndarray
+    rank: int
+
+    @classmethod
+    def of(cls, comm: MPI.Comm, numbering: Any) -> Numbers:
+        """Those of an index map of DOLFINx (collective)."""
+        local = np.arange(numbering.size_local + numbering.num_ghosts, dtype=np.int32)
+        values = np.asarray(numbering.local_to_global(local), dtype=np.int64)
+        return cls(values, np.array(comm.allgather(numbering.size_local)), comm.rank)
+
+    @property
+    def owned(self) -> int:
+        """Number of owned entities."""
+        return int(self.per_rank[self.rank])
+
+    @property
+    def first(self) -> np.ndarray:
+        """The first number of each rank."""
+        return np.cumsum(self.per_rank) - self.per_rank
+
+    def moved(self, first: np.ndarray, times: int = 1) -> np.ndarray:
+        """Numbers of entities that replace these, `times` for each, of which those of each rank begin at `first`."""
+        # ranks that own none share their first number with the next: take the last
+        rank = np.searchsorted(self.first, self.values, side="right") - 1
+        return first[rank] + times * (self.values - self.first[rank])
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A mesh of simplices as arrays: owned cells, and local vertices.
+
+    Attributes:
+        comm: Communicator.
+        points: Coordinates of the vertices, shape (vertices, gdim).
+        cells: Vertices of the cells, shape (cells, dim + 1).
+        number: Of the vertices.
+        places: Where in their parents the corners of the cells are: numbers of vertices and, after these, of edges.
+            The children of a cell follow each other. None for cells without parents.
+        ends: The two vertices of the coarser grid of which each vertex is the mean, shape (vertices, 2); None without
+            one.
+    """
+
+    comm: MPI.Comm
+    points: np.ndarray
+    cells: np.ndarray
+    number: Numbers
+    places: np.ndarray | None = None
+    ends: np.ndarray | None = None
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the cells."""
+        return self.cells.shape[1] - 1
+
+    def mesh(self) -> tuple[dmesh.Mesh, np.ndarray]:
+        """The DOLFINx mesh, and of each of its owned cells the row in `cells`: they stay on their rank (collective)."""
+        name, points = ("interval", "triangle", "tetrahedron")[self.dim - 1], self.points[: self.number.owned]
+        made = releases.create_mesh(self.comm, self.number.values[self.cells], points, name, stay=True)
+        rows = np.asarray(made.topology.original_cell_index)[: own_cells(made)] - before(self.comm, len(self.cells))
+        return made, rows.astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Local edges of a grid.
+
+    Attributes:
+        ends: Their vertices, shape (edges, 2), those with the smaller global number first.
+        of_cells: Edges of owned cells, in the order of `EDGES`.
+        number: Of the edges.
+        cells_per_rank: How many cells each rank owns.
+        outer: Whether they are on the boundary of a plane domain; None where that is not needed.
+    """
+
+    ends: np.ndarray
+    of_cells: np.ndarray
+    number: Numbers
+    cells_per_rank: np.ndarray
+    outer: np.ndarray | None
+
+
+def halvings(V: fem.FunctionSpace, times: int, project: Project | None = None) -> list[Grid]:
+    """The mesh of V with all edges halved, and halved again (collective).
+
+    Triangles are cut into four of their own shape, so that a grid stays a grid; DOLFINx's own refinement bisects
+    longest edges, which turns every other diagonal.
+
+    Args:
+        V: P1 on simplices.
+        times: How often; once for tetrahedra.
+        project: Moves new vertices on the boundary of a plane domain onto a curve.
+
+    Returns:
+        The grid after each halving.
+    """
+    grid, edges = _of_space(V, outer=project is not None)
+    found = list[Grid]()
+    for remaining in reversed(range(times)):
+        finer, places = _halved(grid, edges, project)
+        if remaining:
+            edges = _halved_edges(grid, edges, places, finer)
+        grid = finer
+        found.append(grid)
+    return found
+
+
+def _of_space(V: fem.FunctionSpace, *, outer: bool) -> tuple[Grid, Edges]:
+    """The mesh of V as arrays; local vertices are the dofs (collective)."""
+    mesh, dofs = V.mesh, releases.cell_dofs(V)
+    comm, dim = mesh.comm, mesh.topology.dim
+    mesh.topology.create_entities(1)
+    mesh.topology.create_connectivity(dim, 1)
+    edges, own = mesh.topology.index_map(1), own_cells(mesh)
+    if dim == 1:
+        of_cells = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
+    else:
+        of_cells = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(EDGES[dim]))
+    ends = np.empty((edges.size_local + edges.num_ghosts, 2), dtype=np.int32)
+    for side, corners in enumerate(EDGES[dim]):
+        ends[of_cells[:, side]] = dofs[:, corners]
+    number = Numbers.of(comm, V.dofmap.index_map)
+    points = mesh.geometry.x[releases.dof_nodes(V), : mesh.geometry.dim]
+    flags = _outer(mesh, edges) if outer else None
+    return Grid(comm, points, dofs[:own], number), Edges(
+        _sorted(ends, number), of_cells[:own], Numbers.of(comm, edges), np.array(comm.allgather(own)), flags
+    )
+
+
+def _sorted(ends: np.ndarray, number: Numbers) -> np.ndarray:
+    """Ends of edges in the order of their global numbers, on all ranks alike."""
+    turned = number.values[ends[:, 0]] > number.values[ends[:, 1]]
+    ends[turned] = ends[turned][:, ::-1]
+    return ends
+
+
+def _outer(mesh: dmesh.Mesh, edges: Any) -> np.ndarray:
+    """Whether local edges of a plane mesh are on its boundary (collective)."""
+    size = edges.size_local, edges.size_global
+    flags = PETSc.Vec().createGhost(np.asarray(edges.ghosts, dtype=PETSc.IntType), size, comm=mesh.comm)
+    facets = np.asarray(dmesh.exterior_facet_indices(mesh.topology))
+    flags.array[facets[facets < edges.size_local]] = 1.0
+    flags.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+    with flags.localForm() as local:
+        found = local.array_r > 0.5
+    flags.destroy()
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Local numbers after a halving.
+
+    Attributes:
+        vertex: Of each vertex of the coarser grid.
+        middle: Of the middle of each of its edges.
+    """
+
+    vertex: np.ndarray
+    middle: np.ndarray
+
+
+def _halved(grid: Grid, edges: Edges, project: Project | None) -> tuple[Grid, _Places]:
+    """The grid with all edges halved (collective)."""
+    dim, own, own_edges = grid.dim, grid.number.owned, edges.number.owned
+    # the owned vertices, the middles of the owned edges, and the ghosts of both
+    vertex, middle = (np.arange(len(some), dtype=np.int32) for some in (grid.points, edges.ends))
+    vertex[own:] += own_edges
+    middle[own_edges:] += len(vertex)
+    middle[:own_edges] += own
+    per_rank = grid.number.per_rank + edges.number.per_rank
+    number = Numbers(np.empty(len(vertex) + len(middle), dtype=np.int64), per_rank, grid.number.rank)
+    number.values[vertex] = grid.number.moved(number.first)
+    number.values[middle] = edges.number.moved(number.first + grid.number.per_rank)
+    nodes, choices = np.hstack([vertex[grid.cells], middle[edges.of_cells]]), CHILDREN[dim]
+    if len(choices) == 1:
+        cells, corners = nodes[:, choices[0].ravel()], np.tile(choices[0], (len(nodes), 1))
+    else:
+        chosen = choices[_inner_diagonal(grid.points[grid.cells])]
+        cells = np.take_along_axis(nodes, chosen.reshape(len(nodes), -1).astype(int), axis=1)
+        corners = chosen.reshape(-1, dim + 1)
+    cells, place = cells.reshape(-1, dim + 1), _by_appearance(cells, number)
+    places = _Places(place[vertex], place[middle])
+    middles = (grid.points[edges.ends[:, 0]] + grid.points[edges.ends[:, 1]]) / 2
+    if project is not None:
+        middles[edges.outer] = project(middles[edges.outer])
+    points, ends = np.empty((len(place), grid.points.shape[1])), np.empty((len(place), 2), dtype=np.int32)
+    points[places.vertex], points[places.middle] = grid.points, middles
+    ends[places.vertex], ends[places.middle] = np.arange(len(vertex), dtype=np.int32)[:, None], edges.ends
+    return Grid(grid.comm, points, place[cells], _renumbered(grid.comm, number, place), corners, ends), places
+
+
+def _by_appearance(cells: np.ndarray, number: Numbers) -> np.ndarray:
+    """New local numbers, in which owned vertices have the order in which cells name them: memory is read in order."""
+    corners = cells.ravel()
+    first = np.empty(len(number.values), dtype=np.int32)
+    first[corners[::-1]] = np.arange(len(corners) - 1, -1, -1, dtype=np.int32)
+    place = np.arange(len(number.values), dtype=np.int32)
+    place[np.argsort(first[: number.owned], kind="stable")] = place[: number.owned].copy()
+    return place
+
+
+def _renumbered(comm: MPI.Comm, number: Numbers, place: np.ndarray) -> Numbers:
+    """Global numbers after each rank has given its vertices new local ones (collective)."""
+    own, first = number.owned, number.first[number.rank]
+    if comm.size == 1:
+        return number
+    ghosts = number.values[own:].astype(PETSc.IntType)
+    moved = PETSc.Vec().createGhost(ghosts, (own, None), comm=comm)
+    moved.array[:] = first + place[:own]
+    moved.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+    with moved.localForm() as local:
+        away = local.array_r[own:].astype(np.int64)
+    moved.destroy()
+    return Numbers(np.concatenate([first + np.arange(own), away]), number.per_rank, number.rank)
+
+
+def _halved_edges(grid: Grid, edges: Edges, places: _Places, finer: Grid) -> Edges:
+    """The edges of the finer grid, of intervals or triangles: halves of owned edges, edges within owned cells, and
+    halves of ghosts."""
+    dim, vertex, middle, number = grid.dim, places.vertex, places.middle, edges.number
+    within, own, cells = len(_WITHIN[dim]), number.owned, len(grid.cells)
+    half = 2 * np.arange(len(edges.ends), dtype=np.int32)  # the first one of each edge
+    half[own:] += within * cells
+    inner = 2 * own + np.arange(within * cells, dtype=np.int32).reshape(cells, within)
+    count = 2 * len(half) + within * cells
+    ends, values = np.empty((count, 2), dtype=np.int32), np.empty(count, dtype=np.int64)
+    per_rank = 2 * number.per_rank + within * edges.cells_per_rank
+    numbers = Numbers(values, per_rank, number.rank)
+    for side in (0, 1):
+        ends[half + side, 0], ends[half + side, 1] = vertex[edges.ends[:, side]], middle
+        values[half + side] = number.moved(numbers.first, 2) + side
+    of_parents = edges.of_cells
+    for k, sides in enumerate(_WITHIN[dim]):
+        ends[inner[:, k]] = middle[of_parents[:, list(sides)]]
+    values[inner] = numbers.first[number.rank] + inner
+    of_cells = np.empty((cells, len(CHILDREN[dim][0]), len(EDGES[dim])), dtype=np.int32)
+    for child, corners in enumerate(CHILDREN[dim][0]):
+        for side, (i, j) in enumerate(EDGES[dim]):
+            low, high = sorted((int(corners[i]), int(corners[j])))
+            if low > dim:  # both are middles
+                between = _WITHIN[dim].index((low - dim - 1, high - dim - 1))
+                of_cells[:, child, side] = inner[:, between]
+            else:  # the half of an edge at a vertex
+                edge = of_parents[:, high - dim - 1]
+                of_cells[:, child, side] = half[edge] + (edges.ends[edge, 1] == grid.cells[:, low])
+    outer = None
+    if edges.outer is not None:
+        outer = np.zeros(count, dtype=bool)
+        outer[half] = outer[half + 1] = edges.outer
+    return Edges(_sorted(ends, finer.number), of_cells.reshape(-1, len(EDGES[dim])), numbers,
+                 edges.cells_per_rank * len(CHILDREN[dim][0]), outer)  # fmt: skip
+
+
+# edges inside a halved cell, by the edges of the cell whose middles they connect
+_WITHIN: dict[int, list[tuple[int, int]]] = {1: [], 2: [(1, 2), (0, 2), (0, 1)]}
+
+
+def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
+    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `_RING[3]`.
+
+    The shortest; of two alike the one along the longest edge: then the six tetrahedra of a cube become those of its
+    eight parts.
+    """
+    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (EDGES[3][m - 4] for m in pair)] for pair in _RING[3]]
+    edges = np.stack([corner[:, j] - corner[:, i] for i, j in EDGES[3]], axis=1)
+    longest = edges[np.arange(len(edges)), (edges**2).sum(axis=2).argmax(axis=1)]
+    score = []
+    for a, b in ends:
+        along = np.abs(((a - b) * longest).sum(axis=1))
+        score.append(((a - b) ** 2).sum(axis=1) - 1e-6 * along)
+    return np.argmin(score, axis=0)
