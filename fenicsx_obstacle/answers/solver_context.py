@@ -77,7 +77,6 @@ class SolverContext:
         self.started = time.perf_counter()
         if level is None:
             level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
-            return_freed_memory()  # half of what making a mesh takes
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(Data(scene.model, level))
@@ -345,7 +344,6 @@ class SolverContext:
             self._grids, self._on_meshes = multigrid.chain(hierarchy(self.problem, on_meshes=on_meshes)), on_meshes
             for level in self.problem.level.downward:
                 level.forget_points()
-            return_freed_memory()
             self.setup_seconds += time.perf_counter() - start
         return self._grids
 
@@ -419,4 +417,3 @@ def close(benches: Sequence[SolverContext]) -> None:
     for context in benches:
         context._free()
     releases.free(level.comm for level in meshes)
-    return_freed_memory()

@@ -98,6 +98,8 @@ def _weights(fine: np.ndarray, transfer: Transfer, *, thin: bool) -> np.ndarray:
         transfer: From the coarse level.
         thin: Whether contact is on a part of the boundary or a curve: then coarse nodes beside it get nothing.
     """
+    if transfer.of_means and not thin:
+        return transfer.restrict(fine)
     starts, columns, values = transfer.P.getValuesCSR()
     size = transfer.P.getSizes()
     shares = PETSc.Mat().createAIJ(size, csr=(starts, columns, np.maximum(values, 0.0)), comm=transfer.P.comm)

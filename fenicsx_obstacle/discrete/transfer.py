@@ -21,10 +21,11 @@ class Transfer:
     Attributes:
         P: The matrix; rows of nodes that coincide with a coarse node have one entry, 1.
         inject: Owned values of the finer level at the coarse nodes, which coincide with finer ones (collective).
+        of_means: Whether values are means of coarse ones: weights are positive, and their sum is 1.
     """
 
-    def __init__(self, P: PETSc.Mat, inject: Injection):
-        self.P, self.inject = P, inject
+    def __init__(self, P: PETSc.Mat, inject: Injection, *, of_means: bool = False):
+        self.P, self.inject, self.of_means = P, inject, of_means
 
     def interpolate(self, coarse: np.ndarray) -> np.ndarray:
         """P times owned coarse values (collective)."""
@@ -89,4 +90,4 @@ def _transfer(ends: np.ndarray, number: Numbers, comm: MPI.Comm) -> Transfer:
         found.destroy()
         return values
 
-    return Transfer(parents.prolongation(ends, number, comm), inject)
+    return Transfer(parents.prolongation(ends, number, comm), inject, of_means=True)
