@@ -216,15 +216,19 @@ def test_moving_stiffness():
 
 
 def test_levels_serve_steps():
-    """In two dimensions steps are preconditioned by multigrid on all levels: few iterations however fine."""
-    counts = []
+    """In two dimensions steps are preconditioned by multigrid on all levels: few iterations however fine.
+
+    The contact set moves by more nodes on a finer mesh, so the iterations of one Newton step are compared.
+    """
+    each = []
     for refine in (1, 3):
         scene = Scene(
             mesh={"shape": "rectangle", "cells": 8, "refine": refine}, rate=1, tension=1, load=-10, lower=-0.3,
             time={"end": 0.2, "steps": 4, "start": 0},
         )  # fmt: skip
-        counts.append(solve(scene).record["krylov_total"])
-    assert counts[1] <= 1.5 * counts[0] + 4
+        record = solve(scene).record
+        each.append(record["krylov_total"] / record["newton_total"])
+    assert max(each) <= 4
 
 
 def _tree(steps, strike=100.0, interest=0.05, sigma=0.2):
