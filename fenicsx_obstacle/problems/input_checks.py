@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Mapping, Sequence
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from hashlib import sha256
 from typing import Any
 
@@ -11,8 +13,10 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
+from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
+from ufl.algorithms.check_arities import check_form_arity
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
@@ -21,9 +25,9 @@ from fenicsx_obstacle.discrete.mesh_tags import check_tags
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.residual_form import ResidualForm, expanded
-from fenicsx_obstacle.text import shown
+from fenicsx_obstacle.text import one_line, shown
 
 NEARBY = 0.01  # of u: so far from the start an energy is compared with F
 OTHER = 0.1  # of F: no quadrature of the same functional is so far off
@@ -74,12 +78,12 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     if not isinstance(form, ufl.Form):
         raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kinds[arguments]}")
     found = form.arguments()
+    words = (
+        "must be a functional of u",
+        "must be linear in one test function, and hold no trial function",
+        "must be bilinear, in a trial and a test function",
+    )[arguments]
     if len(found) != arguments:
-        words = (
-            "must be a functional of u",
-            "must be linear in one test function, and hold no trial function",
-            "must be bilinear, in a trial and a test function",
-        )[arguments]
         raise InputError(f"{place} {words}")
     if any(argument.ufl_function_space() != u.function_space for argument in found):
         raise InputError(f"{place}: its test function is of another space than u")
@@ -91,6 +95,11 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
         raise InputError(f"{place} holds a Function or a measure of another mesh than that of u")
     if any(is_complex(integral.integrand()) for integral in form.integrals()):
         raise InputError(f"{place} holds complex numbers: expected real ones; take the real part of its data")
+    try:
+        check_form_arity(expanded(form), found)
+    except Exception as error:  # of a class that depends on the release of UFL
+        which = ("not at all", "it exactly once", "each of them exactly once")[arguments]
+        raise InputError(f"{place} {words}; every term must hold {which}") from error
     tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
     for one in form.integrals():
         tags = [tag for tag in _ids(one) if isinstance(tag, numbers.Integral)]
@@ -116,7 +125,7 @@ def check_integrals(form: ResidualForm, place: str) -> None:
         return
     place = f"{place}: J" if given else f"{place}: the derivative of F"
     if not integrals:
-        raise InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
+        raise _zero(place)
     reached = fem.Function(V)
     cells = _cells_of(integrals, V.mesh)
     nodes = reached.x.array.reshape(-1, V.dofmap.index_map_bs)
@@ -134,6 +143,40 @@ def check_integrals(form: ResidualForm, place: str) -> None:
             f"{place} has no integral over the cells at {count:.0f} of {every} nodes, such as ({where}): integrate "
             "over the whole domain, or solve on a mesh of the other cells alone, made by dolfinx.mesh.create_submesh"
         )
+
+
+def check_stiffness(problem: Problem, place: str) -> None:
+    """Reject an affine F whose derivative is zero: its terms cancel, or a coefficient is zero (collective).
+
+    Raises:
+        InputError: With the remedy.
+    """
+    if problem.affine and problem.nodal.stiffness.norm(PETSc.NormType.INFINITY) == 0:
+        raise _zero(f"{place}: the derivative of F")
+
+
+def _zero(place: str) -> InputError:
+    return InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
+
+
+@contextmanager
+def naming_compiler_errors(comm: MPI.Comm, place: str) -> Iterator[None]:
+    """Turn an error of the form compiler into one that names F, the same on all ranks (collective).
+
+    Raises:
+        InputError: With the words of the compiler.
+    """
+    try:
+        yield
+    except Exception as error:
+        # DOLFINx raises on all ranks what the compiler raises on one; its class depends on the release
+        if all(frame.f_globals.get("__name__") != "dolfinx.jit" for frame, _ in traceback.walk_tb(error.__traceback__)):
+            raise
+        why = first_given(comm, one_line(f"{type(error).__name__}: {error}"))
+        raise InputError(
+            f"{place}: FFCx cannot compile F or its derivative: does a term vanish, as (u - u)*v does? leave it out; "
+            f"{why}"
+        ) from error
 
 
 def _ids(integral: ufl.Integral) -> tuple[Any, ...]:

@@ -30,10 +30,12 @@ from fenicsx_obstacle.problems.input_checks import (
     check_integrals,
     check_measure,
     check_not_moved,
+    check_stiffness,
     check_unknown,
     checked_options,
     conditions,
     facets_of,
+    naming_compiler_errors,
     number_of,
     obstacle,
     refuse_no_positive_diagonal,
@@ -192,10 +194,11 @@ class ObstacleProblem:
             )
             model = Model((form,), source=self.name, **where)
             data = Data(model, level, bcs=held, live=True)
-        self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
-        if energy is not None:
-            with releases.compiled_with(*compiled):
-                check_energy(self._problem, self._diagonal(), form, self.name)
+        with naming_compiler_errors(V.mesh.comm, self.name):
+            self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
+            if energy is not None:
+                with releases.compiled_with(*compiled):
+                    check_energy(self._problem, self._diagonal(), form, self.name)
 
     def _vector_data(self, form: ResidualForm, sides: dict[str, Any], bcs: list[Any], of: Any, measure: Any) -> Data:
         """The data of a vector-valued problem (collective)."""
@@ -461,6 +464,7 @@ class ObstacleProblem:
             self._in_matrix = values
             if stiffness and self._form.affine:
                 self._form.look_again(problem.nodal.stiffness)
+            check_stiffness(problem, self.name)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())
