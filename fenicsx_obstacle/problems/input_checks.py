@@ -30,6 +30,7 @@ from fenicsx_obstacle.problems.residual_form import ResidualForm, expanded
 from fenicsx_obstacle.text import one_line, shown
 
 NEARBY = 0.01  # of u: so far from the start an energy is compared with F
+ROUND_OFF = 1e-12  # of the largest entry of a matrix
 OTHER = 0.1  # of F: no quadrature of the same functional is so far off
 
 
@@ -107,12 +108,13 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
             raise InputError(f"{place}: a measure has the tag {tags[0]} without MeshTags: give it subdomain_data=")
 
 
-def check_integrals(form: ResidualForm, place: str) -> None:
-    """Reject a form whose derivative has no integral over the cells of some nodes: its matrix has no entries there
-    (collective).
+def check_integrals(form: ResidualForm, bcs: Sequence[Any], place: str) -> None:
+    """Reject a form whose derivative has no integral over the cells of some nodes, or whose integrals over facets do
+    not reach nodes inside the cells: its matrix has no entries there (collective).
 
     Args:
         form: The residual.
+        bcs: Dirichlet conditions; where they hold, no integral over facets need reach.
         place: What messages call it.
 
     Raises:
@@ -126,23 +128,60 @@ def check_integrals(form: ResidualForm, place: str) -> None:
     place = f"{place}: J" if given else f"{place}: the derivative of F"
     if not integrals:
         raise _zero(place)
-    reached = fem.Function(V)
-    cells = _cells_of(integrals, V.mesh)
-    nodes = reached.x.array.reshape(-1, V.dofmap.index_map_bs)
-    nodes[releases.cell_dofs(V)[cells]] = 1.0
-    releases.add_ghosts(reached)
-    lost = np.flatnonzero(nodes[: V.dofmap.index_map.size_local, 0] == 0)
+    lost = ~_reached(integrals, V)
     comm, every = V.mesh.comm, V.dofmap.index_map.size_global
-    count = total(comm, len(lost))
+    count = total(comm, lost)
     if count == every:
         raise InputError(f"{place} has integrals over no cell: does a measure have a tag that no cell has?")
     if count > 0:
-        points = V.tabulate_dof_coordinates()[lost[:1], : V.mesh.geometry.dim].tolist()
-        where = ", ".join(f"{x:.4g}" for x in min(point for part in comm.allgather(points) for point in part))
         raise InputError(
-            f"{place} has no integral over the cells at {count:.0f} of {every} nodes, such as ({where}): integrate "
-            "over the whole domain, or solve on a mesh of the other cells alone, made by dolfinx.mesh.create_submesh"
+            f"{place} has no integral over the cells at {_some_of(lost, V)}: integrate over the whole domain, or solve "
+            "on a mesh of the other cells alone, made by dolfinx.mesh.create_submesh"
         )
+    by_facets = ~_reached([one for one in integrals if one.integral_type() == "cell"], V)
+    if total(comm, by_facets) > 0:
+        lost = by_facets & _has_zero_row(form.J if given else form.slope, form.u, bcs)
+        if total(comm, lost) > 0:
+            raise InputError(
+                f"{place} is zero at {_some_of(lost, V)}, which its integrals over facets do not reach: add an "
+                "integral over the cells, such as inner(grad(u), grad(v))*dx"
+            )
+
+
+def _reached(integrals: Sequence[ufl.Integral], V: fem.FunctionSpace) -> np.ndarray:
+    """Whether an owned node is one of a cell that is in, or at a facet of, the domain of an integral (collective)."""
+    reached = fem.Function(V)
+    nodes = reached.x.array.reshape(-1, V.dofmap.index_map_bs)
+    nodes[releases.cell_dofs(V)[_cells_of(integrals, V.mesh)]] = 1.0
+    releases.add_ghosts(reached)
+    return np.asarray(nodes[: V.dofmap.index_map.size_local, 0] != 0)
+
+
+def _has_zero_row(slope: ufl.Form, u: fem.Function, bcs: Sequence[Any]) -> np.ndarray:
+    """Whether a row of an owned node is zero up to round-off for a random u, where u is not given (collective)."""
+    V = u.function_space
+    some, own, size = fem.Function(V), V.dofmap.index_map.size_local, V.dofmap.index_map_bs
+    some.x.array[:] = np.random.default_rng(1).uniform(0.5, 1.5, len(some.x.array))
+    some.x.scatter_forward()
+    A = fem.petsc.assemble_matrix(releases.form(ufl.replace(slope, {u: some})))
+    A.assemble()
+    starts, _, values = A.getValuesCSR()
+    A.destroy()
+    most = np.zeros(own * size)
+    np.maximum.at(most, np.repeat(np.arange(len(most)), np.diff(starts)), np.abs(values))
+    for bc in bcs:
+        dofs = np.asarray(bc.dof_indices()[0])
+        most[dofs[dofs < len(most)]] = np.inf
+    finite = np.where(np.isfinite(most), most, 0.0)
+    return np.asarray((most <= ROUND_OFF * largest(V.mesh.comm, finite)).reshape(-1, size).any(axis=1))
+
+
+def _some_of(lost: np.ndarray, V: fem.FunctionSpace) -> str:
+    """The number of marked owned nodes, and one of them, in words (collective)."""
+    points = V.tabulate_dof_coordinates()[np.flatnonzero(lost)[:1], : V.mesh.geometry.dim].tolist()
+    first = min(point for part in V.mesh.comm.allgather(points) for point in part)
+    count, every = total(V.mesh.comm, lost), V.dofmap.index_map.size_global
+    return f"{count:.0f} of {every} nodes, such as ({', '.join(f'{x:.4g}' for x in first)})"
 
 
 def check_stiffness(problem: Problem, place: str) -> None:

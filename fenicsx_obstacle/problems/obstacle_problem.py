@@ -181,7 +181,7 @@ class ObstacleProblem:
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
         with releases.compiled_with(*compiled):
-            check_integrals(form, self.name)
+            check_integrals(form, held, self.name)
         data: Data
         if vector_valued:
             data = self._vector_data(form, sides, held, of, measure)
