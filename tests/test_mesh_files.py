@@ -457,7 +457,7 @@ def test_the_mesh_of_a_geo_is_kept_as_long_as_its_text_stays(folder, monkeypatch
 ])  # fmt: skip
 def test_a_geo_without_a_group_of_cells(folder, text, whole, part):
     """Of a .geo whose groups hold no cells the mesh is all of it, with a remark: the .msh that Gmsh saves of it, and
-    DOLFINx's gmshio, have the groups alone. With a group of cells there is no remark."""
+    what dolfinx.io takes from Gmsh, have the groups alone. With a group of cells there is no remark."""
     lines = [OCC + text.replace("'", '"'), f"Physical {whole.capitalize()}(9) = {{1}};"]
     on_root(COMM, lambda: (folder / "some.geo").write_text(lines[0] + "\n") and None)
     on_root(COMM, lambda: (folder / "all.geo").write_text("\n".join(lines) + "\n") and None)

@@ -147,7 +147,7 @@ def _is_flat(kind: str) -> bool:
 def ungrouped_cells(model: Any) -> list[str]:
     """A remark on a geometry whose physical groups hold no cells of the highest dimension; none for other ones.
 
-    All cells are the mesh then. In what Gmsh saves, and in what DOLFINx's gmshio takes from Gmsh, the groups are.
+    All cells are the mesh then. What Gmsh saves, and what dolfinx.io takes from it, are the groups.
     """
     dim = model.getDimension()
     grouped = max((d for d, _ in model.getPhysicalGroups()), default=dim)
@@ -155,7 +155,7 @@ def ungrouped_cells(model: Any) -> list[str]:
         return []
     whole, part = _KINDS[dim], _KINDS[grouped]
     return [
-        f"no {whole} is in a physical group: all {whole}s are the mesh. Gmsh saves, and DOLFINx's gmshio takes, only "
+        f"no {whole} is in a physical group: all {whole}s are the mesh. Gmsh saves, and dolfinx.io takes from it, only "
         f"the {part}s in groups: for these save a .msh file, for the {whole}s add a Physical {whole.capitalize()}"
     ]
 
