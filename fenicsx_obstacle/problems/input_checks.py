@@ -16,7 +16,7 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
-from ufl.algorithms.check_arities import check_form_arity
+from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
@@ -98,7 +98,7 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
         raise InputError(f"{place} holds complex numbers: expected real ones; take the real part of its data")
     try:
         check_form_arity(expanded(form), found)
-    except Exception as error:  # of a class that depends on the release of UFL
+    except (Exception, ArityMismatch) as error:  # of UFL 2024 on, ArityMismatch is no Exception
         which = ("not at all", "it exactly once", "each of them exactly once")[arguments]
         raise InputError(f"{place} {words}; every term must hold {which}") from error
     tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
