@@ -13,12 +13,14 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError, ObstacleError
+
+Value = TypeVar("Value")
 
 
 @contextmanager
@@ -35,9 +37,14 @@ def agree(comm: MPI.Comm) -> Iterator[None]:
         yield
     except ObstacleError as error:
         mine = error
-    first = next((e for e in comm.allgather(mine) if e is not None), None)
+    first = first_given(comm, mine)
     if first is not None:
         raise first
+
+
+def first_given(comm: MPI.Comm, mine: Value | None) -> Value | None:
+    """The value of the lowest rank whose value is not None; None where no rank has one (collective)."""
+    return next((value for value in comm.allgather(mine) if value is not None), None)
 
 
 def on_root(comm: MPI.Comm, action: Callable[..., Any], *args: Any) -> Any:

@@ -8,7 +8,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
-from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, solve_form, study
+from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, compare, releases, solve, solve_form, study
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.releases import functionspace
 
@@ -214,6 +214,37 @@ def test_forms_and_conditions_of_another_kind():
     for (form, unknown), given, message in cases:
         with pytest.raises(InputError, match=message):
             solve_form(form, unknown, **{"bcs": [own.bc], "upper": 0.3, "eps": 1e-6, **given})
+
+
+@pytest.mark.parametrize("eps", [1e-6, "auto"])
+def test_forms_whose_derivative_is_zero(eps):
+    """Terms that cancel and a coefficient that is zero: the message says that F does not depend on u. FFCx of some
+    releases compiles no form with a term that cancels: the message says so, and what to do, on all ranks alike."""
+    own = Own()
+    u, v, zero = own.u, ufl.TestFunction(own.V), fem.Constant(own.V.mesh, 0.0)
+    dx = ufl.dx(domain=own.V.mesh)
+    is_zero = "the derivative of F with respect to u is zero: F must depend on u"
+    for F, message in (
+        ((u.dx(0) - u.dx(0)) * v * dx - v * dx, is_zero),
+        (zero * ufl.inner(ufl.grad(u), ufl.grad(v)) * dx - v * dx, is_zero),
+        ((u - u) * v * dx, rf"{is_zero}|does a term vanish, as \(u - u\)\*v does\? leave it out; .*LiteralFloat"),
+    ):
+        u.x.array[:] = 0.0
+        with pytest.raises(InputError, match=f"solve_form: .*({message})") as raised:
+            solve_form(F, u, bcs=own.bc, upper=0.3, eps=eps)
+        assert len(set(COMM.allgather(str(raised.value)))) == 1
+
+
+def test_forms_that_are_not_linear_in_the_test_function():
+    """Terms with the test function twice, in a function, in a denominator or not at all."""
+    own = Own()
+    u, v, dx = own.u, ufl.TestFunction(own.V), ufl.dx(domain=own.V.mesh)
+    for F in (u * v * v * dx, u * ufl.sin(v) * dx, u / v * dx, own.F + (u * v + u) * dx):
+        with pytest.raises(InputError, match=r"F must be linear in one test function.*must hold it exactly once"):
+            solve_form(F, u, bcs=own.bc, upper=0.3)
+    with pytest.raises(InputError, match=r"J must be bilinear.*must hold each of them exactly once"):
+        w = ufl.TrialFunction(own.V)
+        ObstacleProblem(own.F, u, bcs=own.bc, upper=0.3, J=(u * v * w + v) * dx)
 
 
 @pytest.mark.parametrize("space", ["P3", "DG", "CR", "vector", "mixed", "quadrature"])

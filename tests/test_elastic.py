@@ -474,6 +474,23 @@ def test_quantities_of_another_mesh(change, words):
         body.problem(**change(body, other))
 
 
+@pytest.mark.parametrize("made", [lambda mesh: fem.Constant(mesh, 1 + 1j), lambda mesh: ufl.as_ufl(1j)])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda body, c: {"of": c * body.u[1]}, "of is complex: expected real values; take the real part"),
+        (lambda body, c: {"of": body.u[1] + c * body.x[0]}, "of is complex"),
+        (lambda body, c: {"stress": c * ufl.sym(ufl.grad(body.u))}, "stress is complex: expected real values"),
+        (lambda body, c: {"measure": c * body.ds(3)}, "the factor of measure is complex: expected real values"),
+    ],
+)
+def test_complex_data(made, change, words):
+    """What obstacles bound, a stress and a factor of the measure are real: complex data are named, on all ranks."""
+    body = Box()
+    with pytest.raises(InputError, match=f"ObstacleProblem: {words}"):
+        body.problem(**change(body, made(body.mesh)))
+
+
 def test_a_body_on_a_part_of_the_mesh():
     """Nodes of cells over which F has no integral are named."""
     body = Box()

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, releases, solve, solve_form
+from fenicsx_obstacle.discrete import residence
 from fenicsx_obstacle.parallel import largest, smallest
 
 INTERVAL = {"shape": "interval", "cells": 20}
@@ -354,6 +355,40 @@ def test_drift_with_a_way_out_is_solved_on_coarse_cells(drift):
     """Where all flow comes from the boundary u is no larger than the time in which it crosses the domain."""
     low, high = extremes(solve(Scene(mesh=SQUARES, tension=1e-5, load=1, drift=drift)))
     assert -1e-9 <= low <= high <= 2
+
+
+@pytest.fixture
+def residence_times(monkeypatch):
+    """Calls of the system for the residence time."""
+    calls, compute = [], residence.residence_time
+    monkeypatch.setattr(residence, "residence_time", lambda *given: calls.append(1) or compute(*given))
+    return calls
+
+
+def test_one_residence_time_for_each_contact_set(residence_times):
+    """Another eps with the same contact set takes no other residence time; another contact set does."""
+    scene = Scene(mesh=SQUARES, tension=0.02, load="-0.1 - x", lower=-0.1, drift=[1, 0.5])
+    problem, sets = scene.problem(), []
+    for eps in (1e-4, 1e-5, 1e-6, 10.0, 1e-5, 1e-5):
+        sets.append(problem.solve(eps=eps).contact.x.array.copy())
+    changes = sum(largest(COMM, np.abs(a - b)) > 0 for a, b in itertools.pairwise(sets))
+    assert 0 < changes < len(sets) - 1
+    assert len(residence_times) == 1 + changes
+
+
+@pytest.mark.parametrize(("drift", "times"), [("10", 1), ("10 + t", 5)])
+def test_residence_times_follow_a_drift_that_depends_on_time(residence_times, drift, times):
+    """At each of 5 moments the drift is another one, or always the same."""
+    solve(Scene(mesh=SQUARES, tension=1e-3, load="1 + t", drift=[drift, 0], time={"end": 1, "steps": 4}))
+    assert len(residence_times) == times
+
+
+def test_drift_that_is_trapped_later():
+    """The drift turns round: at first it comes from the boundary, at t = 0.75 it flows away from the middle."""
+    drift = ["800*(t - 0.6)*(x - 0.5)", "800*(t - 0.6)*(y - 0.5)"]
+    scene = Scene(mesh={**SQUARES, "cells": 8}, tension=1, load=1, drift=drift, time={"end": 1, "steps": 4})
+    with pytest.raises(NotConverged, match=f"{TRAPPED}.*at t = 0.75"):
+        solve(scene)
 
 
 ROUND = {"mesh": {"shape": "interval", "cells": 64}, "axial_symmetry": True, "boundary": [{"on": "right", "value": 0}]}

@@ -451,6 +451,25 @@ def test_the_mesh_of_a_geo_is_kept_as_long_as_its_text_stays(folder, monkeypatch
     assert meshing._kept(file) is None
 
 
+@pytest.mark.parametrize(("text", "whole", "part"), [
+    ("Box(1) = {0, 0, 0, 1, 1, 1}; Physical Surface('top') = {6};", "volume", "surface"),
+    ("Rectangle(1) = {0, 0, 0, 1, 1}; Physical Curve('rim') = {1};", "surface", "curve"),
+])  # fmt: skip
+def test_a_geo_without_a_group_of_cells(folder, text, whole, part):
+    """Of a .geo whose groups hold no cells the mesh is all of it, with a remark: the .msh that Gmsh saves of it, and
+    what dolfinx.io takes from Gmsh, have the groups alone. With a group of cells there is no remark."""
+    lines = [OCC + text.replace("'", '"'), f"Physical {whole.capitalize()}(9) = {{1}};"]
+    on_root(COMM, lambda: (folder / "some.geo").write_text(lines[0] + "\n") and None)
+    on_root(COMM, lambda: (folder / "all.geo").write_text("\n".join(lines) + "\n") and None)
+    level = level_of(folder / "some.geo")
+    (remark,) = level.remarks
+    assert remark.startswith(f"no {whole} is in a physical group: all {whole}s are the mesh.")
+    assert f"only the {part}s in groups" in remark and remark.endswith(f"add a Physical {whole.capitalize()}")
+    other = level_of(folder / "all.geo")
+    assert other.remarks == () and other.cells == level.cells
+    assert level.mesh.topology.dim == (3 if whole == "volume" else 2)
+
+
 def test_a_mesh_says_nothing_of_its_geometry(folder):
     """Of a .msh, and of the caller's own mesh, it is unknown whether the domain is the polygon."""
     from dolfinx import mesh as dmesh

@@ -358,6 +358,26 @@ def test_forms_on_a_part_of_the_mesh(degree, nonlinear):
         ObstacleProblem(mass, own.u, upper=own.g)
 
 
+@pytest.mark.parametrize(("cell", "degree", "cells"), [("quadrilateral", 1, 2), ("triangle", 2, 1)])
+@pytest.mark.parametrize("eps", [1e-3, "auto"])
+def test_forms_on_facets_do_not_reach_the_inside(cell, degree, cells, eps):
+    """All cells touch the boundary, and the node in the middle is on no facet of it: a form on facets alone is rejected
+    with this node, linear or not, unless u is given there or normal derivatives reach it."""
+    mesh = dmesh.create_unit_square(COMM, cells, cells, getattr(dmesh.CellType, cell))
+    V = releases.functionspace(mesh, "Lagrange", degree)
+    u, v, n = fem.Function(V), ufl.TestFunction(V), ufl.FacetNormal(mesh)
+    load = v * ufl.dx
+    words = r"the derivative of F is zero at 1 of 9 nodes, such as \(0\.5, 0\.5\), .*: add an integral over the cells"
+    for stiff in (u, u**3, ufl.inner(ufl.grad(u), n)):
+        with pytest.raises(InputError, match=words):
+            ObstacleProblem(stiff * v * ufl.ds - load, u, upper=0.1).solve(eps=eps)
+    middle = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.5) & np.isclose(x[1], 0.5))
+    given = fem.dirichletbc(PETSc.ScalarType(0), middle, V)
+    for F, bcs in ((u * v * ufl.ds - load, given), (ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.ds - load, [])):
+        u.x.array[:] = 0.0
+        assert ObstacleProblem(F, u, bcs=bcs, upper=0.1).solve(eps=eps).force.upper > 0
+
+
 def test_forms_on_all_parts_of_the_mesh():
     """Integrals over all materials, one by one, are those over the mesh; so are those over all facets and their
     cells."""

@@ -102,6 +102,14 @@ MISTAKES = {
     "element": (BASE + '[solve]\nelement = "P3"\n', "'P3' is not known"),
     "interval turned": (BASE.replace("cells", "x = [1, 0]\ncells") + EDGE, "first end must be less than the second"),
     "where without value": (BASE + EDGE + 'where = "sqrt(x - 10)"\n', "where = sqrt.*not a finite number"),
+    "where with an undecided comparison": (
+        BASE + EDGE + 'where = "sqrt(x - 0.5) > 0.2"\n',
+        r"\(no. 1\) where = sqrt.* nan at \(.*\), where a side of a comparison has no value: first say",
+    ),
+    "load with an undecided comparison": (
+        BASE + 'load = "where(inside, 1, 0)"\n[define]\ninside = "not sqrt(x - 0.5) < 0.2"\n' + EDGE,
+        r"load = where.* nan at .*because of \[define\] inside = .*, where a side of a comparison has no value",
+    ),
     "no value": (BASE + '[[boundary]]\non = "left"\n', "the key 'value' is missing"),
     "nested": (BASE + f'load = "{"-" * 1500}1"\n', "nested"),
     "long": (BASE + f'load = "{"-" * 100000}1"\n', "the limit is 2000"),
@@ -119,6 +127,20 @@ def test_mistakes(name, folder):
     with pytest.raises(InputError, match=message) as caught:
         solve(Scene.read(path))
     assert len(set(COMM.allgather(str(caught.value)))) == 1
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["x >= 1/2 and sqrt(x - 1/2) > 0.2", "not (x < 1/2 or sqrt(x - 1/2) <= 0.2)", "x > 1/2 and inside",
+     "where(x < 1/2, 0, sqrt(x - 1/2)) > 0.2", "sqrt(x - 1/2) > 0.2 and x >= 1/2"],
+)  # fmt: skip
+def test_conditions_that_are_decided(where):
+    """A comparison may lack a value where another condition decides, in any order: the part is that of x > 0.54."""
+    free = [
+        solve(membrane(define={"inside": "sqrt(x - 1/2) > 0.2"}, boundary=[{"where": one, "value": 0}])).record["free"]
+        for one in (where, "x > 0.54")
+    ]
+    assert free[0] == free[1]
 
 
 def test_what_stands_at_its_default_is_left_out():

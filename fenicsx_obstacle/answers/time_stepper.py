@@ -21,7 +21,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import fields_of
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.state import State
 from fenicsx_obstacle.solvers.plausibility import check_drift_in_time
 from fenicsx_obstacle.solvers.snes import Outcome
@@ -187,7 +187,7 @@ class TimeStepper:
                     f"lies {side} obstacle: {u[dof]:.6g} against {limit[dof]:.6g} at {problem.data.place(point)}; take "
                     f"a start between the obstacles, for example {of_both}(a, b) of both formulas"
                 )
-            raise InputError(f"{start}: {next(text for text in comm.allgather(mine) if text is not None)}")
+            raise InputError(f"{start}: {first_given(comm, mine)}")
         return np.clip(u, lower, upper)
 
     def _check_edge(self, u: np.ndarray) -> None:
@@ -210,9 +210,9 @@ class TimeStepper:
         if dof is not None:
             name = giver(data, dof).removeprefix(f"{data.model.source}: ")
             mine = f"is {u[dof]:.6g} at {data.place(point)}, where {name} gives {values.x.array[dof]:.6g}"
-        both = next(text for text in comm.allgather(mine) if text is not None)
         raise InputError(
-            f"{start}: {both}; with inertia such a jump has infinite energy: both must agree at t = 0, so change one"
+            f"{start}: {first_given(comm, mine)}; "
+            "with inertia such a jump has infinite energy: both must agree at t = 0, so change one"
         )
 
     def _velocity(self) -> np.ndarray | None:

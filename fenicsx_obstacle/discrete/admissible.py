@@ -7,7 +7,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 
 ROUND_OFF = 1e-10  # relative to the values: obstacle and boundary value may come from different formulas
 
@@ -75,8 +75,7 @@ def _refuse_beyond(
         if dof is not None:
             both = f"{values.x.array[dof]:.6g} against {obstacle.x.array[dof]:.6g}"
             mine = f"{giver(data, dof)} {where}: {both}"
-        message = next(text for text in data.level.comm.allgather(mine) if text is not None)
-        raise InputError(f"{message} at {data.place(point)}, so that no u satisfies both")
+        raise InputError(f"{first_given(data.level.comm, mine)} at {data.place(point)}, so that no u satisfies both")
 
 
 def giver(data: Data, dof: int) -> str:

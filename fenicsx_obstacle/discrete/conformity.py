@@ -25,7 +25,7 @@ from fenicsx_obstacle.discrete.mesh_validation import FLAT, place
 from fenicsx_obstacle.discrete.simplex_sizes import sizes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import TENSORS
-from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.parallel import first_given, on_root
 from fenicsx_obstacle.text import counted
 
 # of the local length: what is nearer touches; at least what six digits of coordinates resolve, where cells are larger
@@ -95,7 +95,7 @@ def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
         if beside.max(initial=0) > 2:
             cell = mesh.topology.connectivity(dim - 1, dim).links(int(np.argmax(beside)))[0]
             mine = f"at {place(corners(mesh, slice(cell, cell + 1))[0].mean(axis=0))} cells lie on each other"
-    return next((one for one in mesh.comm.allgather(mine) if one is not None), None)
+    return first_given(mesh.comm, mine)
 
 
 def _check_contact(mesh: dmesh.Mesh, found: Components) -> list[str]:

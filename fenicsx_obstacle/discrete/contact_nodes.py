@@ -26,7 +26,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.assembly import NO_WEIGHT
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.fields import foreign
+from fenicsx_obstacle.discrete.fields import check_real, foreign
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.effects.field import Field
@@ -349,6 +349,7 @@ def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
         raise InputError(f"{place} does not depend on u: {wanted}")
     if foreign(of, u.function_space.mesh.ufl_domain()):
         raise InputError(f"{place} holds a FacetNormal, a Function or coordinates of another mesh than u: {wanted}")
+    check_real(of, place)
     lowered = apply_algebra_lowering(of)
     if any(isinstance(node, Derivative) and u in extract_coefficients(node) for node in unique_pre_traversal(lowered)):
         raise InputError(f"{place} holds derivatives of u: {wanted}")

@@ -22,7 +22,7 @@ from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.parallel import agree, largest, smallest, total
+from fenicsx_obstacle.parallel import agree, first_given, largest, smallest, total
 from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
@@ -598,7 +598,7 @@ class Data:
         """Value and place of the first bad dof, the same on every rank (collective)."""
         points, values = self.level.points_of(function.function_space).T, function.x.array
         mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
-        return next((one for one in self.level.comm.allgather(mine) if one is not None), None)
+        return first_given(self.level.comm, mine)
 
     def place(self, point: np.ndarray) -> str:
         """A point (3,) in words; coordinates that are round-off are 0."""

@@ -355,8 +355,8 @@ def field(value: Any, source: str) -> Field:
         return value
     if isinstance(value, Table):
         return value.on(source)
-    if isinstance(value, ufl.core.expr.Expr) and is_complex(value):
-        raise InputError(f"{source} is complex: expected real values; take the real part of its data")
+    if isinstance(value, ufl.core.expr.Expr):
+        check_real(value, source)
     if isinstance(value, fem.Function):
         return OfFunction(value, source)
     if isinstance(value, fem.Constant) and value.ufl_shape == ():
@@ -380,6 +380,20 @@ def is_complex(expression: Any) -> bool:
         if isinstance(node, fem.Function | fem.Constant) and np.iscomplexobj(array_of(node)):
             return True
     return False
+
+
+def check_real(expression: Any, place: str) -> None:
+    """Reject a UFL expression with complex data.
+
+    Args:
+        expression: What was given.
+        place: What messages call it.
+
+    Raises:
+        InputError: With the remedy.
+    """
+    if is_complex(expression):
+        raise InputError(f"{place} is complex: expected real values; take the real part of its data")
 
 
 def foreign(expression: Any, domain: Any) -> bool:

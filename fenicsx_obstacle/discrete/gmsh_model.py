@@ -144,6 +144,22 @@ def _is_flat(kind: str) -> bool:
     return kind in ("", "Line", "Plane", "Unknown") or kind.startswith("Discrete")
 
 
+def ungrouped_cells(model: Any) -> list[str]:
+    """A remark on a geometry whose physical groups hold no cells of the highest dimension; none for other ones.
+
+    All cells are the mesh then. What Gmsh saves, and what dolfinx.io takes from it, are the groups.
+    """
+    dim = model.getDimension()
+    grouped = max((d for d, _ in model.getPhysicalGroups()), default=dim)
+    if grouped >= dim:
+        return []
+    whole, part = _KINDS[dim], _KINDS[grouped]
+    return [
+        f"no {whole} is in a physical group: all {whole}s are the mesh. Gmsh saves, and dolfinx.io takes from it, only "
+        f"the {part}s in groups: for these save a .msh file, for the {whole}s add a Physical {whole.capitalize()}"
+    ]
+
+
 def name_bodies(model: Any) -> None:
     """Put each body of the highest dimension, and each of its sides, into a physical group with the name that the CAD
     file has for it, or else its number."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
@@ -25,6 +26,9 @@ from fenicsx_obstacle.discrete.solvability import check_support, forces_at_work
 from fenicsx_obstacle.discrete.transfer import Transfer, to_parents
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.residence import Drift
 
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
 REACH = 1e3  # times the range of u, or the distance of the nearest obstacle: a farther obstacle is no reference
@@ -166,6 +170,8 @@ class Problem:
             check_admissible(self.data)
         if changed:
             self.__dict__.pop("m_matrix", None)
+        if changed or not (self.affine and self.level.pair.nodal):  # otherwise the forms do not tell
+            self.__dict__.pop("drift", None)
         self.load = self._load_sum()
         check_limit_load(self)
         self._start, self.floating, self.borne = self._check_support()
@@ -318,6 +324,17 @@ class Problem:
         w, data, effects = self.forms.w, self.data, self.model.effects
         derived = (e.energy(w, data) is not None or e.terms(w, self.forms.v, data) is None for e in effects)
         return all(effect.convex for effect in effects) and all(derived)
+
+    @cached_property
+    def drift(self) -> Drift | None:
+        """The drift of the model, if it has one; renewed with the stiffness (first use is collective)."""
+        velocity = next((found for effect in self.model.effects if (found := effect.velocity) is not None), None)
+        if velocity is None:
+            return None
+        from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
+        from fenicsx_obstacle.discrete.residence import Drift
+
+        return Drift(velocity, peclet(self.data, velocity))
 
     @cached_property
     def m_matrix(self) -> bool:

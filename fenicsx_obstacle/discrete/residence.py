@@ -14,6 +14,7 @@ is known up to a factor of order 1, which is enough to see exponentials.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -28,6 +29,25 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, total
 
 Solve = Callable[[PETSc.Mat, PETSc.Vec, PETSc.Vec], bool]
+
+
+@dataclass(eq=False)
+class Drift:
+    """The drift of a problem, and what is known of it as long as the stiffness stays.
+
+    Attributes:
+        velocity: Its components.
+        number: The largest Peclet number of the cells.
+        reaction: Row sums of the stiffness at owned dofs; None where they are not known.
+        held: The owned dofs where u was held when `time` was found; None before.
+        time: The longest time that the drift stays in the domain, over that in which it crosses it.
+    """
+
+    velocity: Velocity
+    number: float
+    reaction: np.ndarray | None = None
+    held: np.ndarray | None = None
+    time: float = 0.0
 
 
 def residence_time(

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,17 +24,26 @@ from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
-from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
-from fenicsx_obstacle.problems.residual_form import (
-    ResidualForm,
+from fenicsx_obstacle.problems.input_checks import (
+    check_energy,
     check_form,
     check_integrals,
     check_measure,
+    check_not_moved,
+    check_stiffness,
+    check_unknown,
+    checked_options,
     conditions,
     facets_of,
+    naming_compiler_errors,
     number_of,
     obstacle,
+    refuse_no_positive_diagonal,
+    refuse_not_finite,
+    vertex_digests,
 )
+from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
+from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.problems.values import Seconds
@@ -54,8 +62,6 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.problems.vector_valued import VonMises
 
 PATIENCE = 5  # steps from a start of the caller's before the coarse levels give one
-NEARBY = 0.01  # of u: so far from the start an energy is compared with F
-OTHER = 0.1  # of F: no quadrature of the same functional is so far off
 Monitor = Callable[[int, Step], None]
 
 
@@ -83,8 +89,8 @@ class ObstacleProblem:
 
     Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
     values are updated, and the iteration starts from u, as a loop over time steps needs it. The mesh must stay where
-    it is: after a move create a new ObstacleProblem. Where F is linear and
-    symmetric, and u is one number or turns out to be a bad start, algebraic coarse levels give a better one.
+    it is: after a move create a new ObstacleProblem. Where F is linear and symmetric, and u is one number or turns out
+    to be a bad start, algebraic coarse levels give a better one.
 
     All methods are collective.
 
@@ -152,16 +158,9 @@ class ObstacleProblem:
         Raises:
             InputError: If an argument is of another kind, or no u can satisfy the data.
         """
-        if lower is None and upper is None:
-            raise InputError(f"{self.name}: give an obstacle, lower= or upper=")
-        if not isinstance(u, fem.Function):
-            raise InputError(f"{self.name}: u = {shown(u)}: expected the Function that F is to be solved for")
+        check_unknown(u, self.name, lower=lower, upper=upper, of=of, stress=stress)
         V = u.function_space
         vector_valued = V.dofmap.index_map_bs > 1
-        if of is not None and not vector_valued:
-            raise InputError(f"{self.name}: of= is for vector-valued u; obstacles bound a scalar u itself")
-        if stress is not None and not vector_valued:
-            raise InputError(f"{self.name}: stress= is for vector-valued u")
         if not vector_valued:
             facets = None if measure is None else facets_of(measure, V.mesh, self.name)
             level = of_space(V, self.name, None if facets is None else {"contact": facets})
@@ -182,7 +181,7 @@ class ObstacleProblem:
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
         with releases.compiled_with(*compiled):
-            check_integrals(form, self.name)
+            check_integrals(form, held, self.name)
         data: Data
         if vector_valued:
             data = self._vector_data(form, sides, held, of, measure)
@@ -195,11 +194,11 @@ class ObstacleProblem:
             )
             model = Model((form,), source=self.name, **where)
             data = Data(model, level, bcs=held, live=True)
-        self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
-        if energy is not None:
-            self._refuse_no_minimum()
-            with releases.compiled_with(*compiled):
-                self._refuse_other_energy(F, energy)
+        with naming_compiler_errors(V.mesh.comm, self.name):
+            self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
+            if energy is not None:
+                with releases.compiled_with(*compiled):
+                    check_energy(self._problem, self._diagonal(), form, self.name)
 
     def _vector_data(self, form: ResidualForm, sides: dict[str, Any], bcs: list[Any], of: Any, measure: Any) -> Data:
         """The data of a vector-valued problem (collective)."""
@@ -267,11 +266,8 @@ class ObstacleProblem:
     ) -> None:
         """Assemble what stays (collective)."""
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
-        self._vertices = _digests(data.level)
-        if options is not None and not isinstance(options, Mapping):
-            wanted = "expected a dict, such as {'ksp_type': 'cg'}"
-            raise InputError(f"{self.name}: petsc_options = {shown(options)}: {wanted}")
-        self._options = {} if options is None else dict(options)
+        self._vertices = vertex_digests(data.level)
+        self._options = checked_options(options, self.name)
         self._estimator: Estimator | None = None
         started = time.perf_counter()
         with releases.compiled_with(*compiled):
@@ -368,7 +364,7 @@ class ObstacleProblem:
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
-        self._check_mesh()
+        check_not_moved(self.level, self._vertices, self.name)
         options = SolverOptions(method, source=f"{self.name}:")
         if not 0 < rtol < 1:
             raise InputError(f"{self.name}: rtol = {rtol:g}: expected a number between 0 and 1")
@@ -386,22 +382,12 @@ class ObstacleProblem:
             try:
                 outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
             except NotConverged:
-                self._refuse_no_number()
+                if self._form is not None:
+                    refuse_not_finite(problem, self._form, self.name)
                 raise
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         return Solved(outcome, way, state)
-
-    def _check_mesh(self) -> None:
-        """Reject a mesh that was moved: weights, eps and sampled obstacles are those of its former vertices
-        (collective).
-
-        Raises:
-            InputError: On all ranks, if vertices of any rank were moved.
-        """
-        moved = _digests(self._data.level) != self._vertices
-        if total(self.level.comm, float(moved)) > 0:
-            raise InputError(f"{self.name}: the mesh was moved since this problem was created: create a new one")
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
@@ -478,6 +464,7 @@ class ObstacleProblem:
             self._in_matrix = values
             if stiffness and self._form.affine:
                 self._form.look_again(problem.nodal.stiffness)
+            check_stiffness(problem, self.name)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())
@@ -535,63 +522,8 @@ class ObstacleProblem:
         good = (diagonal > 0) & (weights > 0)
         everywhere = np.concatenate(problem.level.comm.allgather(weights[good] / diagonal[good]))
         if not len(everywhere):
-            free, negative = (total(problem.level.comm, number) for number in (len(weights), np.sum(diagonal < 0)))
-            if not free:
-                raise InputError(f"{self.name}: u is given at every node: there are no unknowns")
-            if negative == free:
-                raise InputError(
-                    f"{self.name}: every diagonal entry of the derivative of F is negative: F has the wrong sign; "
-                    "write F = a(u, v) - f(v) with a(v, v) > 0"
-                )
-            self._refuse_no_number()
-            if not total(problem.level.comm, np.count_nonzero(weights > 0)):
-                raise InputError(
-                    f"{self.name}: u is given at every node where the obstacle acts, so that the obstacle has no "
-                    "effect; leave it out, or give u on a smaller part of the boundary"
-                )
-            raise InputError(
-                f"{self.name}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number"
-            )
+            refuse_no_positive_diagonal(problem, diagonal, self._form, self.name)
         return problem.eps_share * float(np.median(everywhere))
-
-    def _refuse_no_number(self) -> None:
-        """Raise an error with the point at which F is not finite, if there is one (collective).
-
-        Raises:
-            InputError: With the place.
-        """
-        problem, form = self._problem, self._form
-        if form is None:
-            return
-        residual = fem.Function(problem.level.V)
-        residual.x.array[: problem.level.owned] = _assembled(form.F, problem.level)
-        residual.x.scatter_forward()
-        words = f"{self.name}: F at the start, through a coefficient or a load in it,"
-        self._data.refuse_infinite(residual, words=words)
-
-    def _refuse_no_minimum(self) -> None:
-        """A convex energy gives the derivative of F a positive diagonal (collective)."""
-        least = smallest(self._problem.level.comm, self._diagonal())
-        if least <= 0:
-            raise InputError(
-                f"{self.name}: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
-                "is a sign wrong? without energy= any solution of the equation is accepted"
-            )
-
-    def _refuse_other_energy(self, F: ufl.Form, energy: ufl.Form) -> None:
-        """F is the derivative of the energy near the start, but for quadrature (collective)."""
-        u, level = self.u, self._problem.level
-        start, points = u.x.array.copy(), level.points_of(level.V)
-        size = largest(level.comm, np.abs(start)) or 1.0
-        u.x.array[:] += NEARBY * size * np.sin(1 + np.array([3.1, 4.7, 2.3]) @ points)
-        residual, slope = (_assembled(form, level) for form in (F, ufl.derivative(energy, u)))
-        u.x.array[:] = start
-        comm, free = level.comm, ~self._problem.fixed
-        scale = max(largest(comm, np.abs(one[free])) for one in (residual, slope))
-        if np.isfinite(scale) and largest(comm, np.abs(residual - slope)[free]) > OTHER * scale:
-            raise InputError(
-                f"{self.name}: energy: its derivative is not F: is a sign wrong, or a term missing in one of them?"
-            )
 
 
 class _Numbered:
@@ -604,21 +536,6 @@ class _Numbered:
         if problem is self.finest:
             self.monitor(self.number, step)
             self.number += 1
-
-
-def _assembled(form: ufl.Form, level: Level) -> np.ndarray:
-    """A linear form at owned dofs (collective)."""
-    vector = fem.petsc.assemble_vector(releases.form(form))
-    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    found = vector.array_r[: level.owned].copy()
-    vector.destroy()
-    return found
-
-
-def _digests(level: Level) -> list[bytes]:
-    """Digests of the local vertices of a mesh, and of those that it was refined from (local)."""
-    meshes = {id(one.mesh): one.mesh for one in level.downward}
-    return [sha256(np.ascontiguousarray(mesh.geometry.x).data).digest() for mesh in meshes.values()]
 
 
 def _values_in(form: ufl.Form) -> list[np.ndarray]:

@@ -15,14 +15,14 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.contact_nodes import VectorLevel, over
-from fenicsx_obstacle.discrete.fields import foreign
+from fenicsx_obstacle.discrete.fields import check_real, foreign
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.problems.residual_form import check_measure, facets_of
+from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.values import Force, Profile
 from fenicsx_obstacle.text import nearest, shown
@@ -283,6 +283,7 @@ class VonMises:
             )
         if foreign(stress, mesh.ufl_domain()):
             raise InputError(f"{name}: stress holds a Function or coordinates of another mesh than u")
+        check_real(stress, f"{name}: stress")
         full = stress
         if stress.ufl_shape == (2, 2):
             full = ufl.as_matrix([[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, 0]])
@@ -355,6 +356,7 @@ def facets_and_weight(measure: Any, mesh: dmesh.Mesh, name: str) -> tuple[np.nda
             raise InputError(f"{name}: measure = {shown(measure)}: {wanted}")
         if foreign(weight, mesh.ufl_domain()):
             raise InputError(f"{name}: the factor of measure is of another mesh than u")
+        check_real(weight, f"{name}: the factor of measure")
         for one in integrals:
             check_measure(one, mesh, f"{name}: measure")
         ids: list[Any] = []

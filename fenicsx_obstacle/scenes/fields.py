@@ -10,7 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import Formula, ufl_alphabet
+from fenicsx_obstacle.scenes.formulas import TWO_VALUED, Formula, ufl_alphabet
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 
 if TYPE_CHECKING:
@@ -86,7 +86,17 @@ class FormulaField(Field):
         return OnCells(Cells(self.vocabulary, corners, names.get("distance")), self.formula)
 
     def because(self, point: np.ndarray, names: Names) -> str:
-        return self.vocabulary.infinite(self.formula, point, {key: names[key] for key in names if key != "distance"})
+        known = {key: names[key] for key in names if key != "distance"}
+        return self.vocabulary.infinite(self.formula, point, known) + self._undecided(point, names)
+
+    def _undecided(self, point: np.ndarray, names: Names) -> str:
+        """The remedy where a value is not-a-number because of a comparison; may be empty."""
+        x = point.reshape(3, 1)
+        if np.isfinite(self.at(x, names)) or not np.isfinite(
+            self.vocabulary.at_points(self.formula, x, self._known(x, names), TWO_VALUED)
+        ):
+            return ""
+        return ", where a side of a comparison has no value: first say where it has one, as in x >= 0 and sqrt(x) > 1"
 
     def expression(self, symbols: Symbols) -> Any:
         from fenicsx_obstacle import releases  # only where there is an exact solution

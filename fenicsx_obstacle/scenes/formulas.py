@@ -274,14 +274,58 @@ def _power(base: Any, exponent: Any) -> Any:
     return np.power(base, exponent)
 
 
+def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """A comparison that is not-a-number where a side is: neither true nor false."""
+
+    def compared(a: Any, b: Any) -> Any:
+        found, unknown = compare(a, b), np.isnan(a) | np.isnan(b)
+        return np.where(unknown, np.nan, found) if unknown.any() else found
+
+    return compared
+
+
+def _is_known(*conditions: Any) -> bool:
+    """Whether conditions are true or false everywhere, and not numbers that may be not-a-number."""
+    return all(np.asarray(one).dtype == bool for one in conditions)
+
+
+def _and(a: Any, b: Any) -> Any:
+    """False where one is, whatever the other is."""
+    return np.logical_and(a, b) if _is_known(a, b) else np.where((a == 0) | (b == 0), 0.0, np.multiply(a, b))
+
+
+def _or(a: Any, b: Any) -> Any:
+    """True where one is, whatever the other is."""
+    return np.logical_or(a, b) if _is_known(a, b) else np.where((a == 1) | (b == 1), 1.0, np.add(a, b, dtype=float))
+
+
+def _not(a: Any) -> Any:
+    return np.logical_not(a) if _is_known(a) else 1.0 - a
+
+
+def _where(condition: Any, yes: Any, no: Any) -> Any:
+    """Not-a-number where the condition is."""
+    if _is_known(condition):
+        return np.where(condition, yes, no)
+    return np.where(np.isnan(condition), np.nan, np.where(condition != 0, yes, no))
+
+
 NUMPY: dict[str, Callable[..., Any]] = {
     "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "^": _power, "%": np.mod,
-    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
-    "and": np.logical_and, "or": np.logical_or, "not": np.logical_not, "where": np.where,
+    "<": _comparison(np.less), "<=": _comparison(np.less_equal), ">": _comparison(np.greater),
+    ">=": _comparison(np.greater_equal), "==": _comparison(np.equal), "!=": _comparison(np.not_equal),
+    "and": _and, "or": _or, "not": _not, "where": _where,
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
     "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "ln": np.log,
     "log": np.log, "log10": np.log10, "sqrt": np.sqrt, "abs": np.abs, "sign": np.sign, "floor": np.floor,
     "hypot": np.hypot, "min": np.minimum, "max": np.maximum,
+}  # fmt: skip
+
+
+# conditions are false where a side is not-a-number, and nothing is without a value because of them
+TWO_VALUED: dict[str, Callable[..., Any]] = {
+    **NUMPY,
+    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
 }  # fmt: skip
 
 

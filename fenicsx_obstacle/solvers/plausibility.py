@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from math import sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -16,11 +16,13 @@ from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negativ
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
-from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.residence import Drift
 
 NEAR = 1e-8  # of the values of the data: not beyond them
 NO_SOLUTION = "which no solution does"  # part of the message
@@ -179,10 +181,13 @@ def check_drift_in_time(problem: Problem) -> None:
     Raises:
         InputError: With the Peclet number of the cells.
     """
-    time, number = _longest_stay(problem, problem.fixed)
+    drift = problem.drift
+    if drift is None or drift.number <= 1:
+        return
     assert problem.model.time is not None
-    if time > NO_WAY_OUT and _crossings(problem, problem.model.time.end) > TRAPPED:
-        raise InputError(f"{problem.model.source}: {_in_words(number)}")
+    longest = _longest_stay(problem, drift, problem.fixed)
+    if longest > NO_WAY_OUT and _crossings(problem, drift, problem.model.time.end) > TRAPPED:
+        raise InputError(f"{problem.model.source}: {_in_words(drift.number)}")
 
 
 def _trapped(problem: Problem, active: np.ndarray) -> str | None:
@@ -191,12 +196,19 @@ def _trapped(problem: Problem, active: np.ndarray) -> str | None:
     Where drift flows away from some places on all sides, or in circles, the time that a particle stays in the domain is
     the exponential of the work of the drift over the tension, and so is u. Cells with Pe > 1 do not resolve it.
     """
-    time, number = _longest_stay(problem, problem.fixed | problem.active_dofs(active != 0))
-    if 0 < time <= TRAPPED and problem.affine and problem.level.pair.nodal:
-        # in circles the matrix of the problem has less artificial diffusion
-        moved = _moved_by(problem, active, problem.nodal.unit_load())
-        time = max(time, _crossings(problem, moved))
-    return _in_words(number) if time > TRAPPED else None
+    drift = problem.drift
+    if drift is None or drift.number <= 1:
+        return None
+    held = problem.fixed | problem.active_dofs(active != 0)
+    known = problem.affine and drift.held is not None  # otherwise u is in the stiffness
+    if not known or total(problem.level.comm, np.count_nonzero(drift.held != held)) > 0:
+        longest = _longest_stay(problem, drift, held)
+        if 0 < longest <= TRAPPED and problem.affine and problem.level.pair.nodal:
+            # in circles the matrix of the problem has less artificial diffusion
+            moved = _moved_by(problem, active, problem.nodal.unit_load())
+            longest = max(longest, _crossings(problem, drift, moved))
+        drift.held, drift.time = held, longest
+    return _in_words(drift.number) if drift.time > TRAPPED else None
 
 
 def _in_words(number: float) -> str:
@@ -207,37 +219,25 @@ def _in_words(number: float) -> str:
     )
 
 
-def _longest_stay(problem: Problem, held: np.ndarray) -> tuple[float, float]:
-    """The longest time that the drift stays in the domain, over that in which it crosses it; and the largest Peclet
-    number of the cells (collective). The time is 0 where that number is at most 1."""
-    level, data, velocity = problem.level, problem.data, _velocity(problem)
-    if velocity is None:
-        return 0.0, 0.0
-    from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
-    from fenicsx_obstacle.discrete.residence import residence_time
+def _longest_stay(problem: Problem, drift: Drift, held: np.ndarray) -> float:
+    """The longest time that the drift stays in the domain, over that in which it crosses it (collective)."""
+    from fenicsx_obstacle.discrete.residence import residence_time  # only where a model has drift
 
-    if (number := peclet(data, velocity)) <= 1:
-        return 0.0, number
-    reaction = problem.forms.row_sums()
-    time = residence_time(data, velocity, held, reaction, problem.A, partial(_solve, level.dofs))
-    return _crossings(problem, time), number
+    if drift.reaction is None or not problem.affine:
+        drift.reaction = problem.forms.row_sums()
+    solve = partial(_solve, problem.level.dofs)
+    time = residence_time(problem.data, drift.velocity, held, drift.reaction, problem.A, solve)
+    return _crossings(problem, drift, time)
 
 
-def _crossings(problem: Problem, time: float | None) -> float:
+def _crossings(problem: Problem, drift: Drift, time: float | None) -> float:
     """A time over that in which the drift crosses the domain; infinite, or unknown and 0, if its system was not solved
     (collective)."""
     from fenicsx_obstacle.discrete.peclet import speed
 
     if time is None:
         return np.inf if problem.level.dofs <= LARGEST else 0.0
-    velocity = _velocity(problem)
-    assert velocity is not None
-    return time * speed(problem.data, velocity) / problem.data.extent
-
-
-def _velocity(problem: Problem) -> tuple[Field, ...] | None:
-    """The drift of the model, if it has one."""
-    return next((found for effect in problem.model.effects if (found := effect.velocity) is not None), None)
+    return time * speed(problem.data, drift.velocity) / problem.data.extent
 
 
 def _moved_by(problem: Problem, active: np.ndarray, forces: np.ndarray) -> float | None:

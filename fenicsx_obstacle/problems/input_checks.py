@@ -1,0 +1,453 @@
+"""Checks of what callers pass to an ObstacleProblem: forms, obstacles, conditions, measures and options."""
+
+from __future__ import annotations
+
+import numbers
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.algorithms import extract_coefficients
+from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.mesh_tags import check_tags
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import first_given, largest, smallest, total
+from fenicsx_obstacle.problems.residual_form import ResidualForm, expanded
+from fenicsx_obstacle.text import one_line, shown
+
+NEARBY = 0.01  # of u: so far from the start an energy is compared with F
+ROUND_OFF = 1e-12  # of the largest entry of a matrix
+OTHER = 0.1  # of F: no quadrature of the same functional is so far off
+
+
+def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress: Any) -> None:
+    """Reject a problem without an obstacle, a u that is no Function, and for a scalar u what is for vectors.
+
+    Raises:
+        InputError: Naming the argument.
+    """
+    if lower is None and upper is None:
+        raise InputError(f"{place}: give an obstacle, lower= or upper=")
+    if not isinstance(u, fem.Function):
+        raise InputError(f"{place}: u = {shown(u)}: expected the Function that F is to be solved for")
+    vector_valued = u.function_space.dofmap.index_map_bs > 1
+    if of is not None and not vector_valued:
+        raise InputError(f"{place}: of= is for vector-valued u; obstacles bound a scalar u itself")
+    if stress is not None and not vector_valued:
+        raise InputError(f"{place}: stress= is for vector-valued u")
+
+
+def checked_options(options: Any, place: str) -> dict[str, Any]:
+    """A copy of PETSc options, empty for None.
+
+    Raises:
+        InputError: If they are no dict.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        wanted = "expected a dict, such as {'ksp_type': 'cg'}"
+        raise InputError(f"{place}: petsc_options = {shown(options)}: {wanted}")
+    return {} if options is None else dict(options)
+
+
+def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
+    """Reject arguments that are not forms of u with so many arguments, on the mesh and in the space of u.
+
+    Args:
+        form: What was given.
+        u: The unknown.
+        place: What messages call the form.
+        arguments: 0 for a functional, 1 for a residual, 2 for its derivative.
+
+    Raises:
+        InputError: Naming what came, and what is expected.
+    """
+    kinds = ("a functional of u", "a linear form in one test function", "a bilinear form in trial and test function")
+    if not isinstance(form, ufl.Form):
+        raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kinds[arguments]}")
+    found = form.arguments()
+    words = (
+        "must be a functional of u",
+        "must be linear in one test function, and hold no trial function",
+        "must be bilinear, in a trial and a test function",
+    )[arguments]
+    if len(found) != arguments:
+        raise InputError(f"{place} {words}")
+    if any(argument.ufl_function_space() != u.function_space for argument in found):
+        raise InputError(f"{place}: its test function is of another space than u")
+    if arguments < 2 and u not in form.coefficients():
+        raise InputError(f"{place} does not depend on u: write it with the Function u, not a trial function")
+    domain = u.function_space.mesh.ufl_domain()
+    elsewhere = [integral for integral in form.integrals() if foreign(integral.integrand(), domain)]
+    if elsewhere or any(one != domain for one in form.ufl_domains()):
+        raise InputError(f"{place} holds a Function or a measure of another mesh than that of u")
+    if any(is_complex(integral.integrand()) for integral in form.integrals()):
+        raise InputError(f"{place} holds complex numbers: expected real ones; take the real part of its data")
+    try:
+        check_form_arity(expanded(form), found)
+    except (Exception, ArityMismatch) as error:  # of UFL 2024 on, ArityMismatch is no Exception
+        which = ("not at all", "it exactly once", "each of them exactly once")[arguments]
+        raise InputError(f"{place} {words}; every term must hold {which}") from error
+    tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
+    for one in form.integrals():
+        tags = [tag for tag in _ids(one) if isinstance(tag, numbers.Integral)]
+        if tags and one.integral_type() not in tagged:
+            raise InputError(f"{place}: a measure has the tag {tags[0]} without MeshTags: give it subdomain_data=")
+
+
+def check_integrals(form: ResidualForm, bcs: Sequence[Any], place: str) -> None:
+    """Reject a form whose derivative has no integral over the cells of some nodes, or whose integrals over facets do
+    not reach nodes inside the cells: its matrix has no entries there (collective).
+
+    Args:
+        form: The residual.
+        bcs: Dirichlet conditions; where they hold, no integral over facets need reach.
+        place: What messages call it.
+
+    Raises:
+        InputError: With the remedy.
+    """
+    V = form.u.function_space
+    given = form.J is not None and not form.affine
+    integrals = expanded(form.J if given else form.slope).integrals()
+    if any(one.integral_type() == "cell" and "everywhere" in _ids(one) for one in integrals):
+        return
+    place = f"{place}: J" if given else f"{place}: the derivative of F"
+    if not integrals:
+        raise _zero(place)
+    lost = ~_reached(integrals, V)
+    comm, every = V.mesh.comm, V.dofmap.index_map.size_global
+    count = total(comm, lost)
+    if count == every:
+        raise InputError(f"{place} has integrals over no cell: does a measure have a tag that no cell has?")
+    if count > 0:
+        raise InputError(
+            f"{place} has no integral over the cells at {_some_of(lost, V)}: integrate over the whole domain, or solve "
+            "on a mesh of the other cells alone, made by dolfinx.mesh.create_submesh"
+        )
+    by_facets = ~_reached([one for one in integrals if one.integral_type() == "cell"], V)
+    if total(comm, by_facets) > 0:
+        lost = by_facets & _has_zero_row(form.J if given else form.slope, form.u, bcs)
+        if total(comm, lost) > 0:
+            raise InputError(
+                f"{place} is zero at {_some_of(lost, V)}, which its integrals over facets do not reach: add an "
+                "integral over the cells, such as inner(grad(u), grad(v))*dx"
+            )
+
+
+def _reached(integrals: Sequence[ufl.Integral], V: fem.FunctionSpace) -> np.ndarray:
+    """Whether an owned node is one of a cell that is in, or at a facet of, the domain of an integral (collective)."""
+    reached = fem.Function(V)
+    nodes = reached.x.array.reshape(-1, V.dofmap.index_map_bs)
+    nodes[releases.cell_dofs(V)[_cells_of(integrals, V.mesh)]] = 1.0
+    releases.add_ghosts(reached)
+    return np.asarray(nodes[: V.dofmap.index_map.size_local, 0] != 0)
+
+
+def _has_zero_row(slope: ufl.Form, u: fem.Function, bcs: Sequence[Any]) -> np.ndarray:
+    """Whether a row of an owned node is zero up to round-off for a random u, where u is not given (collective)."""
+    V = u.function_space
+    some, own, size = fem.Function(V), V.dofmap.index_map.size_local, V.dofmap.index_map_bs
+    some.x.array[:] = np.random.default_rng(1).uniform(0.5, 1.5, len(some.x.array))
+    some.x.scatter_forward()
+    A = fem.petsc.assemble_matrix(releases.form(ufl.replace(slope, {u: some})))
+    A.assemble()
+    starts, _, values = A.getValuesCSR()
+    A.destroy()
+    most = np.zeros(own * size)
+    np.maximum.at(most, np.repeat(np.arange(len(most)), np.diff(starts)), np.abs(values))
+    for bc in bcs:
+        dofs = np.asarray(bc.dof_indices()[0])
+        most[dofs[dofs < len(most)]] = np.inf
+    finite = np.where(np.isfinite(most), most, 0.0)
+    return np.asarray((most <= ROUND_OFF * largest(V.mesh.comm, finite)).reshape(-1, size).any(axis=1))
+
+
+def _some_of(lost: np.ndarray, V: fem.FunctionSpace) -> str:
+    """The number of marked owned nodes, and one of them, in words (collective)."""
+    points = V.tabulate_dof_coordinates()[np.flatnonzero(lost)[:1], : V.mesh.geometry.dim].tolist()
+    first = min(point for part in V.mesh.comm.allgather(points) for point in part)
+    count, every = total(V.mesh.comm, lost), V.dofmap.index_map.size_global
+    return f"{count:.0f} of {every} nodes, such as ({', '.join(f'{x:.4g}' for x in first)})"
+
+
+def check_stiffness(problem: Problem, place: str) -> None:
+    """Reject an affine F whose derivative is zero: its terms cancel, or a coefficient is zero (collective).
+
+    Raises:
+        InputError: With the remedy.
+    """
+    if problem.affine and problem.nodal.stiffness.norm(PETSc.NormType.INFINITY) == 0:
+        raise _zero(f"{place}: the derivative of F")
+
+
+def _zero(place: str) -> InputError:
+    return InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
+
+
+@contextmanager
+def naming_compiler_errors(comm: MPI.Comm, place: str) -> Iterator[None]:
+    """Turn an error of the form compiler into one that names F, the same on all ranks (collective).
+
+    Raises:
+        InputError: With the words of the compiler.
+    """
+    try:
+        yield
+    except Exception as error:
+        # DOLFINx raises on all ranks what the compiler raises on one; its class depends on the release
+        if all(frame.f_globals.get("__name__") != "dolfinx.jit" for frame, _ in traceback.walk_tb(error.__traceback__)):
+            raise
+        why = first_given(comm, one_line(f"{type(error).__name__}: {error}"))
+        raise InputError(
+            f"{place}: FFCx cannot compile F or its derivative: does a term vanish, as (u - u)*v does? leave it out; "
+            f"{why}"
+        ) from error
+
+
+def _ids(integral: ufl.Integral) -> tuple[Any, ...]:
+    """The tags of an integral, or 'everywhere'."""
+    found = integral.subdomain_id()
+    return found if isinstance(found, tuple) else (found,)
+
+
+def _cells_of(integrals: Sequence[ufl.Integral], mesh: dmesh.Mesh) -> np.ndarray:
+    """Owned cells that are in, or at a facet of, the domain of an integral (collective)."""
+    W = releases.functionspace(mesh, "DG", 0)
+    q = ufl.TestFunction(W)
+    kinds = {"cell": q, "exterior_facet": q, "interior_facet": q("+") + q("-")}
+    measured = [
+        one.reconstruct(integrand=kinds[one.integral_type()], metadata={})
+        for one in integrals
+        if one.integral_type() in kinds
+    ]
+    if not measured:
+        return np.empty(0, dtype=np.int64)
+    sizes = fem.petsc.assemble_vector(releases.form(ufl.Form(measured)))
+    sizes.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    own = mesh.topology.index_map(mesh.topology.dim).size_local
+    found = np.flatnonzero(sizes.array_r[releases.cell_dofs(W)[:own, 0]] > 0)
+    sizes.destroy()
+    return found
+
+
+def conditions(bcs: Any, V: fem.FunctionSpace, place: str) -> list[Any]:
+    """Dirichlet conditions of V, from a list of them, one, or None.
+
+    Raises:
+        InputError: For anything else.
+    """
+    given = [] if bcs is None else [bcs] if hasattr(bcs, "dof_indices") else bcs
+    if not isinstance(given, Sequence):
+        raise InputError(f"{place}: bcs = {shown(bcs)}: expected a list of what dolfinx.fem.dirichletbc returns")
+    for number, bc in enumerate(given):
+        if not hasattr(bc, "dof_indices"):
+            wanted = "expected what dolfinx.fem.dirichletbc returns"
+            raise InputError(f"{place}: bcs[{number}] = {shown(bc)}: {wanted}")
+        space = bc.function_space
+        if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
+            raise InputError(f"{place}: bcs[{number}] is of another space than u: take u.function_space for it")
+    return list(given)
+
+
+def number_of(eps: Any, place: str) -> float | str:
+    """The value of eps: a positive number, or "auto".
+
+    Raises:
+        InputError: For anything else.
+    """
+    value = float(eps.value) if isinstance(eps, fem.Constant) and eps.ufl_shape == () else eps
+    if isinstance(value, str) and value == "auto":
+        return value
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise InputError(f"{place}: eps = {shown(eps)}: expected a number, a Constant or 'auto'")
+    number = float(value)
+    if not 0 < number < np.inf:
+        raise InputError(f"{place}: eps = {number:g}: must be positive and finite")
+    return number
+
+
+def obstacle(g: Any, u: fem.Function, place: str) -> Field:
+    """An obstacle as a datum.
+
+    Args:
+        g: A Function of the space of u, of another one or on another mesh; a number, a UFL expression or a callable.
+        u: The unknown, which g must not hold.
+        place: What messages call it.
+
+    Raises:
+        InputError: If g is none of these, or holds u.
+    """
+    if g is u:
+        raise InputError(f"{place} is u itself, which changes during the solve: pass a copy, u.copy()")
+    if isinstance(g, ufl.core.expr.Expr) and u in extract_coefficients(g):
+        raise InputError(
+            f"{place} depends on u: an obstacle must not depend on the solution; for a fixed-point iteration "
+            "use a copy, u.copy()"
+        )
+    return field(g, place)
+
+
+def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: str) -> None:
+    """Reject a measure, or the measure of an integral, whose domain or MeshTags are of another mesh (collective).
+
+    Args:
+        measure: What was given; its domain may be open.
+        mesh: Mesh of u.
+        place: What messages call it.
+
+    Raises:
+        InputError: If it is of another mesh.
+    """
+    domain, tags = measure.ufl_domain(), measure.subdomain_data()
+    if domain is not None and domain != mesh.ufl_domain():
+        raise InputError(f"{place} is of another mesh than u: take domain=u.function_space.mesh")
+    codim = {"cell": 0, "exterior_facet": 1, "interior_facet": 1}.get(measure.integral_type())
+    if codim is not None and hasattr(tags, "find"):
+        check_tags(tags, mesh, mesh.topology.dim - codim, f"{place}: subdomain_data")
+
+
+def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
+    """Local facets of a measure (collective).
+
+    Raises:
+        InputError: If it is no measure of facets of this mesh, or has no facets.
+    """
+    kinds = ("exterior_facet", "interior_facet")
+    if not isinstance(measure, ufl.Measure) or measure.integral_type() not in kinds:
+        raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
+    check_measure(measure, mesh, f"{name}: measure")
+    tags, ids = measure.subdomain_data(), measure.subdomain_id()
+    if ids == "everywhere" or ids == ("everywhere",):
+        mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+        found = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
+    elif not hasattr(tags, "find"):
+        raise InputError(f"{name}: measure has the tag {ids} without MeshTags: give it subdomain_data=")
+    else:
+        wanted = ids if isinstance(ids, tuple) else (ids,)
+        found = np.unique(np.concatenate([tags.find(number) for number in wanted])).astype(np.int32)
+    if total(mesh.comm, len(found)) == 0:
+        raise InputError(f"{name}: measure has no facets: no facet is tagged {ids}")
+    return found
+
+
+def vertex_digests(level: Level) -> list[bytes]:
+    """Digests of the local vertices of a mesh, and of those that it was refined from (local)."""
+    meshes = {id(one.mesh): one.mesh for one in level.downward}
+    return [sha256(np.ascontiguousarray(mesh.geometry.x).data).digest() for mesh in meshes.values()]
+
+
+def check_not_moved(level: Level, digests: list[bytes], place: str) -> None:
+    """Reject a mesh that was moved: weights, eps and sampled obstacles are those of its former vertices (collective).
+
+    Args:
+        level: With the mesh.
+        digests: The `vertex_digests` of before.
+        place: What messages call the problem.
+
+    Raises:
+        InputError: On all ranks, if vertices of any rank were moved.
+    """
+    moved = vertex_digests(level) != digests
+    if total(level.comm, float(moved)) > 0:
+        raise InputError(f"{place}: the mesh was moved since this problem was created: create a new one")
+
+
+def refuse_not_finite(problem: Problem, form: ResidualForm, place: str) -> None:
+    """Raise an error with the point at which F is not finite, if there is one (collective).
+
+    Raises:
+        InputError: With the place.
+    """
+    residual = fem.Function(problem.level.V)
+    residual.x.array[: problem.level.owned] = _assembled(form.F, problem.level)
+    residual.x.scatter_forward()
+    words = f"{place}: F at the start, through a coefficient or a load in it,"
+    problem.data.refuse_infinite(residual, words=words)
+
+
+def refuse_no_positive_diagonal(problem: Problem, diagonal: np.ndarray, form: ResidualForm | None, place: str) -> None:
+    """Say why there is no eps = "auto": the derivative of F has no positive diagonal entry where an obstacle acts
+    (collective).
+
+    Args:
+        problem: In its present state.
+        diagonal: Of the derivative of F, at owned nodes where u is free.
+        form: The form of the caller, or None.
+        place: What messages call the problem.
+
+    Raises:
+        InputError: Always.
+    """
+    comm, weights = problem.level.comm, problem.weights[~problem.fixed]
+    free, negative = (total(comm, number) for number in (len(weights), np.sum(diagonal < 0)))
+    if not free:
+        raise InputError(f"{place}: u is given at every node: there are no unknowns")
+    if negative == free:
+        raise InputError(
+            f"{place}: every diagonal entry of the derivative of F is negative: F has the wrong sign; "
+            "write F = a(u, v) - f(v) with a(v, v) > 0"
+        )
+    if form is not None:
+        refuse_not_finite(problem, form, place)
+    if not total(comm, np.count_nonzero(weights > 0)):
+        raise InputError(
+            f"{place}: u is given at every node where the obstacle acts, so that the obstacle has no "
+            "effect; leave it out, or give u on a smaller part of the boundary"
+        )
+    raise InputError(f"{place}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number")
+
+
+def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, place: str) -> None:
+    """Reject an energy without a minimum, or whose derivative is not F (collective).
+
+    Args:
+        problem: In its present state.
+        diagonal: Of the derivative of F, at owned nodes where u is free.
+        form: With F, u and the energy.
+        place: What messages call the problem.
+
+    Raises:
+        InputError: If a diagonal entry is not positive, as those of a convex energy are; or if F and the derivative of
+            the energy differ near the start, by more than quadrature does.
+    """
+    u, level = form.u, problem.level
+    comm, free = level.comm, ~problem.fixed
+    least = smallest(comm, diagonal)
+    if least <= 0:
+        raise InputError(
+            f"{place}: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
+            "is a sign wrong? without energy= any solution of the equation is accepted"
+        )
+    start, points = u.x.array.copy(), level.points_of(level.V)
+    size = largest(comm, np.abs(start)) or 1.0
+    u.x.array[:] += NEARBY * size * np.sin(1 + np.array([3.1, 4.7, 2.3]) @ points)
+    residual, slope = (_assembled(one, level) for one in (form.F, ufl.derivative(form.functional, u)))
+    u.x.array[:] = start
+    scale = max(largest(comm, np.abs(one[free])) for one in (residual, slope))
+    if np.isfinite(scale) and largest(comm, np.abs(residual - slope)[free]) > OTHER * scale:
+        raise InputError(
+            f"{place}: energy: its derivative is not F: is a sign wrong, or a term missing in one of them?"
+        )
+
+
+def _assembled(form: ufl.Form, level: Level) -> np.ndarray:
+    """A linear form at owned dofs (collective)."""
+    vector = fem.petsc.assemble_vector(releases.form(form))
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    found = vector.array_r[: level.owned].copy()
+    vector.destroy()
+    return found
