@@ -123,6 +123,9 @@ class TimeStepper:
                 if added > self.moments.tolerance and t - before > NO_STEP * self.moments.end:
                     dt, self._rejected = wanted, self._rejected + 1
                     continue
+                if self._misses_data(before, t, u):
+                    dt, self._shortened = (t - before) / 2, self._shortened + 1
+                    continue
                 dt = max(wanted, dt) if wanted >= t - before else wanted
             self.steps.accept(t, u)
             self._count(outcomes)
@@ -133,8 +136,13 @@ class TimeStepper:
         self._keep(keep)
         return outcomes[-1]
 
-    def _misses_data(self, before: float, t: float) -> bool:
-        """Whether data change within the step from `before` to t in a way that the step would miss (collective).
+    def _misses_data(self, before: float, t: float, u: np.ndarray | None = None) -> bool:
+        """Whether data change within the step from `before` to t in a way that the step misses (collective).
+
+        Args:
+            before: Start of the step.
+            t: Its end.
+            u: The solution there, for the obstacles; None for the other data, before the step.
 
         Raises:
             InputError: If the step is too short to be divided.
@@ -143,14 +151,18 @@ class TimeStepper:
             return False
         if self._within is None:
             self._within = DataWithinSteps(self.problem.data, self.moments.tolerance)
-        self._size = max(self._size, largest(self.problem.level.comm, np.abs(self.steps.u_values[0])))
-        found = self._within.excess(before, t, self._size)
+        u_before = self.steps.u_values[0]
+        if u is None:
+            self._size = max(self._size, largest(self.problem.level.comm, np.abs(u_before)))
+            found = self._within.excess(before, t, self._size)
+        else:
+            found = self._within.excess_of_obstacles(before, t, (u_before, u))
         if found is not None and t - before <= NO_STEP * self.moments.end:
             name = one_line(self.moments.name)
             raise InputError(
-                f"{found.datum}: at {name} = {found.t:.9g} it is {found.size:.3g} beyond its values at both ends of the "
-                f"smallest time step, {t - before:.1e}: [time] tolerance cannot follow a change that is so short; let "
-                "it last longer, or leave out the key 'tolerance'"
+                f"{found.datum}: at {name} = {found.t:.9g} it is {found.size:.3g} beyond its values at both ends of "
+                f"the smallest time step, {t - before:.1e}: [time] tolerance cannot follow a change that is so short; "
+                "let it last longer, or leave out the key 'tolerance'"
             )
         return found is not None
 
@@ -162,11 +174,17 @@ class TimeStepper:
     @property
     def counts(self) -> dict[str, Any]:
         """Steps and iterations, as in answer.json."""
-        moments = {"t": self.steps.times[0], "name": self.moments.name, "scheme": self.moments.scheme,
+        moments: dict[str, Any] = {"t": self.steps.times[0], "name": self.moments.name, "scheme": self.moments.scheme,
                    "steps": len(self.rows) - 1, "rejected": self._rejected}  # fmt: skip
+        counts: dict[str, Any] = {"time": moments, "newton_total": self._newton, "krylov_total": self._krylov}
         if self._within is not None:
-            moments |= {"shortened": self._shortened, "sampled_data": list(self._within.sampled)}
-        return {"time": moments, "newton_total": self._newton, "krylov_total": self._krylov}
+            moments["shortened"] = self._shortened
+            if self._within.sampled:
+                counts["remarks"] = [
+                    f"{datum}: sampled within the time steps; changes between the samples are not seen"
+                    for datum in self._within.sampled
+                ]
+        return counts
 
     def _begin(self, restart: Path | None) -> None:
         problem, moments = self.problem, self.moments

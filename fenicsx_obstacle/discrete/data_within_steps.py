@@ -12,8 +12,8 @@ such bounds are sampled within the step.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
@@ -32,16 +32,25 @@ GOLDEN = (5**0.5 - 1) / 2  # multiples of it, modulo 1, are spread evenly and ha
 RELATIVE = 0.01  # at most, of the largest value so far, where no unit says what a datum does to u
 ROUND_OFF = 1e-12  # of the values at the ends
 
-HEIGHT, LOAD, OTHER = "height", "load", "other"
+LOWER, UPPER, GIVEN, LOAD, OTHER = "lower", "upper", "given", "load", "other"
+OBSTACLES, UNIT_OF_U = (LOWER, UPPER), (LOWER, UPPER, GIVEN)
 
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """A datum that depends on t, with the local points where the solver samples it, shape (3, n)."""
+    """A datum that depends on t.
+
+    Attributes:
+        field: The datum.
+        kind: Which of the data it is.
+        x: The local points where the solver samples it, shape (3, n); one if it is uniform.
+        dofs: Of an obstacle, the local dofs where it acts; otherwise empty.
+    """
 
     field: Field
-    x: np.ndarray
     kind: str
+    x: np.ndarray
+    dofs: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -79,29 +88,44 @@ class DataWithinSteps:
         self._moving = list(_moving(data))
 
     def excess(self, start: float, end: float, size: float) -> Excess | None:
-        """The first datum found that a step would miss; None if there is none (collective).
+        """The first datum found, other than an obstacle, that a step would miss; None if there is none (collective).
 
         Args:
             start: Start of the step.
             end: Its end.
             size: The largest |u| so far.
         """
-        for one in self._moving:
-            found = self._excess(one, start, end, size)
-            if found is not None:
-                return found
-        return None
+        others = (one for one in self._moving if one.kind not in OBSTACLES)
+        found = (self._excess(one, start, end, self._allowed(one, start, end, size)) for one in others)
+        return next((excess for excess in found if excess is not None), None)
 
-    def _excess(self, one: _Moving, start: float, end: float, size: float) -> Excess | None:
+    def excess_of_obstacles(self, start: float, end: float, u: tuple[np.ndarray, np.ndarray]) -> Excess | None:
+        """The same of the obstacles, where they reach u (collective).
+
+        A lower obstacle matters where it is above u, and where it falls below a u that it supports.
+
+        Args:
+            start: Start of the step.
+            end: Its end.
+            u: Solutions there, at local dofs.
+        """
+        obstacles = (one for one in self._moving if one.kind in OBSTACLES)
+        found = (self._excess(one, start, end, self.tolerance, u) for one in obstacles)
+        return next((excess for excess in found if excess is not None), None)
+
+    def _excess(
+        self, one: _Moving, start: float, end: float, allowed: float, u: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> Excess | None:
         data, comm = self.data, self.data.level.comm
         assert data.model.time is not None
         field, names = data.here(one.field), data.names(one.field)
         ends = [field.at(one.x, {**names, "t": t}) for t in (start, end)]
-        size_of_data = largest(comm, np.abs(ends))
-        if not np.isfinite(size_of_data):  # the message comes from the step
+        if not np.isfinite(largest(comm, np.abs(ends))):  # the message comes from the step
             return None
-        self._remember(one, size_of_data)
-        search = _Search(field, one.x, names, (start, end), ends, self._allowed(one, end - start, size))
+        limits = np.minimum(*ends), np.maximum(*ends)
+        if u is not None:
+            limits = _reached(one, ends, [values[one.dofs] for values in u], self.tolerance)
+        search = _Search(field, one.x, names, (start, end), ends, limits, allowed)
         if (found := search.by_bounds(NO_STEP * data.model.time.end)) is None and search.unknown:
             found = search.by_samples(data.model.time.step)
         first = next((each for each in comm.allgather(found) if each is not None), None)
@@ -116,15 +140,19 @@ class DataWithinSteps:
         if np.isfinite(size):
             self._largest[one.field] = max(size, self._largest.get(one.field, 0.0))
 
-    def _allowed(self, one: _Moving, dt: float, size: float) -> float:
-        """By how much a datum may leave the range of its values at the ends of a step of length dt (collective)."""
-        if one.kind == HEIGHT:
+    def _allowed(self, one: _Moving, start: float, end: float, size: float) -> float:
+        """By how much a datum may leave the range of its values at the ends of a step (collective)."""
+        if one.kind in UNIT_OF_U:
             return self.tolerance
         rates = [effect.value for effect in self.data.model.effects if effect.key == "rate"]
         if one.kind == LOAD and rates:
             least = smallest(self.data.level.comm, self.data.values(rates[0], positive=True))
-            return self.tolerance * least / dt
-        return min(RELATIVE, self.tolerance / size if size > 0 else np.inf) * self._largest[one.field]
+            return self.tolerance * least / (end - start)
+        names = self.data.names(one.field)
+        for t in (start, end):
+            values = self.data.here(one.field).at(one.x, {**names, "t": t})
+            self._remember(one, largest(self.data.level.comm, np.abs(values)))
+        return min(RELATIVE, self.tolerance / size if size > 0 else np.inf) * self._largest.get(one.field, 0.0)
 
 
 class _Search:
@@ -141,12 +169,24 @@ class _Search:
         names: Names,
         step: tuple[float, float],
         ends: Sequence[np.ndarray],
+        limits: tuple[np.ndarray, np.ndarray],
         allowed: float,
     ):
+        """Begin.
+
+        Args:
+            field: The datum, on this mesh.
+            x: Points, shape (3, n).
+            names: As for `Field.at`.
+            step: Start and end of the step.
+            ends: Values there.
+            limits: Least and largest value that the datum may have at each point.
+            allowed: By how much it may exceed these.
+        """
         self.field, self.x, self.names = field, x, names
         self.start, self.end = step
         self.ends = ends
-        self.low, self.high = np.minimum(*ends), np.maximum(*ends)
+        self.low, self.high = limits
         self.allowed = allowed + ROUND_OFF * float(np.max(np.abs(ends), initial=0.0))
         self.unknown = False
 
@@ -154,11 +194,12 @@ class _Search:
         """Halve the step until bounds are small enough, or a value is too large.
 
         Args:
-            shortest: Length of intervals that are not halved any more.
+            shortest: Length of intervals that are not halved any more, unless the step itself is hardly longer.
 
         Returns:
             Time and size of the excess, if there is one.
         """
+        shortest = min(shortest, (self.end - self.start) / SAMPLES)
         for first in range(0, self.x.shape[1], BLOCK):
             found = self._in_block(np.arange(first, min(first + BLOCK, self.x.shape[1])), shortest)
             if found is not None:
@@ -209,7 +250,7 @@ class _Search:
 
     def _beyond(self, rows: np.ndarray, t: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
         """Time and size of the largest excess of some values, where it is larger than allowed."""
-        over = np.maximum(values - self.high[rows], self.low[rows] - values)
+        over = self._most(rows, (values, values))
         over[np.isnan(over)] = np.inf  # the message comes from the step that ends there
         if not len(over) or over.max() <= self.allowed:
             return None
@@ -217,7 +258,10 @@ class _Search:
 
     def _most(self, rows: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """A bound of the excess over intervals."""
-        return np.maximum(bounds[1] - self.high[rows], self.low[rows] - bounds[0])
+        low, high = self.low[rows], self.high[rows]
+        with np.errstate(invalid="ignore"):
+            above, below = bounds[1] - high, low - bounds[0]
+        return np.maximum(np.where(high == np.inf, -np.inf, above), np.where(low == -np.inf, -np.inf, below))
 
 
 def _sharpened(bounds: TimeBounds, dt: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -230,6 +274,30 @@ def _sharpened(bounds: TimeBounds, dt: np.ndarray, a: np.ndarray, b: np.ndarray)
     return least, most
 
 
+def _reached(
+    one: _Moving,
+    obstacle: Sequence[np.ndarray],
+    u: Sequence[np.ndarray],
+    tolerance: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest value that an obstacle may have within a step without a change of u.
+
+    Args:
+        one: The obstacle.
+        obstacle: Its values at the ends of the step.
+        u: Those of u, at the dofs of the obstacle.
+        tolerance: The distance that counts as contact.
+    """
+    if one.kind == UPPER:
+        below = replace(one, kind=LOWER)
+        low, high = _reached(below, [-values for values in obstacle], [-values for values in u], tolerance)
+        return -high, -low
+    free, bears = np.minimum(*u), u[1] <= obstacle[1] + tolerance
+    if one.field.uniform:
+        free, bears = np.min(free, initial=np.inf, keepdims=True), np.any(bears, keepdims=True)
+    return np.where(bears, np.minimum(*obstacle), -np.inf), np.maximum(np.maximum(*obstacle), free)
+
+
 def _moving(data: Data) -> Iterator[_Moving]:
     """The data that depend on t and have been sampled, each with its points (collective)."""
     level, model = data.level, data.model
@@ -238,23 +306,23 @@ def _moving(data: Data) -> Iterator[_Moving]:
     in_cells, at_nodes, on_parts = data.sampled
     for field in in_cells:
         kind = LOAD if any(field is load for load in loads) else OTHER
-        for name, part in (field.parts or {None: field}).items():
+        parts: Mapping[str | None, Field] = field.parts or {None: field}  # type: ignore[assignment]
+        for name, part in parts.items():
             if part.moves:
-                yield _moving_at(part, of_cells if name is None else of_cells[:, level.indicator(name)], kind)
+                yield from _at(part, kind, of_cells if name is None else of_cells[:, level.indicator(name)])
     for field in at_nodes:
-        if field.moves:
-            yield _moving_at(field, everywhere, OTHER)
+        yield from _at(field, OTHER, everywhere)
     for field, number in on_parts:
-        if field.moves:
-            yield _moving_at(field, everywhere[:, data.dofs_on(data.facets[number])], OTHER)
-    for obstacle in (model.lower, model.upper):
-        if obstacle is not None and obstacle.moves:
-            yield _moving_at(obstacle, everywhere, HEIGHT)
-    for part, facets in zip(model.boundary, data.facets, strict=True):
-        for field in (part.value, part.lower, part.upper):
-            if field is not None and field.moves:
-                yield _moving_at(field, everywhere[:, data.dofs_on(facets)], HEIGHT)
+        yield from _at(field, OTHER, everywhere[:, data.dofs_on(data.facets[number])])
+    for obstacle, kind in ((model.lower, LOWER), (model.upper, UPPER)):
+        yield from _at(obstacle, kind, everywhere, np.arange(everywhere.shape[1]))
+    for one, facets in zip(model.boundary, data.facets, strict=True):
+        dofs = data.dofs_on(facets)
+        for given, kind in ((one.value, GIVEN), (one.lower, LOWER), (one.upper, UPPER)):
+            yield from _at(given, kind, everywhere[:, dofs], dofs)
 
 
-def _moving_at(field: Field, x: np.ndarray, kind: str) -> _Moving:
-    return _Moving(field, np.zeros((3, 1)) if field.uniform else x, kind)
+def _at(field: Field | None, kind: str, x: np.ndarray, dofs: np.ndarray | None = None) -> Iterator[_Moving]:
+    """The datum at its points, if it depends on t."""
+    if field is not None and field.moves:
+        yield _Moving(field, kind, np.zeros((3, 1)) if field.uniform else x, np.empty(0) if dofs is None else dofs)

@@ -88,7 +88,8 @@ class FormulaField(Field):
     def over_time(self, x: np.ndarray, start: np.ndarray, end: np.ndarray, names: Names) -> TimeBounds:
         from fenicsx_obstacle.scenes.time_bounds import over_time  # only where a tolerance chooses the steps
 
-        return over_time(self.vocabulary, self.formula, x, self._known(x, names).get("distance"), start, end)
+        distance = self._known(x, names)["distance"] if self.needs_distance else None
+        return over_time(self.vocabulary, self.formula, x, distance, start, end)
 
     def because(self, point: np.ndarray, names: Names) -> str:
         return self.vocabulary.infinite(self.formula, point, {key: names[key] for key in names if key != "distance"})
