@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -24,13 +25,13 @@ from fenicsx_obstacle.effects.field import Field, Names, TimeBounds
 from fenicsx_obstacle.parallel import largest, smallest
 
 BLOCK = 30_000  # points that are bounded together
-PIECES = 64  # intervals of t per point, on average, before bounds are given up
+PIECES = 32  # intervals of t per point, on average, before bounds are given up
 FEWEST_PIECES = 10_000  # of all points together
 SAMPLES = 8  # at least, of data without bounds, within a step
 SAMPLES_PER_STEP = 4  # at least, of these, in a time of end/steps
 GOLDEN = (5**0.5 - 1) / 2  # multiples of it, modulo 1, are spread evenly and have no period
 RELATIVE = 0.01  # at most, of the largest value so far, where no unit says what a datum does to u
-ROUND_OFF = 1e-12  # of the values at the ends
+ROUND_OFF = 1e-12  # of the values that it must not exceed
 
 LOWER, UPPER, GIVEN, LOAD, OTHER = "lower", "upper", "given", "load", "other"
 OBSTACLES, UNIT_OF_U = (LOWER, UPPER), (LOWER, UPPER, GIVEN)
@@ -120,7 +121,7 @@ class DataWithinSteps:
         assert data.model.time is not None
         field, names = data.here(one.field), data.names(one.field)
         ends = [field.at(one.x, {**names, "t": t}) for t in (start, end)]
-        if not np.isfinite(largest(comm, np.abs(ends))):  # the message comes from the step
+        if not np.isfinite(_largest(comm, ends)):  # the message comes from the step
             return None
         limits = np.minimum(*ends), np.maximum(*ends)
         if u is not None:
@@ -151,7 +152,7 @@ class DataWithinSteps:
         names = self.data.names(one.field)
         for t in (start, end):
             values = self.data.here(one.field).at(one.x, {**names, "t": t})
-            self._remember(one, largest(self.data.level.comm, np.abs(values)))
+            self._remember(one, _largest(self.data.level.comm, values))
         return min(RELATIVE, self.tolerance / size if size > 0 else np.inf) * self._largest.get(one.field, 0.0)
 
 
@@ -186,8 +187,9 @@ class _Search:
         self.field, self.x, self.names = field, x, names
         self.start, self.end = step
         self.ends = ends
-        self.low, self.high = limits
-        self.allowed = allowed + ROUND_OFF * float(np.max(np.abs(ends), initial=0.0))
+        low, high = limits
+        self.low, self.high = low - ROUND_OFF * np.abs(low), high + ROUND_OFF * np.abs(high)
+        self.allowed = allowed
         self.unknown = False
 
     def by_bounds(self, shortest: float) -> tuple[float, float] | None:
@@ -272,6 +274,12 @@ def _sharpened(bounds: TimeBounds, dt: np.ndarray, a: np.ndarray, b: np.ndarray)
     least = np.fmax(np.fmax(bounds.lower, (a + b) / 2 - from_mean), np.minimum(a, b) - from_chord)
     most = np.fmin(np.fmin(bounds.upper, (a + b) / 2 + from_mean), np.maximum(a, b) + from_chord)
     return least, most
+
+
+def _largest(comm: MPI.Comm, values: Any) -> float:
+    """The largest absolute value; infinite where one is no number (collective)."""
+    sizes = np.abs(values)
+    return largest(comm, np.where(np.isnan(sizes), np.inf, sizes))
 
 
 def _reached(
