@@ -373,6 +373,15 @@ def test_a_start_beside_the_boundary_value():
     assert np.all(np.abs(answer.time_history.column("energy")) < 1e-20)
 
 
+def test_round_off_of_earlier_steps():
+    """Data that are all zero: u of size 1e-80, left by an earlier step, is no load that round-off exceeds."""
+    scene = Scene(
+        mesh={"shape": "interval", "cells": 12}, rate=1, tension=1, load=0, lower=-1,
+        boundary=[{"on": "left", "value": 0}], time={"end": 0.2, "steps": 10, "start": 0},
+    )  # fmt: skip
+    assert np.abs(solve(scene).u.x.array).max() < 1e-30
+
+
 def test_no_bound_and_no_restart():
     """The bound is for one equilibrium; a scene at rest has no state to continue from; states are of one mesh."""
     scene = Scene(mesh=INTERVAL, tension=1, lower=-1, time={"end": 1, "steps": 2})

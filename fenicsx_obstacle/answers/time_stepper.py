@@ -17,6 +17,7 @@ from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory
 from fenicsx_obstacle.discrete.admissible import giver, worst
+from fenicsx_obstacle.discrete.data_within_steps import DataWithinSteps
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -65,7 +66,9 @@ class TimeStepper:
         assert problem.model.time is not None
         self.moments: TimeDiscretization = problem.model.time
         self.rows, self.frames = list[Row](), list[Frame]()
-        self._newton = self._krylov = self._rejected = 0
+        self._newton = self._krylov = self._rejected = self._shortened = 0
+        self._within: DataWithinSteps | None = None
+        self._size = 0.0
         self._kinetic_energy: Any = None
 
     def run(self, restart: Path | None, keep: Path | None) -> Outcome:
@@ -101,6 +104,9 @@ class TimeStepper:
         dt, written = self._first_step(), self._now()
         while (t := self._next(dt)) is not None:
             before = self.steps.times[0]
+            if self._misses_data(before, t):
+                dt, self._shortened = (t - before) / 2, self._shortened + 1
+                continue
             try:
                 with self._at(t):
                     outcomes = self._step(t)
@@ -117,6 +123,9 @@ class TimeStepper:
                 if added > self.moments.tolerance and t - before > NO_STEP * self.moments.end:
                     dt, self._rejected = wanted, self._rejected + 1
                     continue
+                if self._misses_data(before, t, u):
+                    dt, self._shortened = (t - before) / 2, self._shortened + 1
+                    continue
                 dt = max(wanted, dt) if wanted >= t - before else wanted
             self.steps.accept(t, u)
             self._count(outcomes)
@@ -127,6 +136,36 @@ class TimeStepper:
         self._keep(keep)
         return outcomes[-1]
 
+    def _misses_data(self, before: float, t: float, u: np.ndarray | None = None) -> bool:
+        """Whether data change within the step from `before` to t in a way that the step misses (collective).
+
+        Args:
+            before: Start of the step.
+            t: Its end.
+            u: The solution there, for the obstacles; None for the other data, before the step.
+
+        Raises:
+            InputError: If the step is too short to be divided.
+        """
+        if self.moments.tolerance is None:
+            return False
+        if self._within is None:
+            self._within = DataWithinSteps(self.problem.data, self.moments.tolerance)
+        u_before = self.steps.u_values[0]
+        if u is None:
+            self._size = max(self._size, largest(self.problem.level.comm, np.abs(u_before)))
+            found = self._within.excess(before, t, self._size)
+        else:
+            found = self._within.excess_of_obstacles(before, t, (u_before, u))
+        if found is not None and t - before <= NO_STEP * self.moments.end:
+            name = one_line(self.moments.name)
+            raise InputError(
+                f"{found.datum}: at {name} = {found.t:.9g} it is {found.size:.3g} beyond its values at both ends of "
+                f"the smallest time step, {t - before:.1e}: [time] tolerance cannot follow a change that is so short; "
+                "let it last longer, or leave out the key 'tolerance'"
+            )
+        return found is not None
+
     @property
     def time_history(self) -> TimeHistory:
         """Rows and frames so far."""
@@ -135,9 +174,17 @@ class TimeStepper:
     @property
     def counts(self) -> dict[str, Any]:
         """Steps and iterations, as in answer.json."""
-        moments = {"t": self.steps.times[0], "name": self.moments.name, "scheme": self.moments.scheme,
+        moments: dict[str, Any] = {"t": self.steps.times[0], "name": self.moments.name, "scheme": self.moments.scheme,
                    "steps": len(self.rows) - 1, "rejected": self._rejected}  # fmt: skip
-        return {"time": moments, "newton_total": self._newton, "krylov_total": self._krylov}
+        counts: dict[str, Any] = {"time": moments, "newton_total": self._newton, "krylov_total": self._krylov}
+        if self._within is not None:
+            moments["shortened"] = self._shortened
+            if self._within.sampled:
+                counts["remarks"] = [
+                    f"{datum}: sampled within the time steps; changes between the samples are not seen"
+                    for datum in self._within.sampled
+                ]
+        return counts
 
     def _begin(self, restart: Path | None) -> None:
         problem, moments = self.problem, self.moments

@@ -161,6 +161,12 @@ class Data:
         self._here.clear()  # values of Constants, and what was interpolated from another mesh
         self._sample_again()
 
+    @property
+    def sampled(self) -> tuple[list[Field], list[Field], list[tuple[Field, int]]]:
+        """The data that have been sampled in cells, at all nodes, and at the nodes of a part of the boundary."""
+        in_cells = list(dict.fromkeys(key[0] for key in self._cellwise))
+        return in_cells, list(self._heights), list(dict.fromkeys(key[:2] for key in self._on_part))
+
     def _sample_again(self) -> None:
         for made, sample in self.moving.items():
             fresh = sample()  # has to live as long as its values are read

@@ -60,6 +60,23 @@ class Truth:
     may_fail: np.ndarray
 
 
+@dataclass(frozen=True)
+class TimeBounds:
+    """Bounds of a datum at points, each over an interval of t; infinite where nothing is known.
+
+    Attributes:
+        lower: Lower bound.
+        upper: Upper bound.
+        first: Bound of the absolute value of its derivative by t.
+        second: Bound of the absolute value of its second derivative by t.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+
 class Enclosed(Protocol):
     """Enclosure of a datum on simplices."""
 
@@ -156,6 +173,17 @@ class Field:
             corners: Shape (simplices, corners, coordinates).
             names: As for `at`.
             cells: The local cell that each lies in.
+        """
+        return None
+
+    def over_time(self, x: np.ndarray, start: np.ndarray, end: np.ndarray, names: Names) -> TimeBounds | None:
+        """Bounds at points, each over an interval of t; None where none are known.
+
+        Args:
+            x: Shape (3, n).
+            start: Start of the interval of each point, shape (n,).
+            end: Its end.
+            names: As for `at`; their t is not used.
         """
         return None
 

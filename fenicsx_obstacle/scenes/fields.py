@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenicsx_obstacle.effects.field import Enclosed, Field, Names
+from fenicsx_obstacle.effects.field import Enclosed, Field, Names, TimeBounds
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import TWO_VALUED, Formula, ufl_alphabet
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
@@ -84,6 +84,12 @@ class FormulaField(Field):
         from fenicsx_obstacle.scenes.enclosures import Cells, OnCells  # only where bounds are asked for
 
         return OnCells(Cells(self.vocabulary, corners, names.get("distance")), self.formula)
+
+    def over_time(self, x: np.ndarray, start: np.ndarray, end: np.ndarray, names: Names) -> TimeBounds:
+        from fenicsx_obstacle.scenes.time_bounds import over_time  # only where a tolerance chooses the steps
+
+        distance = self._known(x, names)["distance"] if self.needs_distance else None
+        return over_time(self.vocabulary, self.formula, x, distance, start, end)
 
     def because(self, point: np.ndarray, names: Names) -> str:
         known = {key: names[key] for key in names if key != "distance"}

@@ -15,6 +15,7 @@ from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EPSILON = float(np.finfo(float).eps)
+NEGLIGIBLE_FORCE = 1e-30
 ROUNDOFF_MARGIN = 8.0  # round-off may exceed its estimate by this factor
 
 
@@ -44,6 +45,21 @@ def forces_of_data(problem: Problem) -> float:
     comm = problem.level.comm
     at_zero = total(comm, np.abs(problem.forms.forces_at(0.0)[~problem.fixed]))
     return max(problem.load, at_zero, total(comm, np.abs(problem.forms.forces_at(problem.flat()))))
+
+
+def negligible_force(problem: Problem, stiffness: np.ndarray) -> float:
+    """A force that is negligible against stiffness times nearest gap (collective).
+
+    A gap below the last digit of its obstacle is round-off and counts as contact.
+    """
+    comm = problem.level.comm
+    gaps = []
+    for gap, obstacle in zip(problem.gaps(), problem.obstacles(), strict=True):
+        levels = np.abs(obstacle)
+        digit = EPSILON * max(largest(comm, np.where(np.isfinite(levels), levels, 0.0)), 0.0)
+        gaps.append(np.where(np.abs(gap) > digit, np.abs(gap), np.inf).min(initial=np.inf))
+    nearest = smallest(comm, gaps)
+    return NEGLIGIBLE_FORCE * nearest * total(comm, stiffness) if np.isfinite(nearest) else 0.0
 
 
 def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
@@ -85,6 +101,8 @@ def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unba
         return True
     forces = forces_of_data(problem)
     if forces == 0:  # no state but that of the data is in balance, and round-off is all that is left
+        return True
+    if max(forces, beyond, unbalanced) <= negligible_force(problem, stiffness):  # earlier steps left round-off in u
         return True
     largest_given = 0.0 if low > high else max(abs(low), abs(high))
     of_data = total(comm, stiffness * np.minimum(np.abs(w), largest_given))

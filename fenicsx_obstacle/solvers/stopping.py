@@ -19,15 +19,22 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import LIMIT
-from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.data_scales import EPSILON, ROUNDOFF_MARGIN, determined, stiffness_of
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.solvers import data_scales
+from fenicsx_obstacle.solvers.data_scales import (
+    EPSILON,
+    ROUNDOFF_MARGIN,
+    determined,
+    negligible_force,
+    stiffness_of,
+)
 from fenicsx_obstacle.solvers.monotone_sets import Shrinking
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`discrete.problem`)
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
-NEGLIGIBLE_FORCE = 1e-30
+NEGLIGIBLE_FORCE = data_scales.NEGLIGIBLE_FORCE
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
@@ -199,18 +206,8 @@ class Stopping:
 
     @cached_property
     def _nothing(self) -> float:
-        """A force that is negligible against stiffness times nearest gap, for data that are all zero (collective).
-
-        A gap below the last digit of its obstacle is round-off and counts as contact.
-        """
-        comm = self.problem.level.comm
-        gaps = []
-        for gap, obstacle in zip(self.problem.gaps(), self.problem.obstacles(), strict=True):
-            levels = np.abs(obstacle)
-            digit = EPSILON * max(largest(comm, np.where(np.isfinite(levels), levels, 0.0)), 0.0)
-            gaps.append(np.where(np.abs(gap) > digit, np.abs(gap), np.inf).min(initial=np.inf))
-        nearest = smallest(comm, gaps)
-        return NEGLIGIBLE_FORCE * nearest * total(comm, self._stiffness()) if np.isfinite(nearest) else 0.0
+        """A force that is negligible, for data that are all zero (collective)."""
+        return negligible_force(self.problem, self._stiffness())
 
     def _stiffness(self) -> np.ndarray:
         """Diagonal of A at owned free dofs; without the penalty diagonal, since fixed nodes do not move."""

@@ -1,0 +1,336 @@
+"""Checks of the data within a time step: a step uses the data at its ends, and misses what they do between these.
+
+A datum may leave the range of its values at the two ends of a step by a small amount only: by the tolerance where it is
+an obstacle or a boundary value, and by the tolerance times rate/dt where it is a load. Both move u by the tolerance at
+most where the maximum principle holds. Where a datum stays in the range of its values at the ends, the change of u over
+the step shows what it does, and the estimate of the error contains it.
+
+Formulas are bounded over intervals of t by interval arithmetic, at the points where the solver samples them. The
+intervals are halved until their bounds are small enough, or until a value between the ends is too large. Data without
+such bounds are sampled within the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.time_discretization import NO_STEP
+from fenicsx_obstacle.effects.field import Field, Names, TimeBounds
+from fenicsx_obstacle.parallel import largest, smallest
+
+BLOCK = 30_000  # points that are bounded together
+PIECES = 32  # intervals of t per point, on average, before bounds are given up
+FEWEST_PIECES = 10_000  # of all points together
+SAMPLES = 8  # at least, of data without bounds, within a step
+SAMPLES_PER_STEP = 4  # at least, of these, in a time of end/steps
+GOLDEN = (5**0.5 - 1) / 2  # multiples of it, modulo 1, are spread evenly and have no period
+RELATIVE = 0.01  # at most, of the largest value so far, where no unit says what a datum does to u
+ROUND_OFF = 1e-12  # of the values that it must not exceed
+
+LOWER, UPPER, GIVEN, LOAD, OTHER = "lower", "upper", "given", "load", "other"
+OBSTACLES, UNIT_OF_U = (LOWER, UPPER), (LOWER, UPPER, GIVEN)
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """A datum that depends on t.
+
+    Attributes:
+        field: The datum.
+        kind: Which of the data it is.
+        x: The local points where the solver samples it, shape (3, n); one if it is uniform.
+        dofs: Of an obstacle, the local dofs where it acts; otherwise empty.
+    """
+
+    field: Field
+    kind: str
+    x: np.ndarray
+    dofs: np.ndarray
+
+
+@dataclass(frozen=True)
+class Excess:
+    """What a datum does between the ends of a step.
+
+    Attributes:
+        datum: The datum, in words.
+        t: When.
+        size: By how much it is beyond its values at both ends.
+    """
+
+    datum: str
+    t: float
+    size: float
+
+
+class DataWithinSteps:
+    """The data that depend on t, between the ends of a step.
+
+    Attributes:
+        sampled: Data that have been sampled only, in words: nothing is proved of what they do between the samples.
+    """
+
+    def __init__(self, data: Data, tolerance: float):
+        """Take the data (collective).
+
+        Args:
+            data: Of the finest level, sampled before.
+            tolerance: What a step may add to the error, in the unit of u.
+        """
+        self.data, self.tolerance = data, tolerance
+        self.sampled: dict[str, None] = {}
+        self._largest: dict[Field, float] = {}
+        self._moving = list(_moving(data))
+
+    def excess(self, start: float, end: float, size: float) -> Excess | None:
+        """The first datum found, other than an obstacle, that a step would miss; None if there is none (collective).
+
+        Args:
+            start: Start of the step.
+            end: Its end.
+            size: The largest |u| so far.
+        """
+        others = (one for one in self._moving if one.kind not in OBSTACLES)
+        found = (self._excess(one, start, end, self._allowed(one, start, end, size)) for one in others)
+        return next((excess for excess in found if excess is not None), None)
+
+    def excess_of_obstacles(self, start: float, end: float, u: tuple[np.ndarray, np.ndarray]) -> Excess | None:
+        """The same of the obstacles, where they reach u (collective).
+
+        A lower obstacle matters where it is above u, and where it falls below a u that it supports.
+
+        Args:
+            start: Start of the step.
+            end: Its end.
+            u: Solutions there, at local dofs.
+        """
+        obstacles = (one for one in self._moving if one.kind in OBSTACLES)
+        found = (self._excess(one, start, end, self.tolerance, u) for one in obstacles)
+        return next((excess for excess in found if excess is not None), None)
+
+    def _excess(
+        self, one: _Moving, start: float, end: float, allowed: float, u: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> Excess | None:
+        data, comm = self.data, self.data.level.comm
+        assert data.model.time is not None
+        field, names = data.here(one.field), data.names(one.field)
+        ends = [field.at(one.x, {**names, "t": t}) for t in (start, end)]
+        if not np.isfinite(_largest(comm, ends)):  # the message comes from the step
+            return None
+        limits = np.minimum(*ends), np.maximum(*ends)
+        if u is not None:
+            limits = _reached(one, ends, [values[one.dofs] for values in u], self.tolerance)
+        search = _Search(field, one.x, names, (start, end), ends, limits, allowed)
+        if (found := search.by_bounds(NO_STEP * data.model.time.end)) is None and search.unknown:
+            found = search.by_samples(data.model.time.step)
+        first = next((each for each in comm.allgather(found) if each is not None), None)
+        if first is not None:
+            self._remember(one, first[1])
+            return Excess(str(one.field), *first)
+        if comm.allreduce(search.unknown, op=MPI.LOR):
+            self.sampled[str(one.field)] = None
+        return None
+
+    def _remember(self, one: _Moving, size: float) -> None:
+        if np.isfinite(size):
+            self._largest[one.field] = max(size, self._largest.get(one.field, 0.0))
+
+    def _allowed(self, one: _Moving, start: float, end: float, size: float) -> float:
+        """By how much a datum may leave the range of its values at the ends of a step (collective)."""
+        if one.kind in UNIT_OF_U:
+            return self.tolerance
+        rates = [effect.value for effect in self.data.model.effects if effect.key == "rate"]
+        if one.kind == LOAD and rates:
+            least = smallest(self.data.level.comm, self.data.values(rates[0], positive=True))
+            return self.tolerance * least / (end - start)
+        names = self.data.names(one.field)
+        for t in (start, end):
+            values = self.data.here(one.field).at(one.x, {**names, "t": t})
+            self._remember(one, _largest(self.data.level.comm, values))
+        return min(RELATIVE, self.tolerance / size if size > 0 else np.inf) * self._largest.get(one.field, 0.0)
+
+
+class _Search:
+    """A search for a time within a step at which a datum leaves the range of its values at the ends (local).
+
+    Attributes:
+        unknown: Whether neither such a time was found, nor bounds show that there is none.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        x: np.ndarray,
+        names: Names,
+        step: tuple[float, float],
+        ends: Sequence[np.ndarray],
+        limits: tuple[np.ndarray, np.ndarray],
+        allowed: float,
+    ):
+        """Begin.
+
+        Args:
+            field: The datum, on this mesh.
+            x: Points, shape (3, n).
+            names: As for `Field.at`.
+            step: Start and end of the step.
+            ends: Values there.
+            limits: Least and largest value that the datum may have at each point.
+            allowed: By how much it may exceed these.
+        """
+        self.field, self.x, self.names = field, x, names
+        self.start, self.end = step
+        self.ends = ends
+        low, high = limits
+        self.low, self.high = low - ROUND_OFF * np.abs(low), high + ROUND_OFF * np.abs(high)
+        self.allowed = allowed
+        self.unknown = False
+
+    def by_bounds(self, shortest: float) -> tuple[float, float] | None:
+        """Halve the step until bounds are small enough, or a value is too large.
+
+        Args:
+            shortest: Length of intervals that are not halved any more, unless the step itself is hardly longer.
+
+        Returns:
+            Time and size of the excess, if there is one.
+        """
+        shortest = min(shortest, (self.end - self.start) / SAMPLES)
+        for first in range(0, self.x.shape[1], BLOCK):
+            found = self._in_block(np.arange(first, min(first + BLOCK, self.x.shape[1])), shortest)
+            if found is not None:
+                self.unknown = False
+                return found
+        return None
+
+    def _in_block(self, rows: np.ndarray, shortest: float) -> tuple[float, float] | None:
+        left = FEWEST_PIECES + PIECES * len(rows)
+        a, b = np.full(len(rows), self.start), np.full(len(rows), self.end)
+        at_a, at_b = (values[rows] for values in self.ends)
+        while len(rows):
+            left -= len(rows)
+            bounds = self.field.over_time(self.x[:, rows], a, b, self.names) if left > 0 else None
+            if bounds is None:
+                self.unknown = True
+                return None
+            open_ = ~(self._most(rows, _sharpened(bounds, b - a, at_a, at_b)) <= self.allowed) & (b - a > shortest)
+            rows, a, b, at_a, at_b = (values[open_] for values in (rows, a, b, at_a, at_b))
+            middle = (a + b) / 2
+            at_middle = self._at(rows, middle)
+            if (found := self._beyond(rows, middle, at_middle)) is not None:
+                return found
+            rows = np.concatenate([rows, rows])
+            a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
+            at_a, at_b = np.concatenate([at_a, at_middle]), np.concatenate([at_middle, at_b])
+        return None
+
+    def by_samples(self, usual: float) -> tuple[float, float] | None:
+        """Sample the datum within the step.
+
+        Args:
+            usual: Length of the first step.
+
+        Returns:
+            Time and size of the excess, if there is one.
+        """
+        rows = np.arange(self.x.shape[1])
+        count = max(SAMPLES, int(np.ceil(SAMPLES_PER_STEP * (self.end - self.start) / usual)))
+        for k in range(1, count + 1):
+            t = self.start + k * GOLDEN % 1 * (self.end - self.start)
+            if (found := self._beyond(rows, np.full(len(rows), t), self._at(rows, t))) is not None:
+                return found
+        return None
+
+    def _at(self, rows: np.ndarray, t: np.ndarray | float) -> np.ndarray:
+        return self.field.at(self.x[:, rows], {**self.names, "t": t})
+
+    def _beyond(self, rows: np.ndarray, t: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
+        """Time and size of the largest excess of some values, where it is larger than allowed."""
+        over = self._most(rows, (values, values))
+        over[np.isnan(over)] = np.inf  # the message comes from the step that ends there
+        if not len(over) or over.max() <= self.allowed:
+            return None
+        return float(t[np.argmax(over)]), float(over.max())
+
+    def _most(self, rows: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """A bound of the excess over intervals."""
+        low, high = self.low[rows], self.high[rows]
+        with np.errstate(invalid="ignore"):
+            above, below = bounds[1] - high, low - bounds[0]
+        return np.maximum(np.where(high == np.inf, -np.inf, above), np.where(low == -np.inf, -np.inf, below))
+
+
+def _sharpened(bounds: TimeBounds, dt: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds over intervals of length dt, where the values at their ends are a and b."""
+    with np.errstate(invalid="ignore"):  # a first derivative of 0 and an infinite second one
+        from_mean = bounds.first * dt / 2
+        from_chord = bounds.second * dt**2 / 8
+    least = np.fmax(np.fmax(bounds.lower, (a + b) / 2 - from_mean), np.minimum(a, b) - from_chord)
+    most = np.fmin(np.fmin(bounds.upper, (a + b) / 2 + from_mean), np.maximum(a, b) + from_chord)
+    return least, most
+
+
+def _largest(comm: MPI.Comm, values: Any) -> float:
+    """The largest absolute value; infinite where one is no number (collective)."""
+    sizes = np.abs(values)
+    return largest(comm, np.where(np.isnan(sizes), np.inf, sizes))
+
+
+def _reached(
+    one: _Moving,
+    obstacle: Sequence[np.ndarray],
+    u: Sequence[np.ndarray],
+    tolerance: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest value that an obstacle may have within a step without a change of u.
+
+    Args:
+        one: The obstacle.
+        obstacle: Its values at the ends of the step.
+        u: Those of u, at the dofs of the obstacle.
+        tolerance: The distance that counts as contact.
+    """
+    if one.kind == UPPER:
+        below = replace(one, kind=LOWER)
+        low, high = _reached(below, [-values for values in obstacle], [-values for values in u], tolerance)
+        return -high, -low
+    free, bears = np.minimum(*u), u[1] <= obstacle[1] + tolerance
+    if one.field.uniform:
+        free, bears = np.min(free, initial=np.inf, keepdims=True), np.any(bears, keepdims=True)
+    return np.where(bears, np.minimum(*obstacle), -np.inf), np.maximum(np.maximum(*obstacle), free)
+
+
+def _moving(data: Data) -> Iterator[_Moving]:
+    """The data that depend on t and have been sampled, each with its points (collective)."""
+    level, model = data.level, data.model
+    loads = [effect.area_load for effect in model.effects if effect.area_load is not None]
+    everywhere, of_cells = level.points, level.points_of(level.W)
+    in_cells, at_nodes, on_parts = data.sampled
+    for field in in_cells:
+        kind = LOAD if any(field is load for load in loads) else OTHER
+        parts: Mapping[str | None, Field] = field.parts or {None: field}  # type: ignore[assignment]
+        for name, part in parts.items():
+            if part.moves:
+                yield from _at(part, kind, of_cells if name is None else of_cells[:, level.indicator(name)])
+    for field in at_nodes:
+        yield from _at(field, OTHER, everywhere)
+    for field, number in on_parts:
+        yield from _at(field, OTHER, everywhere[:, data.dofs_on(data.facets[number])])
+    for obstacle, kind in ((model.lower, LOWER), (model.upper, UPPER)):
+        yield from _at(obstacle, kind, everywhere, np.arange(everywhere.shape[1]))
+    for one, facets in zip(model.boundary, data.facets, strict=True):
+        dofs = data.dofs_on(facets)
+        for given, kind in ((one.value, GIVEN), (one.lower, LOWER), (one.upper, UPPER)):
+            yield from _at(given, kind, everywhere[:, dofs], dofs)
+
+
+def _at(field: Field | None, kind: str, x: np.ndarray, dofs: np.ndarray | None = None) -> Iterator[_Moving]:
+    """The datum at its points, if it depends on t."""
+    if field is not None and field.moves:
+        yield _Moving(field, kind, np.zeros((3, 1)) if field.uniform else x, np.empty(0) if dofs is None else dofs)
