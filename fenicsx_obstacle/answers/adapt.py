@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Bound
 
 _log = logging.getLogger(__name__)
-BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
+BULK = {1: 0.5, 2: 0.85}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
 MIN_BULK = 0.1
+FIRST = {1: 0, 2: 2000}  # unknowns of the first mesh for a tolerance, by degree: fewer take as long
 SAFETY_OF_BULK = 1.1  # times the share of the bound that should do: cut into four, cells keep 4^-degree of its square
 BALANCED = 0.2  # ratio of the parts of penalty and mesh above which eps is reduced
 PENALTY_SHARE_AHEAD = (
@@ -222,11 +223,14 @@ class Refinement:
     Attributes:
         scene: What is solved.
         options: How, with the present eps.
+        least_unknowns: Of the first mesh, by the degree of the elements, if the scene's own mesh has as many.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         work: Of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
         budget: Its limits.
     """
+
+    least_unknowns: Mapping[int, int] = {1: 0, 2: 0}
 
     def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, budget: Budget | None = None):
         self.scene, self.options, self.full = scene, scene.options, False
@@ -249,7 +253,8 @@ class Refinement:
         Args:
             unknowns: No mesh has more.
         """
-        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
+        least = self.least_unknowns[self.scene.pair.degree]
+        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm, least))
         benches = [context]
         try:
             while True:
@@ -340,7 +345,7 @@ class Adaptation(Refinement):
         steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
     """
 
-    power, steady = 1, True
+    power, steady, least_unknowns = 1, True, FIRST
 
     def __init__(
         self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget | None, comm: MPI.Comm
