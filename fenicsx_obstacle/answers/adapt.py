@@ -37,6 +37,7 @@ PENALTY_SHARE_AHEAD = (
     0.04  # times this ratio: eps is reduced further than necessary, so that the next meshes need no smaller one
 )
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
+FALLS = 0.9  # an error below so much of that on the mesh before falls; otherwise it is bounded, not estimated
 STALLED = 8  # meshes without a smaller error: round-off
 HARDLY = {"dofs": 1.1, "total": 0.98}  # by these factors
 
@@ -313,7 +314,9 @@ class Refinement:
                 break
         return answer
 
-    def note(self, answer: Answer, total: float, relative: float | None, unknowns: int) -> None:
+    def note(
+        self, answer: Answer, total: float, relative: float | None, unknowns: int, *, sampled: bool = False
+    ) -> None:
         """Append a mesh to the path (collective).
 
         Args:
@@ -321,11 +324,12 @@ class Refinement:
             total: Bound or estimate of the error.
             relative: The same, relative; None where that is not defined.
             unknowns: Of this mesh, and of the finer meshes that the estimate took.
+            sampled: Whether it is an estimate from samples of the obstacles.
         """
         record = answer.record
         self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
                           "eps": record["eps"], "seconds": time.perf_counter() - self._started,
-                          "memory_mb": record["memory_mb"]})  # fmt: skip
+                          "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
         elapsed, seconds = self._clock.read(self.comm)
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
@@ -343,6 +347,7 @@ class Adaptation(Refinement):
         relative: Whether it is relative to the energy norm of u.
         power: The error of smooth solutions is of this power of the energy error.
         steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
+        estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
     """
 
     power, steady, least_unknowns = 1, True, FIRST
@@ -356,6 +361,7 @@ class Adaptation(Refinement):
             InputError: If it is wrong.
         """
         self.tolerance, self.relative = check_tolerance(relative, absolute)
+        self.estimates = True
         super().__init__(scene, comm, budget)
 
     def answer(self, *, yardstick: bool) -> Answer:
@@ -363,11 +369,14 @@ class Adaptation(Refinement):
         why, least = None, np.inf
         with closing(self.meshes(self.budget.unknowns)) as meshes:
             for finest, latest in meshes:
-                error = self.path[-1]["total"]
                 why = "the budget of unknowns" if self.full else self.finished(latest)
+                if self.path[-1]["sampled"]:
+                    context, answer = finest, latest
+                    if why is not None:
+                        answer = self._proved(context, answer)
                 # with round-off, finer meshes may be worse
-                if why == "" or not self.steady or self.comm.bcast(error <= least):
-                    context, answer, least = finest, latest, error
+                elif why == "" or not self.steady or self.comm.bcast(self.path[-1]["total"] <= least):
+                    context, answer, least = finest, latest, self.path[-1]["total"]
                 if why is not None:
                     break
             if yardstick:
@@ -383,11 +392,38 @@ class Adaptation(Refinement):
         here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
         return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
+    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
+        """The answer on one mesh, and the part of its error in each owned cell (collective).
+
+        The error is bounded where the tolerance may be reached, and where errors do not fall any more.
+        """
+        path, degree = self.path, self.scene.pair.degree
+        falls = len(path) < 2 or path[-1]["total"] < FALLS * path[-2]["total"]
+        last = len(path) > 0 and self._share < BULK[degree]
+        estimator = context.estimator
+        estimator.sampled = self.estimates and self.comm.bcast(falls and not last)
+        answer = self.balanced(context)
+        if estimator.sampled and _bound(answer).total <= self._limit(answer):
+            answer = self._proved(context, answer)
+        bound = _bound(answer)
+        self.note(answer, bound.total, bound.relative, answer.record["dofs"], sampled=estimator.sampled)
+        return answer, _indicator(answer)
+
+    def _proved(self, context: SolverContext, answer: Answer) -> Answer:
+        """An answer with an error bound in place of an estimate, the last one of a solver context (collective)."""
+        context.estimator.sampled = False
+        bound = context.estimator.bound()
+        if self.path and self.path[-1]["sampled"] and self.path[-1]["dofs"] == answer.record["dofs"]:
+            self.path[-1] |= {"total": bound.total, "relative": bound.relative, "sampled": False}
+        record = {**answer.record, "bound": {**bound.record, "effectivity": None}}
+        return replace(answer, bound=bound, record=record)
+
     def share(self, answer: Answer) -> float:
         """The share of the bound whose cells are refined next, smaller before the last mesh."""
         beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
         degree = self.scene.pair.degree
-        return min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
+        self._share = min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
+        return self._share
 
     def _limit(self, answer: Answer) -> float:
         """The tolerance in the unit of the energy norm."""

@@ -31,6 +31,7 @@ from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
     coefficients,
     combined,
+    evaluate,
     from_chords,
     halved,
     inner_points,
@@ -183,6 +184,9 @@ def _of_nodes(degree: int) -> np.ndarray:
 SLOPES, MEANS = _slopes(), _means()
 HALVES = [Halves.of(times) for times in range(TIMES)]
 PRODUCTS = _products()
+COARSE = [_number(*x[1:]) for x in lattice(CLOSE)]  # points of the lattice for interpolants of this degree
+# the Bernstein coefficients of these interpolants from values there
+FROM_COARSE = np.linalg.inv(evaluate(np.eye(len(COARSE)), POINTS[COARSE], CLOSE))
 NODES = [_number(*x) for x in ((0, 0), (1, 0), (0, 1), (0.5, 0.5), (0, 0.5), (0.5, 0))]  # those of P2 in the lattice
 # the functions of P2 at the nodes of the small triangles, shape (6, small, 6)
 OF_SMALL = quadratics((_nodes_of(np.eye(3)) @ POINTS[SMALL]).reshape(-1, 3)).reshape(6, len(SMALL), 6)
@@ -254,7 +258,7 @@ class LatticeObstacle:
         return self._field.clip(function.x.array) if isinstance(self._field, Clipped) else function.x.array
 
     def above(
-        self, u: np.ndarray, pressing: np.ndarray, dirichlet: DirichletData
+        self, u: np.ndarray, pressing: np.ndarray, dirichlet: DirichletData, *, sampled: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Between]:
         """What raises u above the obstacle where it may be below or is pressed against it (collective).
 
@@ -262,16 +266,20 @@ class LatticeObstacle:
             u: Values of P2 at the nodes of cells, shape (cells, 6).
             pressing: Whether a cell has a multiplier.
             dirichlet: What boundary values add to u.
+            sampled: Whether samples on the lattice stand for the obstacle: much faster, and no bound.
 
         Returns:
             Cells; u - obstacle on their lattices; the amount by which u is raised there; and u - obstacle between the
             points of the lattice.
         """
         simplices, level = self.simplices, self.simplices.data.level
-        touches = self._may_touch(u, dirichlet)
+        touches = self._may_touch(u, dirichlet, sampled=sampled)
         near = np.flatnonzero(touches | pressing)
         needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
-        between = self._between(u, near, gap, dirichlet, touches[near], pressing[near])
+        if sampled:
+            between = self._between_samples(gap, touches[near])
+        else:
+            between = self._between(u, near, gap, dirichlet, touches[near], pressing[near])
         needed[:, near] = between.needed
         given = with_ghosts(level.V, 1.0 - self._patches.free) > 0
         beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
@@ -344,12 +352,16 @@ class LatticeObstacle:
             return np.zeros(self._patches.owned)
         return self._patches.largest(self._patches.gather(np.repeat(heights[:, None], 3, axis=1))[0])
 
-    def _may_touch(self, u: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
-        """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
+    def _may_touch(self, u: np.ndarray, dirichlet: DirichletData, *, sampled: bool) -> np.ndarray:
+        """Whether the obstacle may be above u in each cell, not looked at closely for samples (collective where the
+        obstacle needs the distance)."""
         middles = 2 * u[:, 3:] - (u[:, :3].sum(axis=1, keepdims=True) - u[:, :3]) / 2
         lowest = (self.sign * np.hstack([u[:, :3], middles])).min(axis=1, initial=np.inf)  # of Bernstein coefficients
+        candidates = self._top + dirichlet.deviation >= lowest
+        if sampled:
+            return candidates
         found = np.zeros(len(u), dtype=bool)
-        for rows, group in self._known(np.flatnonzero(self._top + dirichlet.deviation >= lowest)):
+        for rows, group in self._known(np.flatnonzero(candidates)):
             degree, coefficient, margin = self._difference(group, u[rows])
             touches = largest(coefficient, 3, degree) + group.rest + dirichlet.deviation[rows] > margin
             np.logical_or.at(found, rows, touches)
@@ -428,6 +440,33 @@ class LatticeObstacle:
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
         place = at, part  # after the last halving each part is a small triangle
         bend[place], mean[place], size[place] = self._bends_anew(u, cells[at], part, gap[at], dirichlet)
+        return self._of_bends(bend, mean, size, highest, may_touch)
+
+    @staticmethod
+    def _between_samples(gap: np.ndarray, may_touch: np.ndarray) -> Between:
+        """The same for the interpolant of degree 4 of u - obstacle.
+
+        Args:
+            gap: u - obstacle on the lattices of cells.
+            may_touch: Whether the obstacle may be above u in these cells.
+        """
+        most, least, means = _above_chords(0, CLOSE, -gap[:, COARSE] @ FROM_COARSE)
+        highest = -reduce(np.minimum, (gap[:, corner] for corner in SMALL.T))
+        return LatticeObstacle._of_bends(most, -means, np.maximum(most, -least), highest, may_touch)
+
+    @staticmethod
+    def _of_bends(
+        bend: np.ndarray, mean: np.ndarray, size: np.ndarray, highest: np.ndarray, may_touch: np.ndarray
+    ) -> Between:
+        """What raises u.
+
+        Args:
+            bend: Upper bounds of obstacle - u minus its chord in the small triangles of cells.
+            mean: See `Between`.
+            size: See `Between`.
+            highest: obstacle - u at the corners of small triangles, the largest value.
+            may_touch: Whether the obstacle may be above u in a cell.
+        """
         touches = may_touch[:, None] & (highest + bend > 0)
         M = np.where(touches, np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
         N = np.where(touches, highest + bend, 0.0).max(axis=1, initial=0.0)
@@ -497,6 +536,7 @@ class ElementP2(Element):
     equilibration: EquilibrationP2
     dirichlet: DirichletData
     obstacles: list[LatticeObstacle]
+    has_samples = True
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
@@ -563,7 +603,8 @@ class ElementP2(Element):
             least = at_vertices.min(axis=1)
             kept = np.where(least < 0, mean / np.maximum(mean - least, 1e-300), 1.0)
             reduced += (1 - kept) * np.sqrt(area / 3 * ((pressure - mean[:, None]) ** 2).sum(axis=1))
-            cells, gap, raised, between = side.above(nodal, pressure.any(axis=1), self.dirichlet)
+            pressing = pressure.any(axis=1)
+            cells, gap, raised, between = side.above(nodal, pressing, self.dirichlet, sampled=self.sampled)
             lift = np.maximum(raised, 0.0)
             added[cells] += side.sign * lift
             positive = mean[:, None] + kept[:, None] * (at_vertices - mean[:, None])
