@@ -43,6 +43,42 @@ class Cut:
     parents: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class OnNodes:
+    """What files hold of a solution on cut cells whose nodes are those of V_h: no mesh is made of them.
+
+    Attributes:
+        arrays: Points, cells and fields that this rank owns, in the order of the dofs of V_h.
+        nodes: Global dof of each node of each owned cell, in DOLFINx's order.
+    """
+
+    arrays: dict[str, np.ndarray]
+    nodes: np.ndarray
+
+
+def on_nodes(solution: Solution) -> OnNodes | None:
+    """A solution on cut cells; None where the cut cells have other nodes than those of V_h, or it is a vector
+    (collective)."""
+    level = solution.level
+    if level.scalar is not level or not level.pair.nodal:
+        return None
+    V, own = level.V, own_cells(level.mesh)
+    dofs, table = releases.cell_dofs(V)[:own], at_nodes(level)
+    nodes = np.asarray(V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
+    pieces = _lattice(V, releases.cell_name(level.mesh))
+
+    def nodal(function: fem.Function) -> np.ndarray:
+        space = function.function_space
+        if space == V:
+            return function.x.array[: level.owned].real
+        values = function.x.array[releases.cell_dofs(space)[:own]] @ table.T
+        return _means(level, values)[: level.owned].real
+
+    fields = {name: nodal(function) for name, function in solution.functions().items()}
+    cells = nodes[:, pieces].reshape(-1, pieces.shape[1])
+    return OnNodes({"points": level.points.T[: level.owned], "cells": cells, **solution.with_gap(fields)}, nodes)
+
+
 def cut(solution: Solution) -> Cut:
     """Cut the cells of a solution of another element (collective)."""
     level = solution.level.scalar
@@ -86,14 +122,19 @@ def cut(solution: Solution) -> Cut:
 
 
 def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
-    """At each node the mean of what the owned cells beside it say, shape as `values` (cells, nodes) (collective)."""
+    """At each node the mean of what the cells beside it say, shape as `values` (cells, nodes) (collective)."""
+    return _means(level, values)[releases.cell_dofs(level.V)[: len(values)]]
+
+
+def _means(level: Level, values: np.ndarray) -> np.ndarray:
+    """The same at local nodes."""
     dofs = releases.cell_dofs(level.V)[: len(values)].ravel()
     sums, counts = fem.Function(level.V), fem.Function(level.V)
     for function, part in ((sums, values.ravel()), (counts, np.ones(values.size))):
         function.x.array[:] = np.bincount(dofs, part, len(function.x.array))
         releases.add_ghosts(function)
         function.x.scatter_forward()
-    return (sums.x.array / counts.x.array)[dofs].reshape(values.shape)
+    return sums.x.array / counts.x.array
 
 
 def _fan(dim: int) -> np.ndarray:

@@ -20,6 +20,7 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, pairs
+from fenicsx_obstacle.io.cut import on_nodes
 from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
 from fenicsx_obstacle.io.paraview import FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
@@ -55,10 +56,14 @@ def save(solution: Solution, folder: Path) -> None:
     """
     level = solution.level.scalar
     comm, nests = level.comm, level.pair.nested_hierarchy
-    mesh = {name: Rows.of(comm, values) for name, values in _own(solution).items()}
-    element = element_of(solution)
+    # frames of a time history are numbered as `gather` numbers them
+    nodal = None if nests or "time" in solution.record else on_nodes(solution)
+    own = _own(solution) if nodal is None else nodal.arrays
+    nodes = None if nests else solution.cut.nodes if nodal is None else nodal.nodes
+    mesh = {name: Rows.of(comm, values) for name, values in own.items()}
+    element = element_of(solution, nodes)
     # cut cells are none of the mesh: its parts go with the true ones
-    parts = parts_of(level, _cells(level) if nests else solution.cut.nodes)
+    parts = parts_of(level, _cells(level) if nodes is None else nodes)
     further = solution.files(folder, mesh, element, parts)
     place = "" if nests else "element/"
     rows = {**mesh, **{f"element/{name}": values for name, values in element.items()}}
