@@ -45,38 +45,43 @@ class Cut:
 
 @dataclass(frozen=True, eq=False)
 class OnNodes:
-    """What files hold of a solution on cut cells whose nodes are those of V_h: no mesh is made of them.
+    """A solution on P1 simplices whose nodes are the dofs of V_h: no mesh is made of them.
 
     Attributes:
-        arrays: Points, cells and fields that this rank owns, in the order of the dofs of V_h.
-        nodes: Global dof of each node of each owned cell, in DOLFINx's order.
+        level: With V_h.
+        nodes: Local dofs of each owned cell, in DOLFINx's order.
+        cells: Local dofs of each owned simplex.
+        fields: Values at local dofs.
     """
 
-    arrays: dict[str, np.ndarray]
+    level: Level
     nodes: np.ndarray
+    cells: np.ndarray
+    fields: dict[str, np.ndarray]
+
+    def global_(self, dofs: np.ndarray) -> np.ndarray:
+        """Global numbers of local dofs."""
+        found = self.level.V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel())
+        return np.asarray(found, dtype=np.int64).reshape(dofs.shape)
 
 
 def on_nodes(solution: Solution) -> OnNodes | None:
-    """A solution on cut cells; None where the cut cells have other nodes than those of V_h, or it is a vector
-    (collective)."""
+    """A scalar solution on simplices; None where these need other nodes than the dofs of V_h (collective)."""
     level = solution.level
     if level.scalar is not level or not level.pair.nodal:
         return None
     V, own = level.V, own_cells(level.mesh)
-    dofs, table = releases.cell_dofs(V)[:own], at_nodes(level)
-    nodes = np.asarray(V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel())).reshape(dofs.shape)
-    pieces = _lattice(V, releases.cell_name(level.mesh))
+    dofs = releases.cell_dofs(V)[:own]
+    pieces = np.arange(dofs.shape[1])[None] if level.pair.nested_hierarchy else _lattice(V, releases.cell_name(V.mesh))
 
     def nodal(function: fem.Function) -> np.ndarray:
         space = function.function_space
         if space == V:
-            return function.x.array[: level.owned].real
-        values = function.x.array[releases.cell_dofs(space)[:own]] @ table.T
-        return _means(level, values)[: level.owned].real
+            return function.x.array.real
+        return _means(level, function.x.array[releases.cell_dofs(space)[:own]] @ at_nodes(level).T).real
 
     fields = {name: nodal(function) for name, function in solution.functions().items()}
-    cells = nodes[:, pieces].reshape(-1, pieces.shape[1])
-    return OnNodes({"points": level.points.T[: level.owned], "cells": cells, **solution.with_gap(fields)}, nodes)
+    return OnNodes(level, dofs, dofs[:, pieces].reshape(-1, pieces.shape[1]), fields)
 
 
 def cut(solution: Solution) -> Cut:

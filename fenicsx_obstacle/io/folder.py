@@ -58,8 +58,12 @@ def save(solution: Solution, folder: Path) -> None:
     comm, nests = level.comm, level.pair.nested_hierarchy
     # frames of a time history are numbered as `gather` numbers them
     nodal = None if nests or "time" in solution.record else on_nodes(solution)
-    own = _own(solution) if nodal is None else nodal.arrays
-    nodes = None if nests else solution.cut.nodes if nodal is None else nodal.nodes
+    if nodal is None:
+        own, nodes = _own(solution), None if nests else solution.cut.nodes
+    else:
+        fields = {name: values[: level.owned] for name, values in nodal.fields.items()}
+        own = {"points": level.points.T[: level.owned], "cells": nodal.global_(nodal.cells)}
+        own, nodes = own | solution.with_gap(fields), nodal.global_(nodal.nodes)
     mesh = {name: Rows.of(comm, values) for name, values in own.items()}
     element = element_of(solution, nodes)
     # cut cells are none of the mesh: its parts go with the true ones
