@@ -36,8 +36,11 @@ BALANCED = 0.2  # ratio of the parts of penalty and mesh above which eps is redu
 PENALTY_SHARE_AHEAD = (
     0.04  # times this ratio: eps is reduced further than necessary, so that the next meshes need no smaller one
 )
+MAX_EPS_REDUCTION = 0.02
+UP_TO_TOLERANCE = 0.125  # times the error that is left at the tolerance: then one reduction of eps is enough
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
 FALLS = 0.9  # an error below so much of that on the mesh before falls; otherwise it is bounded, not estimated
+ABOVE_ESTIMATE = 1.05  # a bound over its estimate from samples, at most about
 STALLED = 8  # meshes without a smaller error: round-off
 HARDLY = {"dofs": 1.1, "total": 0.98}  # by these factors
 
@@ -303,9 +306,8 @@ class Refinement:
         answer = context.answer(self.options, bound=True, errors=first)
         bound, self._solves = _bound(answer), 1
         while self.may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
-            eps = answer.record["eps"] * max(
-                0.02, PENALTY_SHARE_AHEAD * BALANCED * bound.discretisation / bound.penalty
-            )
+            least, ahead = self.ahead(answer)
+            eps = answer.record["eps"] * max(least, ahead * BALANCED * bound.discretisation / bound.penalty)
             self.options = replace(self.options, eps=eps)
             answer, before = context.answer(self.options, bound=True, errors=False), bound
             bound = _bound(answer)
@@ -313,6 +315,11 @@ class Refinement:
             if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
                 break
         return answer
+
+    def ahead(self, answer: Answer) -> tuple[float, float]:
+        """By which factor eps is reduced at most, and how small the part of the penalty is to become then, over what is
+        necessary."""
+        return MAX_EPS_REDUCTION, PENALTY_SHARE_AHEAD
 
     def note(
         self, answer: Answer, total: float, relative: float | None, unknowns: int, *, sampled: bool = False
@@ -348,6 +355,7 @@ class Adaptation(Refinement):
         power: The error of smooth solutions is of this power of the energy error.
         steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
         estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
+            With a budget it is not, as the bound of the last mesh is then in the budget.
     """
 
     power, steady, least_unknowns = 1, True, FIRST
@@ -361,8 +369,8 @@ class Adaptation(Refinement):
             InputError: If it is wrong.
         """
         self.tolerance, self.relative = check_tolerance(relative, absolute)
-        self.estimates = True
         super().__init__(scene, comm, budget)
+        self.estimates = np.isinf(self.budget.seconds) and np.isinf(self.budget.megabytes)
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose error is below the tolerance, or the best that the budget allows (collective)."""
@@ -409,6 +417,14 @@ class Adaptation(Refinement):
         self.note(answer, bound.total, bound.relative, answer.record["dofs"], sampled=estimator.sampled)
         return answer, _indicator(answer)
 
+    def ahead(self, answer: Answer) -> tuple[float, float]:
+        """See `Refinement.ahead`; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
+        least, ahead = super().ahead(answer)
+        total, limit = _bound(answer).total, self._limit(answer)
+        if self.scene.pair.degree == 1 or total <= limit:
+            return least, ahead
+        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * limit / total)
+
     def _proved(self, context: SolverContext, answer: Answer) -> Answer:
         """An answer with an error bound in place of an estimate, the last one of a solver context (collective)."""
         context.estimator.sampled = False
@@ -420,7 +436,8 @@ class Adaptation(Refinement):
 
     def share(self, answer: Answer) -> float:
         """The share of the bound whose cells are refined next, smaller before the last mesh."""
-        beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
+        above = ABOVE_ESTIMATE if self.path[-1]["sampled"] else 1.0
+        beyond = 1 - (self._limit(answer) / (above * _bound(answer).total)) ** 2
         degree = self.scene.pair.degree
         self._share = min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
         return self._share
