@@ -112,6 +112,34 @@ def test_adaptive_order():
     assert np.log(first / second) / np.log(4) == pytest.approx(1.5, abs=0.2)
 
 
+@pytest.mark.parametrize("name", ["ball", "cone", "two_obstacle_square"])
+def test_estimates_from_samples_are_near_the_bound(name):
+    """Without enclosures of the obstacles the error is found within 10 %, and is no bound."""
+    with closing(SolverContext(quadratic(name))) as context:
+        bound = context.answer(bound=True, errors=False).bound
+        context.estimator.sampled = True
+        estimate = context.estimator.bound()
+        assert bound.certified and not estimate.certified and not estimate.guaranteed
+        assert 0.9 * bound.total < estimate.total < 1.01 * bound.total
+        context.estimator.sampled = False
+        assert context.estimator.bound().total == bound.total
+
+
+def test_the_last_mesh_has_a_bound():
+    """On the meshes before it the error is estimated, unless there is a budget."""
+    answer = solve(quadratic("ball"), tol=5e-3)
+    path = answer.record["adaptive"]["path"]
+    assert [mesh["sampled"] for mesh in path] == [*[True] * (len(path) - 1), False]
+    assert (
+        answer.bound.certified
+        and path[-1]["total"] == answer.bound.total <= 5e-3 * answer.bound.total / answer.bound.relative
+    )
+    limited = solve(quadratic("ball"), tol=5e-3, budget="10min")
+    assert not any(mesh.sampled for mesh in limited.adaptive.path)
+    few = solve(quadratic("ball"), tol=1e-4, budget="2000 unknowns")
+    assert not few.adaptive.reached and few.bound.certified and not few.adaptive.path[-1].sampled
+
+
 def test_tolerance_is_reached():
     """A tenth of what P1 needs: the ball to 1 % with a few thousand unknowns."""
     record = solve(quadratic("ball"), tol=0.01).record

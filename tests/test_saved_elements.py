@@ -17,6 +17,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.forms.pairs import Pair, _register, nodal_rule, register
+from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import largest, on_root, total
 
 SQUARE = {"shape": "rectangle", "cells": 5}
@@ -155,9 +156,9 @@ def test_frames_of_a_scene_with_time(element, folder):
     saved.save(folder)
     read = Answer.read(folder)
     assert_same(read, saved)
-    points = [a.level.comm.gather(a.plain.level.points.T[: a.plain.level.owned]) for a in (saved, read)]
+    drawn = [gather(a) for a in (saved, read)]
     if COMM.rank == 0:
-        orders = [np.lexsort(np.round(np.vstack(x), 9).T) for x in points]
+        orders = [np.lexsort(np.round(arrays["points"], 9).T) for arrays in drawn]
         for one, other in zip(saved.time_history.frames, read.time_history.frames, strict=True):
             assert np.array_equal(one.fields["u"][orders[0]], other.fields["u"][orders[1]])
 

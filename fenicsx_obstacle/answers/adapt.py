@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,14 +28,19 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Bound
 
 _log = logging.getLogger(__name__)
-BULK = {1: 0.5, 2: 0.75}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
+BULK = {1: 0.5, 2: 0.85}  # share of the bound in the cells that are refined (Doerfler); with P2 they are few
 MIN_BULK = 0.1
+FIRST = {1: 0, 2: 2000}  # unknowns of the first mesh for a tolerance, by degree: fewer take as long
 SAFETY_OF_BULK = 1.1  # times the share of the bound that should do: cut into four, cells keep 4^-degree of its square
 BALANCED = 0.2  # ratio of the parts of penalty and mesh above which eps is reduced
 PENALTY_SHARE_AHEAD = (
     0.04  # times this ratio: eps is reduced further than necessary, so that the next meshes need no smaller one
 )
+MAX_EPS_REDUCTION = 0.02
+UP_TO_TOLERANCE = 0.125  # times the error that is left at the tolerance: then one reduction of eps is enough
 GROWTH = 3.0  # unknowns, time and memory of the next mesh over this one's, about
+FALLS = 0.9  # an error below so much of that on the mesh before falls; otherwise it is bounded, not estimated
+ABOVE_ESTIMATE = 1.05  # a bound over its estimate from samples, at most about
 STALLED = 8  # meshes without a smaller error: round-off
 HARDLY = {"dofs": 1.1, "total": 0.98}  # by these factors
 
@@ -222,11 +227,14 @@ class Refinement:
     Attributes:
         scene: What is solved.
         options: How, with the present eps.
+        least_unknowns: Of the first mesh, by the degree of the elements, if the scene's own mesh has as many.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         work: Of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
         budget: Its limits.
     """
+
+    least_unknowns: Mapping[int, int] = {1: 0, 2: 0}
 
     def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, budget: Budget | None = None):
         self.scene, self.options, self.full = scene, scene.options, False
@@ -249,7 +257,8 @@ class Refinement:
         Args:
             unknowns: No mesh has more.
         """
-        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm))
+        least = self.least_unknowns[self.scene.pair.degree]
+        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm, least))
         benches = [context]
         try:
             while True:
@@ -297,9 +306,8 @@ class Refinement:
         answer = context.answer(self.options, bound=True, errors=first)
         bound, self._solves = _bound(answer), 1
         while self.may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
-            eps = answer.record["eps"] * max(
-                0.02, PENALTY_SHARE_AHEAD * BALANCED * bound.discretisation / bound.penalty
-            )
+            least, ahead = self.ahead(answer)
+            eps = answer.record["eps"] * max(least, ahead * BALANCED * bound.discretisation / bound.penalty)
             self.options = replace(self.options, eps=eps)
             answer, before = context.answer(self.options, bound=True, errors=False), bound
             bound = _bound(answer)
@@ -308,7 +316,14 @@ class Refinement:
                 break
         return answer
 
-    def note(self, answer: Answer, total: float, relative: float | None, unknowns: int) -> None:
+    def ahead(self, answer: Answer) -> tuple[float, float]:
+        """By which factor eps is reduced at most, and how small the part of the penalty is to become then, over what is
+        necessary."""
+        return MAX_EPS_REDUCTION, PENALTY_SHARE_AHEAD
+
+    def note(
+        self, answer: Answer, total: float, relative: float | None, unknowns: int, *, sampled: bool = False
+    ) -> None:
         """Append a mesh to the path (collective).
 
         Args:
@@ -316,11 +331,12 @@ class Refinement:
             total: Bound or estimate of the error.
             relative: The same, relative; None where that is not defined.
             unknowns: Of this mesh, and of the finer meshes that the estimate took.
+            sampled: Whether it is an estimate from samples of the obstacles.
         """
         record = answer.record
         self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
                           "eps": record["eps"], "seconds": time.perf_counter() - self._started,
-                          "memory_mb": record["memory_mb"]})  # fmt: skip
+                          "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
         elapsed, seconds = self._clock.read(self.comm)
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
@@ -338,9 +354,11 @@ class Adaptation(Refinement):
         relative: Whether it is relative to the energy norm of u.
         power: The error of smooth solutions is of this power of the energy error.
         steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
+        estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
+            With a budget it is not, as the bound of the last mesh is then in the budget.
     """
 
-    power, steady = 1, True
+    power, steady, least_unknowns = 1, True, FIRST
 
     def __init__(
         self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget | None, comm: MPI.Comm
@@ -352,17 +370,21 @@ class Adaptation(Refinement):
         """
         self.tolerance, self.relative = check_tolerance(relative, absolute)
         super().__init__(scene, comm, budget)
+        self.estimates = np.isinf(self.budget.seconds) and np.isinf(self.budget.megabytes)
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose error is below the tolerance, or the best that the budget allows (collective)."""
         why, least = None, np.inf
         with closing(self.meshes(self.budget.unknowns)) as meshes:
             for finest, latest in meshes:
-                error = self.path[-1]["total"]
                 why = "the budget of unknowns" if self.full else self.finished(latest)
+                if self.path[-1]["sampled"]:
+                    context, answer = finest, latest
+                    if why is not None:
+                        answer = self._proved(context, answer)
                 # with round-off, finer meshes may be worse
-                if why == "" or not self.steady or self.comm.bcast(error <= least):
-                    context, answer, least = finest, latest, error
+                elif why == "" or not self.steady or self.comm.bcast(self.path[-1]["total"] <= least):
+                    context, answer, least = finest, latest, self.path[-1]["total"]
                 if why is not None:
                     break
             if yardstick:
@@ -378,11 +400,47 @@ class Adaptation(Refinement):
         here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
         return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
+    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
+        """The answer on one mesh, and the part of its error in each owned cell (collective).
+
+        The error is bounded where the tolerance may be reached, and where errors do not fall any more.
+        """
+        path, degree = self.path, self.scene.pair.degree
+        falls = len(path) < 2 or path[-1]["total"] < FALLS * path[-2]["total"]
+        last = len(path) > 0 and self._share < BULK[degree]
+        estimator = context.estimator
+        estimator.sampled = self.estimates and self.comm.bcast(falls and not last)
+        answer = self.balanced(context)
+        if estimator.sampled and _bound(answer).total <= self._limit(answer):
+            answer = self._proved(context, answer)
+        bound = _bound(answer)
+        self.note(answer, bound.total, bound.relative, answer.record["dofs"], sampled=estimator.sampled)
+        return answer, _indicator(answer)
+
+    def ahead(self, answer: Answer) -> tuple[float, float]:
+        """See `Refinement.ahead`; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
+        least, ahead = super().ahead(answer)
+        total, limit = _bound(answer).total, self._limit(answer)
+        if self.scene.pair.degree == 1 or total <= limit:
+            return least, ahead
+        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * limit / total)
+
+    def _proved(self, context: SolverContext, answer: Answer) -> Answer:
+        """An answer with an error bound in place of an estimate, the last one of a solver context (collective)."""
+        context.estimator.sampled = False
+        bound = context.estimator.bound()
+        if self.path and self.path[-1]["sampled"] and self.path[-1]["dofs"] == answer.record["dofs"]:
+            self.path[-1] |= {"total": bound.total, "relative": bound.relative, "sampled": False}
+        record = {**answer.record, "bound": {**bound.record, "effectivity": None}}
+        return replace(answer, bound=bound, record=record)
+
     def share(self, answer: Answer) -> float:
         """The share of the bound whose cells are refined next, smaller before the last mesh."""
-        beyond = 1 - (self._limit(answer) / _bound(answer).total) ** 2
+        above = ABOVE_ESTIMATE if self.path[-1]["sampled"] else 1.0
+        beyond = 1 - (self._limit(answer) / (above * _bound(answer).total)) ** 2
         degree = self.scene.pair.degree
-        return min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
+        self._share = min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
+        return self._share
 
     def _limit(self, answer: Answer) -> float:
         """The tolerance in the unit of the energy norm."""

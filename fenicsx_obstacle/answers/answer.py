@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import gathered, on_root
+from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.problems.solution import Files, Solution
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
@@ -107,7 +107,7 @@ class Answer(Solution):
         Raises:
             InputError: If the folder has no saved solution.
         """
-        from fenicsx_obstacle.io.folder import read
+        from fenicsx_obstacle.io.folder import points_of, read
 
         folder = Path(folder)
         saved = read(folder, comm, needed=("scene.toml",), steps_in_time=NEWTON)
@@ -124,7 +124,4 @@ class Answer(Solution):
         from fenicsx_obstacle.answers.frames import load_course
 
         time_history = on_root(comm, lambda: load_course(folder))
-        shown = answer.plain.level
-        return replace(
-            answer, time_history=time_history.renumbered(saved.points, gathered(comm, shown.points.T[: shown.owned]))
-        )
+        return replace(answer, time_history=time_history.renumbered(saved.points, points_of(answer)))

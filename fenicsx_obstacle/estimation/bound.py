@@ -136,6 +136,17 @@ class Estimator:
         self.problem.nodal.add_forces(equilibration.missing)
         equilibration.missing = np.zeros_like(equilibration.missing)
 
+    @property
+    def sampled(self) -> bool:
+        """Whether `bound` is an estimate from samples of the obstacles, an indicator; for elements that have none it
+        stays a bound."""
+        return self.problem.model.elastic.affine and self.element.sampled
+
+    @sampled.setter
+    def sampled(self, wanted: bool) -> None:
+        if self.problem.model.elastic.affine:
+            self.element.sampled = wanted and self.element.has_samples
+
     def bound(self) -> Bound:
         """The error bound of the problem's present state (collective)."""
         problem, comm = self.problem, self.problem.level.comm
@@ -197,7 +208,8 @@ class Estimator:
             self.problem.level.comm,
         )
         unknown = unknown_effects(self.problem.data)
-        reasons = [f"estimated, no bound, as its proof covers {known}, not {effect.key}" for effect in unknown]
+        reasons = ["estimated from samples of the obstacles"] if self.sampled else []
+        reasons += [f"estimated, no bound, as its proof covers {known}, not {effect.key}" for effect in unknown]
         simplices = self.element.simplices
         if simplices.radius is not None:
             on_axis = simplices.radius.sum(axis=1, keepdims=True) == simplices.radius

@@ -85,10 +85,13 @@ class Element(ABC):
         friedrichs_known: Whether it is; otherwise a guess stands for it, and nothing is guaranteed.
         reach: Numbers that the solution is between, infinite where there is no obstacle or no such number is known.
         obstacles: The excess of an obstacle over its nodal interpolant.
+        has_samples: Whether terms are found faster from samples of the obstacles.
+        sampled: Whether that is what `terms` does: its terms are an estimate then.
     """
 
     equilibration: EquilibrationP1 | EquilibrationP2
     obstacles: Sequence[Obstacle]
+    has_samples, sampled = False, False
 
     def __init__(self, equilibration: EquilibrationP1 | EquilibrationP2, middles: np.ndarray | None = None):
         """Sample tension and boundary values (collective).

@@ -31,6 +31,7 @@ from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
     coefficients,
     combined,
+    evaluate,
     from_chords,
     halved,
     inner_points,
@@ -45,7 +46,9 @@ AS_THEY_ARE = Division(0)
 SMALL_ONES = Division(4, 1e-4, 1e-4)  # for small triangles: the distance of an obstacle to linear functions matters
 BESIDE = 2  # subdivisions of small triangles with a Dirichlet corner and the obstacle possibly above u
 FEW = 128  # cells per block: its arrays fit into the cache of a core
-FINE = 0.05  # relative to the distance from the chord: smaller remainders are accepted
+MORE = 4096  # cells per block where more is done with each
+FINE = 0.2  # relative to the distance from the chord: smaller remainders are accepted
+NEARLY = 0.1  # of the range of u - obstacle in a cell: so far below u an obstacle seems not to touch, by samples
 CLOSE = 4  # degree of Bernstein bounds of quadratic functions; with degree 2 they are up to twice as large
 POINTS = lattice(DENSE)
 
@@ -104,6 +107,11 @@ def _products() -> np.ndarray:
 def _nodes_of(corners: np.ndarray) -> np.ndarray:
     """Vertices, then the midpoints of the opposite edges."""
     return np.vstack([corners, (corners[[1, 2, 0]] + corners[[2, 0, 1]]) / 2])
+
+
+def _bernstein(u: np.ndarray) -> np.ndarray:
+    """Bernstein coefficients of functions of P2 from their values at the nodes of cells."""
+    return np.hstack([u[:, :3], 2 * u[:, 3:] - (u[:, :3].sum(axis=1, keepdims=True) - u[:, :3]) / 2])
 
 
 def _halved_values(linear: np.ndarray) -> np.ndarray:
@@ -183,6 +191,10 @@ def _of_nodes(degree: int) -> np.ndarray:
 SLOPES, MEANS = _slopes(), _means()
 HALVES = [Halves.of(times) for times in range(TIMES)]
 PRODUCTS = _products()
+MIDDLES = POINTS[SMALL].mean(axis=1)  # of the small triangles
+COARSE = [_number(*x[1:]) for x in lattice(CLOSE)]  # points of the lattice for interpolants of this degree
+# the Bernstein coefficients of these interpolants from values there
+FROM_COARSE = np.linalg.inv(evaluate(np.eye(len(COARSE)), POINTS[COARSE], CLOSE))
 NODES = [_number(*x) for x in ((0, 0), (1, 0), (0, 1), (0.5, 0.5), (0, 0.5), (0.5, 0))]  # those of P2 in the lattice
 # the functions of P2 at the nodes of the small triangles, shape (6, small, 6)
 OF_SMALL = quadratics((_nodes_of(np.eye(3)) @ POINTS[SMALL]).reshape(-1, 3)).reshape(6, len(SMALL), 6)
@@ -195,19 +207,55 @@ class Between:
     Attributes:
         needed: Lower bounds of M and N (`LatticeObstacle`) in each cell, shape (2, cells).
         touches: Whether the obstacle may be above u, shape (cells, small triangles).
-        mean: Upper bound of the mean of u - obstacle minus its chord, in each small triangle.
-        size: Upper bound of the absolute value of that difference.
+        contact: Upper bound of the sum over the small triangles of each cell of the mean of lambda_+ times
+            u - obstacle minus its chord.
     """
 
     needed: np.ndarray
     touches: np.ndarray
-    mean: np.ndarray
-    size: np.ndarray
+    contact: np.ndarray
 
-    def with_nothing(self, count: int) -> Between:
-        """The same with `count` more cells, which neither touch nor have a multiplier."""
-        touches, mean, size = (np.pad(of, ((0, count), (0, 0))) for of in (self.touches, self.mean, self.size))
-        return Between(np.pad(self.needed, ((0, 0), (0, count))), touches, mean, size)
+
+class _Bends:
+    """What u - obstacle minus its chord is on the small triangles of cells, found cell by cell.
+
+    Attributes:
+        highest: The largest value of obstacle - u at the corners of each small triangle.
+        bend: Upper bound of obstacle - u minus its chord.
+        mean: Upper bound of the mean of u - obstacle minus its chord.
+        size: Upper bound of the absolute value of that difference.
+    """
+
+    def __init__(self, gap: np.ndarray):
+        """Nothing is known yet.
+
+        Args:
+            gap: u - obstacle on the lattices of the cells.
+        """
+        self.highest = -reduce(np.minimum, (gap[:, corner] for corner in SMALL.T))
+        self.bend, self.mean, self.size = (np.zeros(self.highest.shape) for _ in range(3))
+
+    def between(self, may_touch: np.ndarray, multiplier: np.ndarray) -> Between:
+        """What follows.
+
+        Args:
+            may_touch: Whether the obstacle may be above u in a cell.
+            multiplier: lambda_+ at the vertices of each cell, shape (cells, 3).
+        """
+        count = len(may_touch)
+        needed, touches, contact = np.zeros((2, count)), np.zeros(self.bend.shape, dtype=bool), np.zeros(count)
+        for block in blocks(count, FEW):
+            highest, bend = self.highest[block], self.bend[block]
+            touches[block] = may_touch[block, None] & (highest + bend > 0)
+            M = np.where(touches[block], np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
+            N = np.where(touches[block], highest + bend, 0.0).max(axis=1, initial=0.0)
+            with_M = M <= 2 * N  # M is preferred: what it adds decreases as u - obstacle grows
+            needed[:, block] = np.where(with_M, M, 0.0), np.where(with_M, 0.0, N)
+            # |lambda_+ - its mean| is at most its range, which is the same on all small triangles
+            means = multiplier[block] @ MIDDLES.T
+            contact[block] = np.einsum("cs,cs->c", means, self.mean[block])
+            contact[block] += np.ptp(multiplier[block], axis=1) / DENSE * self.size[block].sum(axis=1)
+        return Between(needed, touches, contact)
 
 
 class LatticeObstacle:
@@ -254,24 +302,26 @@ class LatticeObstacle:
         return self._field.clip(function.x.array) if isinstance(self._field, Clipped) else function.x.array
 
     def above(
-        self, u: np.ndarray, pressing: np.ndarray, dirichlet: DirichletData
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Between]:
+        self, u: np.ndarray, multiplier: np.ndarray, dirichlet: DirichletData, at_nodes: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """What raises u above the obstacle where it may be below or is pressed against it (collective).
 
         Args:
             u: Values of P2 at the nodes of cells, shape (cells, 6).
-            pressing: Whether a cell has a multiplier.
+            multiplier: lambda_+ at the vertices of cells.
             dirichlet: What boundary values add to u.
+            at_nodes: The obstacle at the nodes of cells, if samples of it are to do: faster, and no bound.
 
         Returns:
-            Cells; u - obstacle on their lattices; the amount by which u is raised there; and u - obstacle between the
-            points of the lattice.
+            Cells; u - obstacle on their lattices; the amount by which u is raised there; and `Between.contact`.
         """
         simplices, level = self.simplices, self.simplices.data.level
-        touches = self._may_touch(u, dirichlet)
+        pressing = multiplier.any(axis=1)
+        touches = self._may_touch(u, dirichlet) if at_nodes is None else self._seems_to_touch(u, at_nodes)
         near = np.flatnonzero(touches | pressing)
         needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
-        between = self._between(u, near, gap, dirichlet, touches[near], pressing[near])
+        bends = self._bends(u, near, gap, dirichlet, pressing[near]) if at_nodes is None else self._samples(gap)
+        between = bends.between(touches[near], multiplier[near])
         needed[:, near] = between.needed
         given = with_ghosts(level.V, 1.0 - self._patches.free) > 0
         beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
@@ -279,7 +329,6 @@ class LatticeObstacle:
         # where the obstacle jumps across an edge only one cell may touch; both need the same values on the edge
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
         others = np.flatnonzero((M + N + around)[simplices.dofs].any(axis=1) & ~(touches | pressing))
-        between = between.with_nothing(len(others))
         cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet)])
         of_M, of_N = (values[simplices.dofs[cells]] @ POINTS.T for values in (M, N))
         raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
@@ -288,7 +337,7 @@ class LatticeObstacle:
         cells_differ = not self._field.pointwise and len(near) > 0
         jumps = not self._field.continuous and above
         self.sampled = self._of_samples or total(level.comm, int(cells_differ or jumps)) > 0
-        return cells, gap, raised, between
+        return cells, gap, raised, np.append(between.contact, np.zeros(len(others)))
 
     def _cover(
         self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, raised: np.ndarray, dirichlet: DirichletData
@@ -344,10 +393,15 @@ class LatticeObstacle:
             return np.zeros(self._patches.owned)
         return self._patches.largest(self._patches.gather(np.repeat(heights[:, None], 3, axis=1))[0])
 
+    def _seems_to_touch(self, u: np.ndarray, at_nodes: np.ndarray) -> np.ndarray:
+        """Whether the interpolant of the obstacle is above u, or nearly, in each cell."""
+        above = _bernstein(self.sign * (at_nodes - u))
+        highest = above.max(axis=1, initial=-np.inf)
+        return highest >= -NEARLY * (highest - above.min(axis=1, initial=np.inf))
+
     def _may_touch(self, u: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
         """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
-        middles = 2 * u[:, 3:] - (u[:, :3].sum(axis=1, keepdims=True) - u[:, :3]) / 2
-        lowest = (self.sign * np.hstack([u[:, :3], middles])).min(axis=1, initial=np.inf)  # of Bernstein coefficients
+        lowest = _bernstein(self.sign * u).min(axis=1, initial=np.inf)
         found = np.zeros(len(u), dtype=bool)
         for rows, group in self._known(np.flatnonzero(self._top + dirichlet.deviation >= lowest)):
             degree, coefficient, margin = self._difference(group, u[rows])
@@ -381,28 +435,19 @@ class LatticeObstacle:
         margin = round_off((row_size(u) + row_size(known) + row_size(nodal))[:, None], 3, degree)
         return degree, self.sign * (known - nodal), margin
 
-    def _between(
-        self,
-        u: np.ndarray,
-        cells: np.ndarray,
-        gap: np.ndarray,
-        dirichlet: DirichletData,
-        may_touch: np.ndarray,
-        pressing: np.ndarray,
-    ) -> Between:
+    def _bends(
+        self, u: np.ndarray, cells: np.ndarray, gap: np.ndarray, dirichlet: DirichletData, pressing: np.ndarray
+    ) -> _Bends:
         """Bound u - obstacle between the points of the lattice.
 
         Args:
             u: Values of P2 at the nodes of all cells.
-            cells: The cells to bound it in.
+            cells: The cells to bound it in, where u may touch or has a multiplier.
             gap: u - obstacle on their lattices.
             dirichlet: What boundary values add to u.
-            may_touch: Whether the obstacle may be above u in these cells.
             pressing: Whether they have a multiplier.
         """
-        highest = -reduce(np.minimum, (gap[:, corner] for corner in SMALL.T))  # at the corners of small triangles
-        bend, mean, size = (np.zeros((len(cells), len(SMALL))) for _ in range(3))
-        at = np.flatnonzero(may_touch | pressing)
+        found, at = _Bends(gap), np.arange(len(cells))
         part = np.zeros(len(at), dtype=np.int64)
         for times, half in enumerate(HALVES):
             rough = np.ones(len(at), dtype=bool)
@@ -411,29 +456,39 @@ class LatticeObstacle:
                 groups = self._whole(cells[at])
             else:
                 groups = self._on_parts(_by_part(half.corners, part, self.simplices.x[cells[at]]), cells[at])
-            for rows, group in groups:
-                degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
-                known = 2 * group.rest[:, None]  # twice: of the datum and of its chord
-                rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
-                most, least, means = _above_chords(times, degree, coefficient)
-                place = at[rows], part[rows]
-                of_bend, of_mean, of_size, at_corners = (
-                    values.reshape(len(cells), len(half.corners), len(half.small))
-                    for values in (bend, mean, size, highest)
-                )  # views
-                above = most + rest
-                of_bend[place], of_mean[place], of_size[place] = above, rest - means, np.maximum(most, -least) + rest
-                matters = pressing[at[rows], None] | (at_corners[place] + above > 0)
-                rough[rows] = (matters & (known > np.maximum(FINE * (most - least), 2 * margin[:, None]))).any(axis=1)
+            of_bend, of_mean, of_size, at_corners = (
+                values.reshape(len(cells), len(half.corners), len(half.small))
+                for values in (found.bend, found.mean, found.size, found.highest)
+            )  # views
+            for places, whole in groups:
+                for block in blocks(len(places), MORE):
+                    rows, group = places[block], whole[block]
+                    degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
+                    known = 2 * group.rest[:, None]  # twice: of the datum and of its chord
+                    rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
+                    most, least, means = _above_chords(times, degree, coefficient)
+                    place = at[rows], part[rows]
+                    above = most + rest
+                    of_bend[place], of_mean[place] = above, rest - means
+                    of_size[place] = np.maximum(most, -least) + rest
+                    matters = pressing[at[rows], None] | (at_corners[place] + above > 0)
+                    limit = np.maximum(FINE * (most - least), 2 * margin[:, None])
+                    rough[rows] = (matters & (known > limit)).any(axis=1)
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
         place = at, part  # after the last halving each part is a small triangle
-        bend[place], mean[place], size[place] = self._bends_anew(u, cells[at], part, gap[at], dirichlet)
-        touches = may_touch[:, None] & (highest + bend > 0)
-        M = np.where(touches, np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
-        N = np.where(touches, highest + bend, 0.0).max(axis=1, initial=0.0)
-        with_M = M <= 2 * N  # M is preferred: what it adds decreases as u - obstacle grows
-        needed = np.array([np.where(with_M, M, 0.0), np.where(with_M, 0.0, N)])
-        return Between(needed, touches, mean, size)
+        found.bend[place], found.mean[place], found.size[place] = self._bends_anew(
+            u, cells[at], part, gap[at], dirichlet
+        )
+        return found
+
+    @staticmethod
+    def _samples(gap: np.ndarray) -> _Bends:
+        """The same for the interpolants of degree 4 of u - obstacle in cells with these values on the lattice."""
+        found = _Bends(gap)
+        for block in blocks(len(gap), FEW):
+            most, least, means = _above_chords(0, CLOSE, -gap[block][:, COARSE] @ FROM_COARSE)
+            found.bend[block], found.mean[block], found.size[block] = most, -means, np.maximum(most, -least)
+        return found
 
     def _bends_anew(
         self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, gap: np.ndarray, dirichlet: DirichletData
@@ -497,6 +552,7 @@ class ElementP2(Element):
     equilibration: EquilibrationP2
     dirichlet: DirichletData
     obstacles: list[LatticeObstacle]
+    has_samples = True
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
@@ -518,11 +574,11 @@ class ElementP2(Element):
         flux = equilibration.flux(u, touches_lower, touches_upper, (gaps.get(1.0), gaps.get(-1.0)))
         added, contact, reduced = self._lifted(u[equilibration.nodes], flux)
         lifted = np.flatnonzero(added.any(axis=1))
-        slopes = np.einsum("sxp,cp->csx", SLOPES, added[lifted])
+        slopes = (added[lifted] @ SLOPES.reshape(-1, len(POINTS)).T).reshape(-1, len(SMALL), 2)
         moved, product = np.zeros(len(area)), np.zeros(len(area))
         moved[lifted] = self._energy_on_lattice(slopes, lifted)
         difference = flux.moments - equilibration.membrane(u)
-        means = np.einsum("sxi,ci->csx", MEANS, difference[lifted])
+        means = (difference[lifted] @ MEANS.reshape(-1, 8).T).reshape(slopes.shape)
         product[lifted] = np.einsum("csx,csx->c", slopes, means) / (2 * len(SMALL))
         distance = self._distance(u, flux, difference)
         of_v = np.where(self.tension.varies, (np.sqrt(distance) + np.sqrt(moved)) ** 2, distance - 2 * product + moved)
@@ -563,20 +619,17 @@ class ElementP2(Element):
             least = at_vertices.min(axis=1)
             kept = np.where(least < 0, mean / np.maximum(mean - least, 1e-300), 1.0)
             reduced += (1 - kept) * np.sqrt(area / 3 * ((pressure - mean[:, None]) ** 2).sum(axis=1))
-            cells, gap, raised, between = side.above(nodal, pressure.any(axis=1), self.dirichlet)
+            at_nodes = side.nodal(self.problem.data)[self.equilibration.nodes] if self.sampled else None
+            positive = np.maximum(mean[:, None] + kept[:, None] * (at_vertices - mean[:, None]), 0.0)
+            cells, gap, raised, between = side.above(nodal, positive, self.dirichlet, at_nodes)
             lift = np.maximum(raised, 0.0)
             added[cells] += side.sign * lift
-            positive = mean[:, None] + kept[:, None] * (at_vertices - mean[:, None])
             weight = np.maximum(positive[cells] @ POINTS.T, 0.0)
             # int lambda_+ (v - obstacle), v - obstacle is linear on the small triangles up to `between`
             products = np.einsum("cp,cp->c", weight @ PRODUCTS, gap + lift)
-            # and |lambda_+ - its mean| is at most its range
-            corners = [weight[:, corner] for corner in SMALL.T]
-            width = reduce(np.maximum, corners) - reduce(np.minimum, corners)
-            products += np.einsum("cs,cs->c", reduce(np.add, corners) / 3, between.mean)
-            products += np.einsum("cs,cs->c", width, between.size)
+            products += between
             contact[cells] += area[cells] / len(SMALL) * np.where(weight.any(axis=1), products, 0.0)
-            contact += np.maximum(positive.max(axis=1, initial=0.0), 0.0) * side.cover_volume
+            contact += positive.max(axis=1, initial=0.0) * side.cover_volume
         return added, contact, reduced
 
     def _energy_on_lattice(self, slopes: np.ndarray, cells: np.ndarray) -> np.ndarray:

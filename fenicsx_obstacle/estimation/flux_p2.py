@@ -146,7 +146,7 @@ class EquilibrationP2:
         simplices, patches = self.simplices, self.patches
         area, gradient = simplices.area, self.gradients(u)
         slopes = np.einsum("xck,xca->cak", gradient, simplices.normal) / (2 * area)[:, None, None]  # grad psi_a at k
-        K = np.einsum("cak,ckj->caj", slopes, self._mu_products)  # int mu grad u . grad psi_a psi_j
+        K = slopes @ self._mu_products  # int mu grad u . grad psi_a psi_j
         lower, upper = (
             self._in_cells(values, gap)
             for values, gap in zip(self._multipliers(K, touches_lower, touches_upper), gaps, strict=True)

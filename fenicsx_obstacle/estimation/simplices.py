@@ -139,8 +139,9 @@ class Simplices:
             w = where[None] if where.ndim == 2 else where[block]
             corners = self.x[cells[block]]
             # term by term: two cells have the same point of their edge to the last digit, which a datum that jumps sees
-            inside = sum(w[..., k, None] * corners[:, None, k] for k in range(self.dim + 1))
-            x[: self.dim] = inside.reshape(-1, self.dim).T
+            for axis in range(self.dim):
+                terms = (w[..., k] * corners[:, None, k, axis] for k in range(self.dim + 1))
+                x[axis] = reduce(np.add, terms).ravel()
             found[block] = here.at(x, names, np.repeat(cells[block], where.shape[-2])).reshape(-1, where.shape[-2])
         return found
 

@@ -43,6 +43,47 @@ class Cut:
     parents: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class OnNodes:
+    """A solution on P1 simplices whose nodes are the dofs of V_h: no mesh is made of them.
+
+    Attributes:
+        level: With V_h.
+        nodes: Local dofs of each owned cell, in DOLFINx's order.
+        cells: Local dofs of each owned simplex.
+        fields: Values at local dofs.
+    """
+
+    level: Level
+    nodes: np.ndarray
+    cells: np.ndarray
+    fields: dict[str, np.ndarray]
+
+    def global_(self, dofs: np.ndarray) -> np.ndarray:
+        """Global numbers of local dofs."""
+        found = self.level.V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel())
+        return np.asarray(found, dtype=np.int64).reshape(dofs.shape)
+
+
+def on_nodes(solution: Solution) -> OnNodes | None:
+    """A scalar solution on simplices; None where these need other nodes than the dofs of V_h (collective)."""
+    level = solution.level
+    if level.scalar is not level or not level.pair.nodal:
+        return None
+    V, own = level.V, own_cells(level.mesh)
+    dofs = releases.cell_dofs(V)[:own]
+    pieces = np.arange(dofs.shape[1])[None] if level.pair.nested_hierarchy else _lattice(V, releases.cell_name(V.mesh))
+
+    def nodal(function: fem.Function) -> np.ndarray:
+        space = function.function_space
+        if space == V:
+            return function.x.array.real
+        return _means(level, function.x.array[releases.cell_dofs(space)[:own]] @ at_nodes(level).T).real
+
+    fields = {name: nodal(function) for name, function in solution.functions().items()}
+    return OnNodes(level, dofs, dofs[:, pieces].reshape(-1, pieces.shape[1]), fields)
+
+
 def cut(solution: Solution) -> Cut:
     """Cut the cells of a solution of another element (collective)."""
     level = solution.level.scalar
@@ -86,14 +127,19 @@ def cut(solution: Solution) -> Cut:
 
 
 def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
-    """At each node the mean of what the owned cells beside it say, shape as `values` (cells, nodes) (collective)."""
+    """At each node the mean of what the cells beside it say, shape as `values` (cells, nodes) (collective)."""
+    return _means(level, values)[releases.cell_dofs(level.V)[: len(values)]]
+
+
+def _means(level: Level, values: np.ndarray) -> np.ndarray:
+    """The same at local nodes."""
     dofs = releases.cell_dofs(level.V)[: len(values)].ravel()
     sums, counts = fem.Function(level.V), fem.Function(level.V)
     for function, part in ((sums, values.ravel()), (counts, np.ones(values.size))):
         function.x.array[:] = np.bincount(dofs, part, len(function.x.array))
         releases.add_ghosts(function)
         function.x.scatter_forward()
-    return (sums.x.array / counts.x.array)[dofs].reshape(values.shape)
+    return sums.x.array / counts.x.array
 
 
 def _fan(dim: int) -> np.ndarray:

@@ -35,18 +35,22 @@ _VERTICES = {"interval": 2, "triangle": 3, "quadrilateral": 4, "tetrahedron": 4,
 Arrays = Mapping[str, np.ndarray]
 
 
-def element_of(solution: Solution) -> dict[str, Rows]:
+def element_of(solution: Solution, nodes: np.ndarray | None) -> dict[str, Rows]:
     """The data from which the element of a solution is restored; empty for P1 simplices (collective).
+
+    Args:
+        solution: The solution.
+        nodes: Rows of the nodal values of each owned cell in the order of its dofs; None for P1 simplices.
 
     Returns:
         `cells`, for each cell the rows of the nodal values in the order of its dofs; and by its name each field of Q_h
         that is not nodal, shape (cells, dofs of a cell).
     """
     level = solution.level.scalar
-    if level.pair.nested_hierarchy:
+    if nodes is None:
         return {}
     own = own_cells(level.mesh)
-    parts = {"cells": solution.cut.nodes}
+    parts = {"cells": nodes}
     for name, function in {**solution.functions(), **solution.by_cell()}.items():
         space = function.function_space
         if space != level.V:

@@ -20,6 +20,7 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, pairs
+from fenicsx_obstacle.io.cut import on_nodes
 from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
 from fenicsx_obstacle.io.paraview import FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
@@ -55,10 +56,11 @@ def save(solution: Solution, folder: Path) -> None:
     """
     level = solution.level.scalar
     comm, nests = level.comm, level.pair.nested_hierarchy
-    mesh = {name: Rows.of(comm, values) for name, values in _own(solution).items()}
-    element = element_of(solution)
+    own, nodes = _own(solution), None if nests else _nodes(solution)
+    mesh = {name: Rows.of(comm, values) for name, values in own.items()}
+    element = element_of(solution, nodes)
     # cut cells are none of the mesh: its parts go with the true ones
-    parts = parts_of(level, _cells(level) if nests else solution.cut.nodes)
+    parts = parts_of(level, _cells(level) if nodes is None else nodes)
     further = solution.files(folder, mesh, element, parts)
     place = "" if nests else "element/"
     rows = {**mesh, **{f"element/{name}": values for name, values in element.items()}}
@@ -227,8 +229,25 @@ def _gathered(comm: MPI.Comm, own: Mapping[str, np.ndarray]) -> dict[str, np.nda
     return {name: values for name, values in found.items() if values is not None}
 
 
+def points_of(solution: Solution) -> np.ndarray | None:
+    """Coordinates of the nodes of all ranks in the order of `gather`, on rank 0; None elsewhere (collective)."""
+    level = solution.level if on_nodes(solution) is not None else solution.plain.level.scalar
+    return gathered(level.comm, level.points.T[: level.owned])
+
+
+def _nodes(solution: Solution) -> np.ndarray:
+    """Rows of the files that belong to the dofs of each owned cell (collective)."""
+    shown = on_nodes(solution)
+    return solution.cut.nodes if shown is None else shown.global_(shown.nodes)
+
+
 def _own(solution: Solution) -> dict[str, np.ndarray]:
     """Points, cells and fields that this rank owns, on P1 simplices; cells by global dofs (collective)."""
+    shown = on_nodes(solution)
+    if shown is not None:
+        level = shown.level
+        fields = solution.with_gap({name: values[: level.owned] for name, values in shown.fields.items()})
+        return {"points": level.points.T[: level.owned], "cells": shown.global_(shown.cells), **fields}
     solution = solution.plain
     level = solution.level.scalar
     return {"points": level.points.T[: level.owned], "cells": _cells(level), **solution.arrays()}

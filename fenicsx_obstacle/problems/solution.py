@@ -326,7 +326,11 @@ class Solution:
     def arrays(self) -> dict[str, np.ndarray]:
         """The fields on P1 simplices at owned nodes, as files and pictures have them (local)."""
         owned = self.level.owned
-        own = {name: function.x.array[:owned].real for name, function in self.functions().items()}
+        return self.with_gap({name: function.x.array[:owned].real for name, function in self.functions().items()})
+
+    @staticmethod
+    def with_gap(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Fields at owned nodes, and with them the distance of u to the nearest obstacle (local)."""
         gaps = [sign * (own[name] - own["u"]) for name, sign in (("lower", -1), ("upper", 1)) if name in own]
         if gaps:
             own["gap"] = gaps[0] if len(gaps) == 1 else np.minimum(*gaps)

@@ -66,6 +66,8 @@ class AdaptiveMesh:
         eps: Penalty parameter, in units of u/p; None for the variational inequality.
         seconds: Wall-clock time from the start of the solve.
         memory_mb: Peak memory of all ranks until then, in MB.
+        sampled: Whether total is an estimate from samples of the obstacles, as far from the tolerance no bound is
+            needed.
     """
 
     dofs: int
@@ -74,6 +76,7 @@ class AdaptiveMesh:
     eps: float | None
     seconds: float
     memory_mb: float
+    sampled: bool = False
 
 
 @dataclass(frozen=True)

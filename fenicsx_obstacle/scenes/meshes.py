@@ -35,13 +35,20 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     return of_pair(level, pair)
 
 
-def coarsest(scene: Scene, comm: MPI.Comm) -> Level:
-    """The level that `build` begins with (collective).
+def coarsest(scene: Scene, comm: MPI.Comm, unknowns: float = 0) -> Level:
+    """The level that `build` begins with, or a finer one of those that it makes (collective).
+
+    Args:
+        scene: With the mesh.
+        comm: Communicator; not used if the scene has a DOLFINx mesh.
+        unknowns: A level with fewer is refined once more, where `build` would refine it.
 
     Raises:
         InputError: As `build`.
     """
-    level, _ = _begin(scene, comm)
+    level, refine = _begin(scene, comm)
+    while refine and level.dofs * scene.pair.degree**level.mesh.topology.dim < unknowns:
+        level, refine = refined(level), refine - 1
     return of_pair(level, scene.pair)
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.io.cut import OnNodes, on_nodes
 from fenicsx_obstacle.parallel import gathered, largest, on_root, write_text
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.show.boundary import RINGS, SIDES, Patch, free_boundary, gap, pressed, with_levels
@@ -26,17 +25,16 @@ def write_free_boundary(solution: Solution, path: Path) -> None:
 
 def near_free_boundary(solution: Solution) -> Patch | None:
     """The cells within `RINGS` of a free boundary with their levels, on rank 0; None elsewhere (collective)."""
-    plain = solution.plain
-    level, owned = plain.level, plain.level.owned
-    fields = {name: function.x.array.real for name, function in plain.functions().items()}
+    shown = on_nodes(solution) or on_nodes(solution.plain)
+    assert shown is not None  # plain has the nodes of P1
+    level, owned, fields = shown.level, shown.level.owned, shown.fields
     sides = [side for side in SIDES if side in fields]
     gaps = {side: max(0.0, largest(level.comm, gap(fields, side)[:owned])) for side in sides}
-    near, nodes = _near(level, [pressed(fields, side) for side in sides])
+    near, nodes = _near(shown, [pressed(fields, side) for side in sides])
     rows = np.flatnonzero(nodes[:owned])
-    numbering, cells = level.V.dofmap.index_map, releases.cell_dofs(level.V)[: own_cells(level.mesh)][near]
     parts: dict[str, np.ndarray] = {
-        "numbers": np.asarray(numbering.local_to_global(rows.astype(np.int32)), dtype=np.int64),
-        "cells": np.asarray(numbering.local_to_global(cells.ravel())).reshape(cells.shape),
+        "numbers": shown.global_(rows),
+        "cells": shown.global_(shown.cells[near]),
         "points": level.points.T[rows],
         **{name: fields[name][rows] for name in ("u", "pressure", "contact", *sides)},
     }
@@ -49,14 +47,14 @@ def near_free_boundary(solution: Solution) -> Patch | None:
     return with_levels(Patch(whole.pop("points"), renumbered, whole), gaps)
 
 
-def _near(level: Level, touching: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Whether each owned cell, and each local node of these, is near the edge of a set of nodes (collective).
+def _near(shown: OnNodes, touching: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each owned simplex, and each local node of these, is near the edge of a set of nodes (collective).
 
     Args:
-        level: A mesh of simplices with P1.
+        shown: The simplices.
         touching: Sets of local nodes, ghosts included.
     """
-    cells = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
+    level, cells = shown.level, shown.cells
     near = np.zeros(len(cells), dtype=bool)
     for nodes in touching:
         inside = [nodes[corner] for corner in cells.T]

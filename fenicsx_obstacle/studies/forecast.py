@@ -98,6 +98,7 @@ def forecast(
         NotConverged: With PETSc's reason.
     """
     run = adaptation(scene, tol, tol_absolute, goal=goal, comm=comm)
+    run.estimates = False  # the time for a bound is to be known
     with closing(run.meshes()) as meshes:
         for context, answer in meshes:
             stopped = run.finished(answer)
