@@ -147,15 +147,20 @@ def compiled_with(form_options: Mapping[str, Any] | None, jit_options: Mapping[s
         _compiler_options = before
 
 
-def form(expression: ufl.Form) -> Any:
+def form(expression: ufl.Form, *, reordered: bool = False) -> Any:
     """Compile a form (collective).
+
+    Args:
+        expression: In UFL.
+        reordered: Whether the compiler may change the order of sums and products, and with it their last digits: it
+            then computes several points at once.
 
     A process killed while compiling leaves a source without its library, on which FFCx waits
     until it gives up: such files are removed, and the compilation is tried once more.
     """
     _remove_old_stale_sources()
     form_options, jit_options = _compiler_options
-    options = {"jit_params" if OLD else "jit_options": _with_inline_roots(jit_options)}
+    options = {"jit_params" if OLD else "jit_options": _with_flags(jit_options, reordered)}
     options["form_compiler_params" if OLD else "form_compiler_options"] = form_options
     try:
         return fem.form(expression, **options)
@@ -166,11 +171,16 @@ def form(expression: ufl.Form) -> Any:
     return fem.form(expression, **options)
 
 
-def _with_inline_roots(jit_options: Mapping[str, Any]) -> dict[str, Any]:
+def _with_flags(jit_options: Mapping[str, Any], reordered: bool) -> dict[str, Any]:
     """Options by which the compiler writes a square root as one instruction, which gives the same number: otherwise it
     calls a function that sets errno, which nobody reads. Integrals of formulas take a third of the time less."""
     found = (jit.get_parameters if OLD else jit.get_options)({"timeout": JIT_WAIT, **jit_options})
-    return {**found, "cffi_extra_compile_args": [*found["cffi_extra_compile_args"], "-fno-math-errno"]}
+    flags = [*found["cffi_extra_compile_args"], "-fno-math-errno", *(_REORDER if reordered else ())]
+    return {**found, "cffi_extra_compile_args": flags}
+
+
+# what -ffast-math allows, except for numbers that are not finite
+_REORDER = ("-O3", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math", "-freciprocal-math")
 
 
 @cache
@@ -197,9 +207,15 @@ def free(comms: Iterable[MPI.Comm]) -> None:
         PETSc.garbage_cleanup(PETSc.Comm(comm))
 
 
-def create_vector(linear: Any, V: fem.FunctionSpace) -> PETSc.Vec:
-    """Ghosted vector for a compiled linear form on V (collective)."""
-    return fem.petsc.create_vector(V if NEW else linear)
+def create_vector(V: fem.FunctionSpace) -> PETSc.Vec:
+    """Ghosted vector on V (collective).
+
+    It belongs to the communicator of the mesh, which `free` is given. Those that DOLFINx makes belong to another one,
+    that of the dofs, which Python does not see.
+    """
+    dofs, size = V.dofmap.index_map, V.dofmap.index_map_bs
+    ghosts, sizes = np.asarray(dofs.ghosts, dtype=PETSc.IntType), (dofs.size_local * size, dofs.size_global * size)
+    return PETSc.Vec().createGhost(ghosts, sizes, bsize=size, comm=V.mesh.comm)
 
 
 def set_values(values: np.ndarray, bcs: Iterable[Any]) -> None:

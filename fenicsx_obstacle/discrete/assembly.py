@@ -87,7 +87,12 @@ class Forms:
 
     def vector(self) -> PETSc.Vec:
         """A new vector, ghosted."""
-        return releases.vec(self.w).copy()
+        return self._blank.duplicate()
+
+    @cached_property
+    def _blank(self) -> PETSc.Vec:
+        """What new vectors are made like: they share its table of ghosts."""
+        return releases.create_vector(self.w.function_space)
 
     def _terms(self, u: Any) -> ufl.Form:
         """a(u, v) - f(v)."""
@@ -111,7 +116,7 @@ class Forms:
     def _integrals(self, linear: Any, V: fem.FunctionSpace) -> np.ndarray:
         """A linear form at owned dofs of V."""
         form = releases.form(linear)
-        out = releases.create_vector(form, V)
+        out = releases.create_vector(V)
         self._assemble(out, form)
         values = out.array.copy()
         out.destroy()

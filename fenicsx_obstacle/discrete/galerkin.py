@@ -72,6 +72,9 @@ class GalerkinForms(Nodal):
         self._load()
         self._D = _weights(finer.weights(), transfer, thin=data.thin)
 
+    def vector(self) -> PETSc.Vec:
+        return self.stiffness.createVecLeft()
+
     def _load(self) -> None:
         self._minus_load.array[:] = self._transfer.restrict(self._finer._minus_load.array_r)
 

@@ -235,28 +235,30 @@ def _halved(grid: Grid, edges: Edges, project: Project | None) -> tuple[Grid, _P
     number.values[vertex] = grid.number.moved(number.first)
     number.values[middle] = edges.number.moved(number.first + grid.number.per_rank)
     nodes, choices = np.hstack([vertex[grid.cells], middle[edges.of_cells]]), CHILDREN[dim]
+    place = _by_appearance(nodes, number)
+    nodes, places = place[nodes], _Places(place[vertex], place[middle])
     if len(choices) == 1:
-        cells, corners = nodes[:, choices[0].ravel()], np.tile(choices[0], (len(nodes), 1))
+        cells, corners = np.empty((len(nodes), choices[0].size), dtype=np.int32), np.tile(choices[0], (len(nodes), 1))
+        for column, node in enumerate(choices[0].ravel()):
+            cells[:, column] = nodes[:, node]
     else:
         chosen = choices[_inner_diagonal(grid.points[grid.cells])]
         cells = np.take_along_axis(nodes, chosen.reshape(len(nodes), -1).astype(int), axis=1)
         corners = chosen.reshape(-1, dim + 1)
-    cells, place = cells.reshape(-1, dim + 1), _by_appearance(cells, number)
-    places = _Places(place[vertex], place[middle])
     middles = (grid.points[edges.ends[:, 0]] + grid.points[edges.ends[:, 1]]) / 2
     if project is not None:
         middles[edges.outer] = project(middles[edges.outer])
     points, ends = np.empty((len(place), grid.points.shape[1])), np.empty((len(place), 2), dtype=np.int32)
     points[places.vertex], points[places.middle] = grid.points, middles
     ends[places.vertex], ends[places.middle] = np.arange(len(vertex), dtype=np.int32)[:, None], edges.ends
-    return Grid(grid.comm, points, place[cells], _renumbered(grid.comm, number, place), corners, ends), places
+    number = _renumbered(grid.comm, number, place)
+    return Grid(grid.comm, points, cells.reshape(-1, dim + 1), number, corners, ends), places
 
 
-def _by_appearance(cells: np.ndarray, number: Numbers) -> np.ndarray:
+def _by_appearance(nodes: np.ndarray, number: Numbers) -> np.ndarray:
     """New local numbers, in which owned vertices have the order in which cells name them: memory is read in order."""
-    corners = cells.ravel()
-    first = np.empty(len(number.values), dtype=np.int32)
-    first[corners[::-1]] = np.arange(len(corners) - 1, -1, -1, dtype=np.int32)
+    named, first = nodes.ravel(), np.empty(len(number.values), dtype=np.int32)
+    first[named[::-1]] = np.arange(len(named) - 1, -1, -1, dtype=np.int32)
     place = np.arange(len(number.values), dtype=np.int32)
     place[np.argsort(first[: number.owned], kind="stable")] = place[: number.owned].copy()
     return place

@@ -267,7 +267,9 @@ class Problem:
 
     def state(self) -> PETSc.Vec:
         """A vector for the solver, holding w."""
-        return releases.vec(self.w).copy()
+        x = self.forms.vector()
+        x.array[:] = self.w.x.array[: self.level.owned]
+        return x
 
     def set_state(self, x: PETSc.Vec) -> None:
         """Set w to x, ghosts included."""

@@ -149,7 +149,7 @@ class Integrals:
         v = ufl.TestFunction(self._space)
         parts = [part.reconstruct(integrand=part.integrand() * v[k])
                  for k, form in enumerate(integrals.values()) for part in form.integrals()]  # fmt: skip
-        self._form = releases.form(ufl.Form(parts))
+        self._form = releases.form(ufl.Form(parts), reordered=True)
 
     def values(self) -> dict[str, float]:
         """The integrals by name (collective)."""
@@ -253,7 +253,7 @@ class DualNorm:
         self._H = fem.petsc.create_matrix(riesz)
         fem.petsc.assemble_matrix(self._H, riesz, [bc])
         self._H.assemble()
-        self._b = releases.create_vector(self._error, richer)
+        self._b = releases.create_vector(richer)
         self._ksp = PETSc.KSP().create(level.comm)
         self._ksp.setOperators(self._H)
         self._ksp.setType("cg")

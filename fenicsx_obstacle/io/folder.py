@@ -60,7 +60,7 @@ def save(solution: Solution, folder: Path) -> None:
     mesh = {name: Rows.of(comm, values) for name, values in own.items()}
     element = element_of(solution, nodes)
     # cut cells are none of the mesh: its parts go with the true ones
-    parts = parts_of(level, _cells(level) if nodes is None else nodes)
+    parts = parts_of(level, own["cells"] if nodes is None else nodes)
     further = solution.files(folder, mesh, element, parts)
     place = "" if nests else "element/"
     rows = {**mesh, **{f"element/{name}": values for name, values in element.items()}}
@@ -254,10 +254,12 @@ def _own(solution: Solution) -> dict[str, np.ndarray]:
 
 
 def _cells(level: Level) -> np.ndarray:
-    """Global dofs of V_h in each owned cell."""
+    """Global dofs of V_h in each owned cell, in 32 bits where their number allows it."""
     dofs = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
-    found = level.V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel())
-    return np.asarray(found).reshape(dofs.shape)
+    if level.comm.size == 1:
+        return dofs
+    found = np.asarray(level.V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel()))
+    return found.astype(np.int32 if level.dofs <= np.iinfo(np.int32).max else np.int64).reshape(dofs.shape)
 
 
 def history_csv(steps: tuple[Step, ...]) -> bytes:

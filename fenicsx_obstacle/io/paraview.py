@@ -89,7 +89,8 @@ def _mesh(file: str, points: Array, cells: Array, cell: str) -> str:
     shape, (count, gdim) = " ".join(map(str, cells.shape)), points.shape
     return (
         f'<Topology TopologyType="{_TOPOLOGY[cell]}" NumberOfElements="{cells.shape[0]}" '
-        f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" Precision="8" '
+        f'NodesPerElement="{cells.shape[1]}"><DataItem Dimensions="{shape}" NumberType="Int" '
+        f'Precision="{cells.dtype.itemsize}" '
         f'Format="HDF">{file}:/cells</DataItem></Topology>\n'
         f'<Geometry GeometryType="{"XYZ"[:gdim]}"><DataItem Dimensions="{count} {gdim}" NumberType="Float" '
         f'Precision="8" Format="HDF">{file}:/points</DataItem></Geometry>\n'

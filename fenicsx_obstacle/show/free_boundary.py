@@ -55,9 +55,10 @@ def _near(shown: OnNodes, touching: list[np.ndarray]) -> tuple[np.ndarray, np.nd
         touching: Sets of local nodes, ghosts included.
     """
     level, cells = shown.level, shown.cells
+    corners = cells.T.astype(np.intp)  # once: indices of another type are converted in each use
     near = np.zeros(len(cells), dtype=bool)
     for nodes in touching:
-        inside = [nodes[corner] for corner in cells.T]
+        inside = [nodes[corner] for corner in corners]
         near |= np.logical_or.reduce(inside) & ~np.logical_and.reduce(inside)
     marked = fem.Function(level.V)
     for _ in range(RINGS + 1):  # cells of nodes that are told to touch lie beside the edge
@@ -66,7 +67,7 @@ def _near(shown: OnNodes, touching: list[np.ndarray]) -> tuple[np.ndarray, np.nd
         releases.add_ghosts(marked)
         marked.x.scatter_forward()
         nodes = marked.x.array > 0
-        near = np.logical_or.reduce([nodes[corner] for corner in cells.T])
+        near = np.logical_or.reduce([nodes[corner] for corner in corners])
     marked.x.array[:] = 0.0
     marked.x.array[cells[near]] = 1.0
     releases.add_ghosts(marked)

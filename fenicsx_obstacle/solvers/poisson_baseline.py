@@ -41,7 +41,7 @@ def _once(level: Level, a: object, f: object, bc: object, clock: Callable[[], fl
     A = fem.petsc.create_matrix(a)
     fem.petsc.assemble_matrix(A, a, [bc])
     A.assemble()
-    b = releases.create_vector(f, level.V)
+    b = releases.create_vector(level.V)
     fem.petsc.assemble_vector(b, f)
     b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     fem.petsc.set_bc(b, [bc])
