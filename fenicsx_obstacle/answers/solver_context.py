@@ -164,7 +164,7 @@ class SolverContext:
     def forget_levels(self) -> None:
         """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""
         self._grids = self._problems = None
-        releases.free(level.comm for level in self.problem.level.downward)
+        releases.free(level.comm for level in self.problem.level.with_meshes)
         return_freed_memory()
 
     def answer(
@@ -342,7 +342,7 @@ class SolverContext:
         if self._grids is None or (on_meshes and not self._on_meshes):
             start = time.perf_counter()
             self._grids, self._on_meshes = multigrid.chain(hierarchy(self.problem, on_meshes=on_meshes)), on_meshes
-            for level in self.problem.level.downward:
+            for level in self.problem.level.with_meshes:
                 level.forget_points()
             self.setup_seconds += time.perf_counter() - start
         return self._grids
@@ -412,7 +412,7 @@ def _with_errors(answer: Answer, exact: Exact) -> Answer:
 def close(benches: Sequence[SolverContext]) -> None:
     """Free the matrices and solvers of solver contexts; answers stay (collective)."""
     meshes = [
-        level for context in benches for level in context.problem.level.downward
+        level for context in benches for level in context.problem.level.with_meshes
     ]  # communicators live until the end
     for context in benches:
         context._free()

@@ -223,6 +223,12 @@ class Level:
         """This level and all below it."""
         return [self, *([] if self.coarse is None else self.coarse.downward)]
 
+    @property
+    def with_meshes(self) -> list[Level]:
+        """This level and all below it, those of `on_meshes` where these were made."""
+        found: Level = self.__dict__.get("on_meshes", self)
+        return found.downward
+
     @cached_property
     def W(self) -> fem.FunctionSpace:
         """Tension and load: one value per cell, or polynomials as rich as V_h (first use is collective)."""
