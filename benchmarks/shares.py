@@ -27,10 +27,11 @@ SHARES = {
     "spaces, prolongations": ("parents.py:ends_of", "parents.py:prolongation", "releases.py:functionspace"),
     "create matrices": ("assembly.py:create_matrix",),
     "assemble matrices": ("petsc.py:_assemble_matrix_mat",),
+    "Galerkin products": ("~:<method 'ptap' of 'petsc4py.PETSc.Mat' objects>",),
     "assemble vectors": ("assembly.py:_assemble",),
     "sample data": ("data.py:fixed", "data.py:lower", "data.py:upper", "data.py:cellwise"),
     "interpolate, relax": ("nested.py:begin_from", "relaxation.py:relax"),
-    "springs of the levels": ("multigrid.py:hold",),
+    "penalty diagonals": ("multigrid.py:truncate",),
     "residuals": ("problem.py:residual",),
     "stopping test": ("stopping.py:__call__",),
 }

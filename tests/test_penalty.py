@@ -20,7 +20,7 @@ def space():
 
 def assembled(form, V):
     compiled = releases.form(form)
-    b = releases.create_vector(compiled, V)
+    b = releases.create_vector(V)
     with b.localForm() as local:
         local.set(0.0)
     fem.petsc.assemble_vector(b, compiled)
