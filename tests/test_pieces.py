@@ -81,9 +81,13 @@ def test_polynomials_are_near_on_each_part(data, text, x, seed):
 
 def test_lines_through_a_corner_leave_nothing_empty(data):
     """A condition that changes along a line through a vertex cuts in two parts; none is of measure 0."""
-    found = pieces(data, "where(x > 0, 0, 1)", np.array([[(0.0, 0.0), (0.562, 0.0), (-1.5, 1.0)]]))
-    shares = np.concatenate([group.share for group in found.groups])
-    assert len(shares) == 2 and shares.min() > 0.2
+    corners = {
+        "where(x > 0, 0, 1)": [(0.0, 0.0), (0.562, 0.0), (-1.5, 1.0)],
+        "where(x < y, 0, 1)": [(-2.0, 0.0), (0.0, -0.562), (1.5, 1.5)],  # where the vertex is only nearly on it
+    }
+    for text, cell in corners.items():
+        shares = np.concatenate([group.share for group in pieces(data, text, np.array([cell])).groups])
+        assert len(shares) == 2 and shares.min() > 0.2
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 
 CLOSE = 1e-12  # of the range of a linear function over a part: where it is so near a level, it is there
+EMPTY = 1e-14  # share of a part that is round-off
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,7 @@ class Parts:
         whole = np.broadcast_to(np.eye(self.size), (len(kept), self.size, self.size))
         weights = np.concatenate([whole, *(part for _, part in found)])
         share = np.concatenate([np.ones(len(kept)), *(np.abs(np.linalg.det(part)) for _, part in found)])
-        filled = share > 0  # where a line runs through a corner some have none
+        filled = share > EMPTY  # where a line runs through a corner some have none, or only round-off
         source, weights, share = source[filled], weights[filled], share[filled]
         parts = self._replaced(source, weights @ self.x[source], weights @ self._inside[source], share)
         return parts, (weights @ values[source][..., None])[..., 0], np.abs(levels[source])
