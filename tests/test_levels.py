@@ -9,6 +9,7 @@ from dolfinx.fem import petsc  # noqa: F401
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.discrete import levels
+from fenicsx_obstacle.discrete.cells import corners, facet_vertices, sides
 from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.parallel import gathered, largest, on_root, total
 from fenicsx_obstacle.scenes import meshes
@@ -150,6 +151,20 @@ def test_gmsh_names(folder):
     assert solve(scene).record["errors"]["max"] < 1e-9
     with pytest.raises(InputError, match="no part named 'flor'; did you mean 'floor'"):
         solve(scene.change({"boundary": [{"on": "flor", "value": 0}]}))
+
+
+def test_parts_of_a_file_halved_several_times(folder):
+    """Named parts of the boundary keep their length, materials their cells."""
+    on_root(COMM, gmsh_square, folder / "square.msh")
+    coarse, fine = (build({"file": str(folder / "square.msh"), "refine": refine}) for refine in (0, 3))
+    assert len(fine.grids) == 2
+    for name, length in (("floor", 1.0), ("rest", 3.0)):
+        cells, numbers, share = sides(fine.mesh, fine.facets[name])
+        ends = corners(fine.mesh)[cells[:, None], np.array(facet_vertices(2))[numbers]]
+        assert np.isclose(total(COMM, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * share), length)
+    assert fine.groups.keys() == coarse.groups.keys()
+    for name, cells in coarse.groups.items():
+        assert total(COMM, len(fine.groups[name])) == 64 * total(COMM, len(cells)) > 0
 
 
 def test_broken_mesh_files(folder):
