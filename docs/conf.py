@@ -51,7 +51,7 @@ myst_enable_extensions = ["dollarmath"]
 nitpicky = True  # names of this package must exist; names of other packages are not checked
 nitpick_ignore_regex = [
     ("py:.*", r"(?!fenicsx_obstacle\.).*"),
-    ("py:class", r".*\.(Name|Result|Sampled|T|_PartTable)"),  # type variables, a private base class
+    ("py:class", r".*\.(Name|Result|Sampled|T|Value|_PartTable)"),  # type variables, a private base class
 ]
 suppress_warnings = ["ref.python"]  # two modules may have a Row or a Distance of their own
 
