@@ -150,13 +150,13 @@ def compiled_with(form_options: Mapping[str, Any] | None, jit_options: Mapping[s
 def form(expression: ufl.Form, *, reordered: bool = False) -> Any:
     """Compile a form (collective).
 
+    A process killed while compiling leaves a source without its library, on which FFCx waits
+    until it gives up: such files are removed, and the compilation is tried once more.
+
     Args:
         expression: In UFL.
         reordered: Whether the compiler may change the order of sums and products, and with it their last digits: it
             then computes several points at once.
-
-    A process killed while compiling leaves a source without its library, on which FFCx waits
-    until it gives up: such files are removed, and the compilation is tried once more.
     """
     _remove_old_stale_sources()
     form_options, jit_options = _compiler_options

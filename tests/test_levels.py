@@ -5,7 +5,6 @@ import pytest
 import ufl
 from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
-from dolfinx.fem import petsc  # noqa: F401
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.discrete import levels

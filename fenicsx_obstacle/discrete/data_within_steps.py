@@ -12,7 +12,7 @@ such bounds are sampled within the step.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.time_discretization import NO_STEP
 from fenicsx_obstacle.effects.field import Field, Names, TimeBounds
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.parallel import first_given, largest, smallest
 
 BLOCK = 30_000  # points that are bounded together
 PIECES = 32  # intervals of t per point, on average, before bounds are given up
@@ -129,7 +129,7 @@ class DataWithinSteps:
         search = _Search(field, one.x, names, (start, end), ends, limits, allowed)
         if (found := search.by_bounds(NO_STEP * data.model.time.end)) is None and search.unknown:
             found = search.by_samples(data.model.time.step)
-        first = next((each for each in comm.allgather(found) if each is not None), None)
+        first = first_given(comm, found)
         if first is not None:
             self._remember(one, first[1])
             return Excess(str(one.field), *first)
@@ -314,8 +314,8 @@ def _moving(data: Data) -> Iterator[_Moving]:
     in_cells, at_nodes, on_parts = data.sampled
     for field in in_cells:
         kind = LOAD if any(field is load for load in loads) else OTHER
-        parts: Mapping[str | None, Field] = field.parts or {None: field}  # type: ignore[assignment]
-        for name, part in parts.items():
+        parts: list[tuple[str | None, Field]] = [*field.parts.items()] if field.parts else [(None, field)]
+        for name, part in parts:
             if part.moves:
                 yield from _at(part, kind, of_cells if name is None else of_cells[:, level.indicator(name)])
     for field in at_nodes:

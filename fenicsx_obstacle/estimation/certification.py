@@ -12,7 +12,7 @@ from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import first_given, total
 
 
 class Obstacle(Protocol):
@@ -125,5 +125,5 @@ class Hypotheses:
     def _first(self, point: np.ndarray | None) -> str:
         """The first point that a rank has, in words (collective)."""
         data = self._simplices.data
-        found = next((one for one in data.level.comm.allgather(point) if one is not None), None)
+        found = first_given(data.level.comm, point)
         return "" if found is None else data.place(found)

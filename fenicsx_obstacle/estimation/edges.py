@@ -18,7 +18,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import first_given, largest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
 WIDER = 64  # and so many times farther from it
@@ -296,7 +296,7 @@ def cut_parts(simplices: Simplices) -> list[str]:
         if level.polygonal is not True:
             wrong &= ~held
         mine = np.append(middle[np.argmax(wrong), 0], np.zeros(3 - dim)) if wrong.any() else None
-        at = next((one for one in level.comm.allgather(mine) if one is not None), None)
+        at = first_given(level.comm, mine)
         if at is not None:
             found.append(
                 f"{part.name} where = {part.where.text} is not made of whole {sides} of the mesh, near "

@@ -60,9 +60,17 @@ class OnNodes:
     fields: dict[str, np.ndarray]
 
     def global_(self, dofs: np.ndarray) -> np.ndarray:
-        """Global numbers of local dofs."""
-        found = self.level.V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel())
-        return np.asarray(found, dtype=np.int64).reshape(dofs.shape)
+        """Global numbers of local dofs, as in files."""
+        return global_dofs(self.level, dofs)
+
+
+def global_dofs(level: Level, dofs: np.ndarray) -> np.ndarray:
+    """Global numbers of local dofs of V_h, in 32 bits where their number allows it."""
+    local = np.asarray(dofs, dtype=np.int32)
+    if level.comm.size == 1:
+        return local
+    found = np.asarray(level.V.dofmap.index_map.local_to_global(local.ravel()))
+    return found.astype(np.int32 if level.dofs <= np.iinfo(np.int32).max else np.int64).reshape(dofs.shape)
 
 
 def on_nodes(solution: Solution) -> OnNodes | None:

@@ -16,11 +16,10 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, pairs
-from fenicsx_obstacle.io.cut import on_nodes
+from fenicsx_obstacle.io.cut import OnNodes, global_dofs, on_nodes
 from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
 from fenicsx_obstacle.io.paraview import FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
@@ -56,7 +55,8 @@ def save(solution: Solution, folder: Path) -> None:
     """
     level = solution.level.scalar
     comm, nests = level.comm, level.pair.nested_hierarchy
-    own, nodes = _own(solution), None if nests else _nodes(solution)
+    shown = on_nodes(solution)
+    own, nodes = _own(solution, shown), None if nests else _nodes(solution, shown)
     mesh = {name: Rows.of(comm, values) for name, values in own.items()}
     element = element_of(solution, nodes)
     # cut cells are none of the mesh: its parts go with the true ones
@@ -213,14 +213,18 @@ def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:
 
 def fields_of(solution: Solution) -> dict[str, np.ndarray]:
     """The fields of `gather` alone, in single precision."""
-    found = {name: values.astype(np.float32) for name, values in _own(solution).items() if name in FIELDS + DERIVED}
+    found = {
+        name: values.astype(np.float32)
+        for name, values in _own(solution, on_nodes(solution)).items()
+        if name in FIELDS + DERIVED
+    }
     return _gathered(solution.level.comm, found)
 
 
 def gather(solution: Solution) -> dict[str, np.ndarray]:
     """Points, cells and fields of all ranks on rank 0, as pictures need them, numbered by global dof; empty elsewhere
     (collective)."""
-    arrays = _gathered(solution.level.comm, _own(solution))
+    arrays = _gathered(solution.level.comm, _own(solution, on_nodes(solution)))
     return arrays | {"gdim": np.array(solution.level.mesh.geometry.dim)} if arrays else {}
 
 
@@ -235,31 +239,24 @@ def points_of(solution: Solution) -> np.ndarray | None:
     return gathered(level.comm, level.points.T[: level.owned])
 
 
-def _nodes(solution: Solution) -> np.ndarray:
+def _nodes(solution: Solution, shown: OnNodes | None) -> np.ndarray:
     """Rows of the files that belong to the dofs of each owned cell (collective)."""
-    shown = on_nodes(solution)
     return solution.cut.nodes if shown is None else shown.global_(shown.nodes)
 
 
-def _own(solution: Solution) -> dict[str, np.ndarray]:
+def _own(solution: Solution, shown: OnNodes | None) -> dict[str, np.ndarray]:
     """Points, cells and fields that this rank owns, on P1 simplices; cells by global dofs (collective)."""
-    shown = on_nodes(solution)
     if shown is not None:
         level = shown.level
         fields = solution.with_gap({name: values[: level.owned] for name, values in shown.fields.items()})
         return {"points": level.points.T[: level.owned], "cells": shown.global_(shown.cells), **fields}
     solution = solution.plain
     level = solution.level.scalar
-    return {"points": level.points.T[: level.owned], "cells": _cells(level), **solution.arrays()}
-
-
-def _cells(level: Level) -> np.ndarray:
-    """Global dofs of V_h in each owned cell, in 32 bits where their number allows it."""
-    dofs = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
-    if level.comm.size == 1:
-        return dofs
-    found = np.asarray(level.V.dofmap.index_map.local_to_global(dofs.astype(np.int32).ravel()))
-    return found.astype(np.int32 if level.dofs <= np.iinfo(np.int32).max else np.int64).reshape(dofs.shape)
+    return {
+        "points": level.points.T[: level.owned],
+        "cells": global_dofs(level, releases.cell_dofs(level.V)[: own_cells(level.mesh)]),
+        **solution.arrays(),
+    }
 
 
 def history_csv(steps: tuple[Step, ...]) -> bytes:
