@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import BENCHMARKS, COMM, DEMOS, membrane, slow_except
+from conftest import BENCHMARKS, COMM, DEMOS, MORE_ON_SEVERAL_RANKS, membrane, slow_except
 from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene, solve
@@ -200,7 +200,7 @@ def test_nested_finds_what_a_cold_start_finds_in_few_steps(ball, method, eps):
         ours = solve(ball, method=method, eps=eps, cells=cells).record
         cold = solve(ball, method=method, eps=eps, cells=cells, start="cold").record
         assert ours["newton_iterations"] <= 6
-        assert ours["krylov_iterations"] <= 12
+        assert ours["krylov_iterations"] <= 12 + MORE_ON_SEVERAL_RANKS
         assert ours["newton_total"] > ours["newton_iterations"]
         for key in ("l2", "max", "energy"):
             assert np.isclose(ours["errors"][key], cold["errors"][key], rtol=1e-6)
@@ -215,7 +215,7 @@ def test_contact_that_coarse_meshes_do_not_resolve(method, eps):
     """The spiral of Graeser and Kornhuber: the counts of the ball."""
     record = solve(Scene.read(BENCHMARKS / "spiral.toml"), cells=128, method=method, eps=eps).record
     assert record["newton_iterations"] <= 6
-    assert record["krylov_iterations"] <= 15
+    assert record["krylov_iterations"] <= 15 + MORE_ON_SEVERAL_RANKS
 
 
 @pytest.mark.parametrize("beyond", [0, 1])
@@ -246,7 +246,7 @@ def test_line_contact_is_seen_on_coarse_levels():
     for method, eps in (("penalty", 1e-12), ("vi", 1.0)):
         record = solve(scene, method=method, eps=eps).record
         assert record["newton_iterations"] <= 6
-        assert record["krylov_iterations"] <= 15
+        assert record["krylov_iterations"] <= 15 + MORE_ON_SEVERAL_RANKS
 
 
 def test_three_dimensions():
@@ -259,5 +259,5 @@ def test_three_dimensions():
     )  # fmt: skip
     record = solve(scene, eps=1e-8).record
     assert record["newton_iterations"] <= 6
-    assert record["krylov_iterations"] <= 12
+    assert record["krylov_iterations"] <= 12 + MORE_ON_SEVERAL_RANKS
     assert record["errors"]["max"] < 0.05

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, slow_except
+from conftest import COMM, DEMOS, MORE_ON_SEVERAL_RANKS, slow_except
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.optimize import brentq
@@ -212,7 +212,7 @@ def test_moving_stiffness():
     moving = solve(Scene(**data, tension="1 + 3*t*x", time={"end": 1, "steps": 2}), eps=1e-6).time_history.rows[-1]
     still = solve(Scene(**data, tension="1 + 3*x"), eps=1e-6).record
     assert moving["energy"] == pytest.approx(still["energy"], rel=1e-9)
-    assert moving["krylov"] <= still["krylov_iterations"] + 1
+    assert moving["krylov"] <= still["krylov_iterations"] + 1 + MORE_ON_SEVERAL_RANKS
 
 
 def test_levels_serve_steps():
