@@ -644,11 +644,11 @@ def test_an_effect_that_is_not_named_changes_nothing(disk):
 
     try:
         assert "unnamed" in explain(disk)
-        *same, krylov, energy = figures_of(disk)
-        assert same == before[:-2]
-        # what ranks share arrives in any order, and its last digits may cost an iteration; one rank has one order
-        assert abs(krylov - before[-2]) <= COMM.size - 1
-        assert energy == pytest.approx(before[-1], rel=1e-12 if COMM.size > 1 else 0, abs=0)
+        *same, newton, krylov, energy = figures_of(disk)
+        assert same == before[:-3]
+        if COMM.size == 1:  # on several ranks `create_mesh` does not number twice alike, which may cost steps
+            assert [newton, krylov, energy] == before[-3:]
+        assert energy == pytest.approx(before[-1], rel=1e-12)
     finally:
         del _register["unnamed"]
 
