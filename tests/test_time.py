@@ -228,7 +228,7 @@ def test_levels_serve_steps():
         )  # fmt: skip
         record = solve(scene).record
         each.append(record["krylov_total"] / record["newton_total"])
-    assert max(each) <= 4
+    assert max(each) <= 4 + MORE_ON_SEVERAL_RANKS
 
 
 def _tree(steps, strike=100.0, interest=0.05, sigma=0.2):

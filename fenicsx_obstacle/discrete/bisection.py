@@ -15,7 +15,7 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.discrete.halving import EDGES, Numbers
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
@@ -78,7 +78,7 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
         chosen = np.where(local.array_r[halves[:own]] > 0, order[halves[:own]], -1)
     parents, places = _bisected(chosen) if dim == 3 else _cut(order[halves[:own]], chosen >= 0)
     new = releases.create_mesh(comm, number[parents[:, None], places], points, releases.cell_name(mesh), stay=True)
-    rows = np.asarray(new.topology.original_cell_index)[: own_cells(new)] - before(comm, len(parents))
+    rows = given_cells(new) - before(comm, len(parents))
     for owner in (marks, place):
         owner.destroy()
     return new, parents[rows].astype(np.int32), places[rows].astype(np.int8)

@@ -72,6 +72,11 @@ def own_cells(mesh: dmesh.Mesh) -> int:
     return mesh.topology.index_map(mesh.topology.dim).size_local
 
 
+def given_cells(mesh: dmesh.Mesh) -> np.ndarray:
+    """The number of each owned cell among the cells of all ranks that `create_mesh` was given."""
+    return np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]
+
+
 def sides(mesh: dmesh.Mesh, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The sides of owned cells that make up given facets.
 

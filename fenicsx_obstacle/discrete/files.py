@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import meshing
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.discrete.gmsh_model import Arrays
 from fenicsx_obstacle.discrete.mesh_validation import validate_mesh
 from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
@@ -87,7 +87,7 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
     numbers = local_facets(mesh, facets)
     named = {name: np.unique(numbers[(facet_part == k) & (numbers >= 0)]) for k, name in enumerate(parts)}
     groups = Groups()
-    own = np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]
+    own = given_cells(mesh)
     if materials:
         groups = {name: np.flatnonzero(cell_material[own] == k).astype(np.int32) for k, name in enumerate(materials)}
     numbers, dim = local_facets(mesh, bent), mesh.topology.dim

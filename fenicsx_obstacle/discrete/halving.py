@@ -17,7 +17,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.parallel import before
 
 Project: TypeAlias = Callable[[np.ndarray], np.ndarray]
@@ -119,7 +119,7 @@ class Grid:
         """The DOLFINx mesh, and of each of its owned cells the row in `cells`: they stay on their rank (collective)."""
         name, points = ("interval", "triangle", "tetrahedron")[self.dim - 1], self.points[: self.number.owned]
         made = releases.create_mesh(self.comm, self.number.values[self.cells], points, name, stay=True)
-        rows = np.asarray(made.topology.original_cell_index)[: own_cells(made)] - before(self.comm, len(self.cells))
+        rows = given_cells(made) - before(self.comm, len(self.cells))
         return made, rows.astype(np.int32)
 
 

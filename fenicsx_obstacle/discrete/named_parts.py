@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, facet_corners, own_cells, sides
+from fenicsx_obstacle.discrete.cells import cell_facets, facet_corners, given_cells, own_cells, sides
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.parallel import before, gathered
 
@@ -58,7 +58,7 @@ def named(mesh: dmesh.Mesh, arrays: Mapping[str, np.ndarray]) -> tuple[Groups, G
         LookupError, ValueError: If an array is missing, or of another kind.
     """
     facets, groups = Groups(), Groups()
-    cells = np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]
+    cells = given_cells(mesh)
     for k, (kind, name) in enumerate(json.loads(arrays["names"].item()) if arrays else []):
         if kind == "facets":
             there = local_facets(mesh, arrays[str(k)])

@@ -16,7 +16,7 @@ from fenicsx_obstacle.parallel import first_given, total
 
 
 class Obstacle(Protocol):
-    """One obstacle between the nodes: `obstacle_excess.ObstacleExcess` of P1, `element_p2.LatticeObstacle` of P2."""
+    """One obstacle between the nodes: `ObstacleExcess` of P1, `LatticeObstacle` of P2."""
 
     sampled: bool
     unbounded: np.ndarray

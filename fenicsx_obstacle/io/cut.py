@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.discrete.duality import at_nodes
 from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.levels import Level
@@ -111,7 +111,7 @@ def cut(solution: Solution) -> Cut:
     new = releases.create_mesh(comm, nodes[:, pieces].reshape(-1, dim + 1), points, _SIMPLEX[dim], stay=True)
     pieced = Level(new, level.h)
     start = before(comm, own * len(pieces))
-    kept = np.asarray(new.topology.original_cell_index)[: own_cells(new)] - start
+    kept = given_cells(new) - start
     corners, targets = pieces[kept % len(pieces)], releases.cell_dofs(pieced.V)[: len(kept)]
     table = at_nodes(level)
 

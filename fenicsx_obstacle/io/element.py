@@ -15,7 +15,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.discrete.levels import Level, of_pair
 from fenicsx_obstacle.discrete.named_parts import named
 from fenicsx_obstacle.errors import InputError
@@ -114,7 +114,7 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
     """
     own = own_cells(level.mesh)
     functions = {name: fem.Function(_space(level, name)) for name in arrays}
-    cells = np.asarray(level.mesh.topology.original_cell_index)[:own]
+    cells = given_cells(level.mesh)
     if not element:
         # the coordinates of each dof when it was saved
         rows = np.asarray(level.mesh.geometry.input_global_indices)[releases.dof_nodes(level.V)]

@@ -1,0 +1,405 @@
+"""An obstacle above P2, bounded between the points of a lattice in each cell.
+
+Vertices are no contact nodes of P2, so that u_h may be below the obstacle there for every eps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.cell_data import in_cells
+from fenicsx_obstacle.estimation.clipped import Clipped
+from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
+from fenicsx_obstacle.estimation.quadrature import blocks
+from fenicsx_obstacle.estimation.rt1 import quadratics
+from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.triangle_lattice import (
+    CLOSE,
+    COARSE,
+    DENSE,
+    FEW,
+    FROM_COARSE,
+    HALVES,
+    MIDDLES,
+    OF_SMALL,
+    POINTS,
+    SMALL,
+    above_chords,
+    bernstein,
+    by_part,
+    halved_values,
+    nodes_of,
+    of_nodes,
+)
+from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.polynomials import (
+    coefficients,
+    combined,
+    halved,
+    inner_points,
+    largest,
+    raised,
+    round_off,
+    row_size,
+)
+
+AS_THEY_ARE = Division(0)
+SMALL_ONES = Division(4, 1e-4, 1e-4)  # for small triangles: the distance of an obstacle to linear functions matters
+BESIDE = 2  # subdivisions of small triangles with a Dirichlet corner and the obstacle possibly above u
+MORE = 4096  # cells per block where more is done with each
+FINE = 0.2  # relative to the distance from the chord: smaller remainders are accepted
+NEARLY = 0.1  # of the range of u - obstacle in a cell: so far below u an obstacle seems not to touch, by samples
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """u minus obstacle between the points of the lattice.
+
+    Attributes:
+        needed: Lower bounds of M and N (`LatticeObstacle`) in each cell, shape (2, cells).
+        touches: Whether the obstacle may be above u, shape (cells, small triangles).
+        contact: Upper bound of the sum over the small triangles of each cell of the mean of lambda_+ times
+            u - obstacle minus its chord.
+    """
+
+    needed: np.ndarray
+    touches: np.ndarray
+    contact: np.ndarray
+
+
+class _Bends:
+    """What u - obstacle minus its chord is on the small triangles of cells, found cell by cell.
+
+    Attributes:
+        highest: The largest value of obstacle - u at the corners of each small triangle.
+        bend: Upper bound of obstacle - u minus its chord.
+        mean: Upper bound of the mean of u - obstacle minus its chord.
+        size: Upper bound of the absolute value of that difference.
+    """
+
+    def __init__(self, gap: np.ndarray):
+        """Nothing is known yet.
+
+        Args:
+            gap: u - obstacle on the lattices of the cells.
+        """
+        self.highest = -reduce(np.minimum, (gap[:, corner] for corner in SMALL.T))
+        self.bend, self.mean, self.size = (np.zeros(self.highest.shape) for _ in range(3))
+
+    def between(self, may_touch: np.ndarray, multiplier: np.ndarray) -> Between:
+        """What follows.
+
+        Args:
+            may_touch: Whether the obstacle may be above u in a cell.
+            multiplier: lambda_+ at the vertices of each cell, shape (cells, 3).
+        """
+        count = len(may_touch)
+        needed, touches, contact = np.zeros((2, count)), np.zeros(self.bend.shape, dtype=bool), np.zeros(count)
+        for block in blocks(count, FEW):
+            highest, bend = self.highest[block], self.bend[block]
+            touches[block] = may_touch[block, None] & (highest + bend > 0)
+            M = np.where(touches[block], np.maximum(bend, 0.0), 0.0).max(axis=1, initial=0.0)
+            N = np.where(touches[block], highest + bend, 0.0).max(axis=1, initial=0.0)
+            with_M = M <= 2 * N  # M is preferred: what it adds decreases as u - obstacle grows
+            needed[:, block] = np.where(with_M, M, 0.0), np.where(with_M, 0.0, N)
+            # |lambda_+ - its mean| is at most its range, which is the same on all small triangles
+            means = multiplier[block] @ MIDDLES.T
+            contact[block] = np.einsum("cs,cs->c", means, self.mean[block])
+            contact[block] += np.ptp(multiplier[block], axis=1) / DENSE * self.size[block].sum(axis=1)
+        return Between(needed, touches, contact)
+
+
+class LatticeObstacle:
+    """One obstacle on a lattice of the cells in which u may touch it; values are times -1 for an upper obstacle.
+
+    On the lattice u is raised by max(obstacle + M - u, N, 0), M and N in P1. Let d = obstacle - u. On the small
+    triangles of a cell where d may be positive, M at its vertices is at least d minus its chord, or N at least d,
+    whichever adds less. What is added is continuous, and the raised u is nowhere below the obstacle, except on small
+    triangles with points where u is given: nothing is added there.
+
+    Attributes:
+        sign: 1 for a lower obstacle, -1 for an upper one.
+        sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or u may touch it and
+            it may have two values at a point; or it is above the state beside the boundary and may jump.
+        cover_energy: ||grad w||^2 in each cell for w = (obstacle - state)^+, 0 on the boundary, which is added to the
+            state beside nodes where u is given and cannot be raised.
+        cover_volume: Integral of w in each cell.
+        unbounded: Whether the obstacle times sign may be +infinity in each cell.
+    """
+
+    def __init__(self, simplices: Simplices, patches: VertexPatches, sign: float, field: Field, known: Range):
+        """Store the obstacle and its bounds (collective).
+
+        Args:
+            simplices: The cells.
+            patches: The cells around the vertices.
+            sign: See the attributes.
+            field: The obstacle.
+            known: Bounds of it in the cells.
+        """
+        self.simplices, self._patches, self.sign, self._field = simplices, patches, sign, field
+        self._top = known.upper if sign > 0 else -known.lower
+        self._pieces: list[tuple[np.ndarray, Pieces]] = []  # of the cells enclosed so far
+        self._enclosed = np.zeros(len(self._top), dtype=bool)
+        self.cover_energy, self.cover_volume = np.zeros(len(self._top)), np.zeros(len(self._top))
+        self.unbounded = ~np.isfinite(self._top)
+        self._of_samples = total(simplices.data.level.comm, int(known.sampled)) > 0
+        self.sampled = self._of_samples
+
+    def nodal(self, data: Data) -> np.ndarray:
+        """Its values at the local nodes of P2 (collective on first use)."""
+        function = data.lower if self.sign > 0 else data.upper
+        assert function is not None
+        return self._field.clip(function.x.array) if isinstance(self._field, Clipped) else function.x.array
+
+    def above(
+        self, u: np.ndarray, multiplier: np.ndarray, dirichlet: DirichletData, at_nodes: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What raises u above the obstacle where it may be below or is pressed against it (collective).
+
+        Args:
+            u: Values of P2 at the nodes of cells, shape (cells, 6).
+            multiplier: lambda_+ at the vertices of cells.
+            dirichlet: What boundary values add to u.
+            at_nodes: The obstacle at the nodes of cells, if samples of it are to do: faster, and no bound.
+
+        Returns:
+            Cells; u - obstacle on their lattices; the amount by which u is raised there; and `Between.contact`.
+        """
+        simplices, level = self.simplices, self.simplices.data.level
+        pressing = multiplier.any(axis=1)
+        touches = self._may_touch(u, dirichlet) if at_nodes is None else self._seems_to_touch(u, at_nodes)
+        near = np.flatnonzero(touches | pressing)
+        needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
+        bends = self._bends(u, near, gap, dirichlet, pressing[near]) if at_nodes is None else self._samples(gap)
+        between = bends.between(touches[near], multiplier[near])
+        needed[:, near] = between.needed
+        given = with_ghosts(level.V, 1.0 - self._patches.free) > 0
+        beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
+        M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
+        # where the obstacle jumps across an edge only one cell may touch; both need the same values on the edge
+        around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
+        others = np.flatnonzero((M + N + around)[simplices.dofs].any(axis=1) & ~(touches | pressing))
+        cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet)])
+        of_M, of_N = (values[simplices.dofs[cells]] @ POINTS.T for values in (M, N))
+        raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
+        place, small = np.nonzero(beside)  # near comes first
+        above = self._cover(u, near[place], small, raised[place], dirichlet)
+        cells_differ = not self._field.pointwise and len(near) > 0
+        jumps = not self._field.continuous and above
+        self.sampled = self._of_samples or total(level.comm, int(cells_differ or jumps)) > 0
+        return cells, gap, raised, np.append(between.contact, np.zeros(len(others)))
+
+    def _cover(
+        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, raised: np.ndarray, dirichlet: DirichletData
+    ) -> bool:
+        """Bound (obstacle - state)^+ on small triangles with a Dirichlet corner (collective where the
+        obstacle needs the distance).
+
+        Args:
+            u: Values of P2 at the nodes of all cells.
+            cells: The cell that each small triangle lies in.
+            small: Its index in that cell.
+            raised: By what u is raised on the lattice of that cell.
+            dirichlet: What boundary values add to u.
+
+        Returns:
+            Whether there is anything on this rank.
+        """
+        self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
+        inside, lift = POINTS[SMALL[small]], np.take_along_axis(raised, SMALL[small], axis=1)
+        for split in range(BESIDE + 1):
+            corners = inside @ self.simplices.x[cells]
+            at_nodes = quadratics((nodes_of(np.eye(3)) @ inside).reshape(-1, 3)).T.reshape(-1, 6, 6)
+            nodes = np.matmul(at_nodes, u[cells, :, None])[..., 0]
+            cones, steep = dirichlet.on_parts(cells, inside, self.sign)
+            above, last = np.zeros(len(cells), dtype=bool), split == BESIDE
+            for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
+                rows, reference = group.rows, inner_points(3, max(group.degree, 2))
+                degree, coefficient, margin = self._difference(group, nodes[rows])
+                coefficient = coefficient - coefficients(combined(group.points(reference), lift[rows]), 3, degree)
+                beyond = np.where(np.isfinite(group.rest), group.rest, 0.0) - cones[rows] + margin
+                open_ = np.flatnonzero(largest(coefficient, 3, degree) + beyond > 0)
+                rows = rows[open_]
+                above[rows] = True
+                if last:
+                    share = group.share[open_] / len(SMALL) / 4**split
+                    measure = self.simplices.area[cells[rows]] * share
+                    height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
+                    steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
+                    self.cover_volume += np.bincount(cells[rows], measure * height, len(self.cover_volume))
+                    self.cover_energy += np.bincount(cells[rows], measure * steepness, len(self.cover_energy))
+            if not last:
+                cells, inside, lift = np.repeat(cells[above], 4), halved(inside[above]), halved_values(lift[above])
+        return len(cells) > 0
+
+    def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """Which lattice points of some cells are Dirichlet points, from the Dirichlet vertices."""
+        on_side = self._patches.held[cells] @ (POINTS.T == 0)
+        return on_side | (given[self.simplices.dofs[cells]] @ (POINTS.T == 1))
+
+    def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
+        """The largest height in the cells around each owned vertex (collective)."""
+        if total(self.simplices.data.level.comm, np.count_nonzero(heights)) == 0:
+            return np.zeros(self._patches.owned)
+        return self._patches.largest(self._patches.gather(np.repeat(heights[:, None], 3, axis=1))[0])
+
+    def _seems_to_touch(self, u: np.ndarray, at_nodes: np.ndarray) -> np.ndarray:
+        """Whether the interpolant of the obstacle is above u, or nearly, in each cell."""
+        above = bernstein(self.sign * (at_nodes - u))
+        highest = above.max(axis=1, initial=-np.inf)
+        return highest >= -NEARLY * (highest - above.min(axis=1, initial=np.inf))
+
+    def _may_touch(self, u: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
+        """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
+        lowest = bernstein(self.sign * u).min(axis=1, initial=np.inf)
+        found = np.zeros(len(u), dtype=bool)
+        for rows, group in self._known(np.flatnonzero(self._top + dirichlet.deviation >= lowest)):
+            degree, coefficient, margin = self._difference(group, u[rows])
+            touches = largest(coefficient, 3, degree) + group.rest + dirichlet.deviation[rows] > margin
+            np.logical_or.at(found, rows, touches)
+        return found
+
+    def _known(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
+        """Polynomials near the obstacle in at least these cells, and the cell of each part (collective where the
+        obstacle needs the distance)."""
+        new = cells[~self._enclosed[cells]]
+        self._pieces.append((new, in_cells(self.simplices, self._field, AS_THEY_ARE, new)))
+        self._enclosed[new] = True
+        for owner, pieces in self._pieces:
+            for group in pieces.groups:
+                yield owner[group.rows], group
+
+    def _difference(self, group: Group, u: np.ndarray, degree: int = 2) -> tuple[int, np.ndarray, np.ndarray]:
+        """Degree and Bernstein coefficients of obstacle - u on parts, from u at the nodes of the simplex of each; their
+        round-off. The degree is at least `degree`."""
+        degree = max(group.degree, degree)
+        known = group.coefficients
+        if degree > group.degree:
+            known = known @ raised(3, group.degree, degree).T
+        if group.corners is None:
+            nodal = u @ of_nodes(degree)
+        else:
+            inside = group.points(inner_points(3, degree))
+            at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
+            nodal = coefficients(combined(at_nodes, u), 3, degree)
+        margin = round_off((row_size(u) + row_size(known) + row_size(nodal))[:, None], 3, degree)
+        return degree, self.sign * (known - nodal), margin
+
+    def _bends(
+        self, u: np.ndarray, cells: np.ndarray, gap: np.ndarray, dirichlet: DirichletData, pressing: np.ndarray
+    ) -> _Bends:
+        """Bound u - obstacle between the points of the lattice.
+
+        Args:
+            u: Values of P2 at the nodes of all cells.
+            cells: The cells to bound it in, where u may touch or has a multiplier.
+            gap: u - obstacle on their lattices.
+            dirichlet: What boundary values add to u.
+            pressing: Whether they have a multiplier.
+        """
+        found, at = _Bends(gap), np.arange(len(cells))
+        part = np.zeros(len(at), dtype=np.int64)
+        for times, half in enumerate(HALVES):
+            rough = np.ones(len(at), dtype=bool)
+            nodes = by_part(half.to_nodes, part, u[cells[at]])
+            if times == 0:
+                groups = self._whole(cells[at])
+            else:
+                groups = self._on_parts(by_part(half.corners, part, self.simplices.x[cells[at]]), cells[at])
+            of_bend, of_mean, of_size, at_corners = (
+                values.reshape(len(cells), len(half.corners), len(half.small))
+                for values in (found.bend, found.mean, found.size, found.highest)
+            )  # views
+            for places, whole in groups:
+                for block in blocks(len(places), MORE):
+                    rows, group = places[block], whole[block]
+                    degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
+                    known = 2 * group.rest[:, None]  # twice: of the datum and of its chord
+                    rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
+                    most, least, means = above_chords(times, degree, coefficient)
+                    place = at[rows], part[rows]
+                    above = most + rest
+                    of_bend[place], of_mean[place] = above, rest - means
+                    of_size[place] = np.maximum(most, -least) + rest
+                    matters = pressing[at[rows], None] | (at_corners[place] + above > 0)
+                    limit = np.maximum(FINE * (most - least), 2 * margin[:, None])
+                    rough[rows] = (matters & (known > limit)).any(axis=1)
+            at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
+        place = at, part  # after the last halving each part is a small triangle
+        found.bend[place], found.mean[place], found.size[place] = self._bends_anew(
+            u, cells[at], part, gap[at], dirichlet
+        )
+        return found
+
+    @staticmethod
+    def _samples(gap: np.ndarray) -> _Bends:
+        """The same for the interpolants of degree 4 of u - obstacle in cells with these values on the lattice."""
+        found = _Bends(gap)
+        for block in blocks(len(gap), FEW):
+            most, least, means = above_chords(0, CLOSE, -gap[block][:, COARSE] @ FROM_COARSE)
+            found.bend[block], found.mean[block], found.size[block] = most, -means, np.maximum(most, -least)
+        return found
+
+    def _bends_anew(
+        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, gap: np.ndarray, dirichlet: DirichletData
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Enclose the obstacle on small triangles (collective where it needs the distance).
+
+        Args:
+            u: Values of P2 at the nodes of all cells.
+            cells: The cell of each small triangle.
+            small: Its index in that cell.
+            gap: u - obstacle on the lattice of that cell.
+            dirichlet: What boundary values add to u.
+
+        Returns:
+            Upper bounds, for d = obstacle - u: of d minus its chord, of the mean of the chord minus d, and of the
+            absolute value of the difference.
+        """
+        corners = POINTS[SMALL[small]] @ self.simplices.x[cells]
+        nodes = np.einsum("jsi,sj->si", OF_SMALL[:, small], u[cells])
+        linear = -np.take_along_axis(gap, SMALL[small], axis=1)
+        bend, mean, size = np.full(len(cells), -np.inf), np.zeros(len(cells)), np.zeros(len(cells))
+        for group in pieces_of(self.simplices.data, self._field, corners, cells, SMALL_ONES).groups:
+            degree, coefficient, margin = self._difference(group, nodes[group.rows])
+            chord = combined(group.points(inner_points(3, degree)), linear[group.rows])
+            above = coefficient - coefficients(chord, 3, degree)
+            rest = (
+                np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * dirichlet.deviation[cells[group.rows]] + margin
+            )
+            group.raise_to(bend, largest(above, 3, degree) + rest)
+            group.raise_to(size, row_size(above) + rest)
+            mean += np.bincount(group.rows, group.share * (rest - above.mean(axis=1)), len(mean))
+        return bend, mean, size
+
+    def _whole(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
+        """Polynomials near the obstacle in whole cells, and the indices of these cells in `cells` (collective where the
+        obstacle needs the distance)."""
+        place = np.full(len(self._enclosed), -1)
+        place[cells] = np.arange(len(cells))
+        for rows, group in self._known(cells):
+            if group.corners is None:
+                chosen = np.flatnonzero((place[rows] >= 0) & np.isfinite(group.rest))
+                yield place[rows[chosen]], group[chosen]
+
+    def _on_parts(self, corners: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, Group]]:
+        """Polynomials near the obstacle on triangles in cells, and the places of these (collective where the obstacle
+        needs the distance)."""
+        for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
+            if group.corners is None:
+                chosen = np.flatnonzero(np.isfinite(group.rest))
+                yield group.rows[chosen], group[chosen]
+
+    def _gap(self, u: np.ndarray, cells: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
+        """How far u with the boundary values is from the obstacle on the lattice."""
+        inside = u[cells] @ quadratics(POINTS) - self.simplices.values(self._field, POINTS, cells)
+        return self.sign * (inside + dirichlet.cones(cells, POINTS))
