@@ -102,7 +102,8 @@ class Case:
         column, row = (np.rint((x + 2) * n / 4).astype(int) for x in coarse.V.tabulate_dof_coordinates()[:, :2].T)
         grid = np.empty((n + 1, n + 1))
         grid[column, row] = u
-        found = RegularGridInterpolator((axis, axis), grid)(self.V.tabulate_dof_coordinates()[:, :2])
+        points = np.clip(self.V.tabulate_dof_coordinates()[:, :2], axis[0], axis[-1])  # they have round-off
+        found = RegularGridInterpolator((axis, axis), grid)(points)
         found[self.boundary] = self.g.x.array[self.boundary]
         return np.maximum(found, np.where(np.isin(np.arange(len(found)), self.boundary), found, self.psi.x.array))
 
