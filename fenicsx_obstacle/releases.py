@@ -5,7 +5,6 @@ docs/policy.md says which releases were tested, and when; tests/releases.sh test
 
 from __future__ import annotations
 
-import gc
 import logging
 import math
 import os
@@ -23,7 +22,7 @@ import dolfinx.fem.petsc  # from 0.7 on `dolfinx.fem` does not import it
 import numpy as np
 import ufl
 from dolfinx import cpp as _cpp
-from dolfinx import fem, geometry, io, jit
+from dolfinx import fem, geometry, io, jit, la
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -85,13 +84,14 @@ def functionspace(mesh: dmesh.Mesh, family: str, degree: int, components: int | 
 
 
 def vec(u: fem.Function) -> PETSc.Vec:
-    """PETSc vector sharing the memory of a Function."""
-    return u.vector if OLD else u.x.petsc_vec
+    """New ghosted PETSc vector that shares the memory of a Function, on the mesh's communicator (collective)."""
+    ghosts, sizes, block = _layout(u.function_space)
+    return PETSc.Vec().createGhostWithArray(ghosts, u.x.array, sizes, block, u.function_space.mesh.comm)
 
 
 def add_ghosts(u: fem.Function) -> None:
     """Add what ranks hold at ghosts to the values of the owners (collective)."""
-    vec(u).ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    u.x.scatter_reverse(la.ScatterMode.add if OLD else la.InsertMode.add)
 
 
 def cell_dofs(V: fem.FunctionSpace) -> np.ndarray:
@@ -197,25 +197,20 @@ def _remove_stale_sources(seconds: float) -> None:
             source.unlink(missing_ok=True)
 
 
-def free(comms: Iterable[MPI.Comm]) -> None:
-    """Free the PETSc objects that Python has let go of (collective).
-
-    petsc4py keeps them, one list for each communicator, until all ranks ask: ranks collect garbage at different times.
-    """
-    gc.collect()
-    for comm in comms:
-        PETSc.garbage_cleanup(PETSc.Comm(comm))
-
-
 def create_vector(V: fem.FunctionSpace) -> PETSc.Vec:
     """Ghosted vector on V (collective).
 
-    It belongs to the communicator of the mesh, which `free` is given. Those that DOLFINx makes belong to another one,
+    It belongs to the communicator of the mesh, which `garbage` knows. Those that DOLFINx makes belong to another one,
     that of the dofs, which Python does not see.
     """
-    dofs, size = V.dofmap.index_map, V.dofmap.index_map_bs
-    ghosts, sizes = np.asarray(dofs.ghosts, dtype=PETSc.IntType), (dofs.size_local * size, dofs.size_global * size)
-    return PETSc.Vec().createGhost(ghosts, sizes, bsize=size, comm=V.mesh.comm)
+    ghosts, sizes, block = _layout(V)
+    return PETSc.Vec().createGhost(ghosts, sizes, block, V.mesh.comm)
+
+
+def _layout(V: fem.FunctionSpace) -> tuple[np.ndarray, tuple[int, int], int]:
+    """Global numbers of the ghosts, numbers of owned and of all dofs, and the block size of vectors on V."""
+    dofs, block = V.dofmap.index_map, V.dofmap.index_map_bs
+    return np.asarray(dofs.ghosts, dtype=PETSc.IntType), (dofs.size_local * block, dofs.size_global * block), block
 
 
 def set_values(values: np.ndarray, bcs: Iterable[Any]) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle import releases
+from fenicsx_obstacle import garbage
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
@@ -164,7 +164,7 @@ class SolverContext:
     def forget_levels(self) -> None:
         """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""
         self._grids = self._problems = None
-        releases.free(level.comm for level in self.problem.level.with_meshes)
+        garbage.free(level.comm for level in self.problem.level.with_meshes)
         return_freed_memory()
 
     def answer(
@@ -416,4 +416,4 @@ def close(benches: Sequence[SolverContext]) -> None:
     ]  # communicators live until the end
     for context in benches:
         context._free()
-    releases.free(level.comm for level in meshes)
+    garbage.free(level.comm for level in meshes)

@@ -326,12 +326,17 @@ class Nodal(Forms):
     def weights(self) -> np.ndarray:
         return self._D
 
+    @cached_property
+    def _vectors(self) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """w and r."""
+        return releases.vec(self.w), releases.vec(self.reference)
+
     def set_reference(self) -> None:
-        self.stiffness.mult(releases.vec(self.reference), self._constant)
+        self.stiffness.mult(self._vectors[1], self._constant)
         self._constant.axpy(1.0, self._minus_load)
 
     def elastic(self, out: PETSc.Vec) -> None:
-        self.stiffness.multAdd(releases.vec(self.w), self._constant, out)
+        self.stiffness.multAdd(self._vectors[0], self._constant, out)
 
     def forces_at(self, u_values: np.ndarray | float) -> np.ndarray:
         u, force = self._scratch, self._constant.duplicate()

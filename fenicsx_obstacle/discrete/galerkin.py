@@ -34,7 +34,7 @@ class Values:
     def __init__(self, P: PETSc.Mat):
         """Zero at the columns of a matrix (collective)."""
         self.vector = P.createVecRight()
-        self.x = SimpleNamespace(array=self.vector.array, petsc_vec=self.vector, scatter_forward=lambda: None)
+        self.x = SimpleNamespace(array=self.vector.array, scatter_forward=lambda: None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +64,7 @@ class GalerkinForms(Nodal):
         self.stiffness = finer.stiffness.ptap(transfer.P)
         self._state = finer.stiffness.stateGet()
         self.w, self.reference, self.eps = Values(self.stiffness), Values(self.stiffness), SimpleNamespace(value=1.0)
+        self._vectors = self.w.vector, self.reference.vector
         self.below = None if data.lower is None else Values(self.stiffness)
         self.above = None if data.upper is None else Values(self.stiffness)
         self.thickness, self.multiplier = finer.thickness, None

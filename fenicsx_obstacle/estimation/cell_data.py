@@ -114,10 +114,7 @@ def tension_of_state(problem: Problem, simplices: Simplices) -> np.ndarray | Non
     u.x.array[:] = problem.w.x.array + problem.reference.x.array
     mean = elastic.tension_at(u, problem.data) * ufl.TestFunction(W) / ufl.CellVolume(level.mesh)
     found = fem.Function(W)
-    vector = releases.vec(found)
-    with vector.localForm() as local:
-        local.set(0.0)
-    fem.petsc.assemble_vector(vector, releases.form(mean * problem.data.dx))
+    fem.petsc.assemble_vector(releases.vec(found), releases.form(mean * problem.data.dx))
     return found.x.array[releases.cell_dofs(W)[: len(simplices.area), 0]] * simplices.area / simplices.size
 
 

@@ -151,6 +151,7 @@ class EquilibrationP1(ABC):
         self._u, v = fem.Function(self.level.V), ufl.TestFunction(broken)
         self._terms = releases.form(residual(effects, self._u, v, self.simplices.data))
         self._moments_of_others = fem.Function(broken)
+        self._vector_of_others = releases.vec(self._moments_of_others)
 
     def _all_moments(self, u: np.ndarray) -> np.ndarray:
         """Moments of the load less those of other effects at u (collective)."""
@@ -158,10 +159,8 @@ class EquilibrationP1(ABC):
         if self._terms is None:
             return load - self.reaction.forces(u) if self.reaction.given else load
         self._u.x.array[:] = u
-        vector = releases.vec(self._moments_of_others)
-        with vector.localForm() as local:
-            local.set(0.0)
-        fem.petsc.assemble_vector(vector, self._terms)
+        self._moments_of_others.x.array[:] = 0.0
+        fem.petsc.assemble_vector(self._vector_of_others, self._terms)
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
         return load - self._moments_of_others.x.array[self.simplices.turned(dofs)]
 

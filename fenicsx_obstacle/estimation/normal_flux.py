@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 from dolfinx import fem
-from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, sides
@@ -64,7 +63,7 @@ class NormalFlux:
         np.add.at(missing.x.array, dofs, -np.einsum("fp,fp,fpn->fn", sizes, flux, phi))
         np.add.at(lengths.x.array, dofs, np.einsum("fp,fpn->fn", sizes, phi) * shares[:, None])
         for function in (missing, lengths):
-            releases.vec(function).ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            releases.add_ghosts(function)
         own = level.owned
         self.lengths = length = lengths.x.array[:own]
         found = length > 1e-9 * length.max(initial=0.0)  # nodes off the facet have none, up to round-off

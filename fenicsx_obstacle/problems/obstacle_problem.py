@@ -16,7 +16,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import releases
+from fenicsx_obstacle import garbage, releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.galerkin import coarse_problems
 from fenicsx_obstacle.discrete.levels import Level, of_space
@@ -265,6 +265,7 @@ class ObstacleProblem:
         compiled: tuple[Mapping[str, Any] | None, Mapping[str, Any] | None],
     ) -> None:
         """Assemble what stays (collective)."""
+        garbage.free_before(self, data.level.comm)
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
         self._vertices = vertex_digests(data.level)
         self._options = checked_options(options, self.name)
@@ -364,6 +365,7 @@ class ObstacleProblem:
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
+        garbage.free_unreferenced(self.level.comm)  # such as the solver of the solve before the last one
         check_not_moved(self.level, self._vertices, self.name)
         options = SolverOptions(method, source=f"{self.name}:")
         if not 0 < rtol < 1:

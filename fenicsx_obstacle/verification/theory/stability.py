@@ -9,7 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle import releases
+from fenicsx_obstacle import garbage
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
@@ -66,7 +66,7 @@ class Case:
         for n in self.cells:
             scene = Scene(mesh={"shape": "rectangle", "cells": n, **self.mesh}, tension=1)
             found.append(of(Stability(meshes.build(scene, comm).mesh, pairs()[self.pair])))
-            releases.free([comm])
+            garbage.free([comm])
         return found
 
 
