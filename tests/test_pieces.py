@@ -53,7 +53,7 @@ def test_constants_of_the_remainder(corners, degree):
     assert 0.9 * limit <= found <= limit
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(FORMULAS, CORNERS, st.integers(0, 99))
 def test_polynomials_are_near_on_each_part(data, text, x, seed):
     """At random points of each part the datum is as near to its polynomial as the rest says, and within the bounds; the
@@ -77,6 +77,14 @@ def test_polynomials_are_near_on_each_part(data, text, x, seed):
         slack = 1e-9 * (1 + np.abs(values).max())
         assert (np.abs(values - group.values(inside)) <= group.rest[:, None] + slack).all(), text
         assert (values >= group.lower[:, None] - slack).all() and (values <= group.upper[:, None] + slack).all(), text
+
+
+def test_what_is_constant_on_one_side_of_a_line(data):
+    """The floor of min(0, y) is 0 above y = 0, where rounded corners of a part may lie below it."""
+    found = pieces(data, "floor(min(0, y))", np.array([[(0.0, 0.0), (0.0, 1.5), (1.0, -2.0)]]))
+    middles = [(group, group.points(np.full((1, 3), 1 / 3))[:, 0] @ [0.0, 1.5, -2.0]) for group in found.groups]
+    above = [group.upper[y > 0] for group, y in middles]
+    assert np.concatenate(above).size and all((upper >= 0).all() for upper in above)
 
 
 def test_lines_through_a_corner_leave_nothing_empty(data):

@@ -54,10 +54,17 @@ class Bounds(Protocol):
 
 @dataclass(frozen=True)
 class Truth:
-    """Whether a condition may hold and whether it may fail on each simplex, up to a set of measure zero."""
+    """Whether a condition may hold and whether it may fail on each simplex, up to a set of measure zero.
+
+    Attributes:
+        may_hold: Whether it may hold.
+        may_fail: Whether it may fail.
+        defined: Whether it does not depend on a comparison with what may be no number.
+    """
 
     may_hold: np.ndarray
     may_fail: np.ndarray
+    defined: np.ndarray | bool = True
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class Enclosure:
         upper: Upper bound.
         degree: As a polynomial on the cell where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
         whole: Whether one expression without conditions gives it on the whole cell.
-        defined: Whether no root or logarithm of a negative number can occur.
+        defined: Whether no root or logarithm of a negative number can occur, nor a comparison with one.
         slopes: Bounds of its derivatives; where it is not `whole` the first alone holds, on both sides of what may be a
             kink or a jump.
         square: Of a root, what it is the root of.
@@ -162,7 +162,13 @@ def multiply(a: Enclosure, b: Enclosure) -> Enclosure:
         ends = [_product(x, y) for x in (a.lower, a.upper) for y in (b.lower, b.upper)]
         low, high = (of(of(ends[0], ends[1]), of(ends[2], ends[3])) for of in (np.minimum, np.maximum))
     both = derivative_bounds.product(lambda: _largest(a), a.slopes, lambda: _largest(b), b.slopes)
-    return _made(low, high, a.degree + b.degree, a, b, slopes=both)
+    no_number = (_infinite(a) & (_smallest(b) == 0)) | (_infinite(b) & (_smallest(a) == 0))
+    return _made(low, high, a.degree + b.degree, a, b, slopes=both, defined=~no_number)
+
+
+def _infinite(a: Enclosure) -> np.ndarray:
+    """Whether it is infinite everywhere."""
+    return np.isinf(a.lower) & (a.lower == a.upper)
 
 
 def _largest(a: Enclosure) -> np.ndarray:

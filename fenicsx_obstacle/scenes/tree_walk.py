@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import and_
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -188,7 +190,7 @@ class TreeWalk:
 
     def _floor(self, a: Enclosure) -> Enclosure:
         """Decided where it is one number inside the cell."""
-        margin = TOUCHING * np.maximum(np.abs(a.lower), np.abs(a.upper))
+        margin = TOUCHING * np.maximum(np.maximum(np.abs(a.lower), np.abs(a.upper)), 1.0)  # integers differ by 1
         varies = a.upper - a.lower > 4 * margin
         low = np.floor(np.where(varies & a.whole, a.lower + margin, a.lower))
         # affine functions are largest on the boundary of a cell alone; 1 - y^2 is 1 on a line that may be inside
@@ -208,19 +210,15 @@ class TreeWalk:
     def _condition(self, formula: Formula, node: ast.expr) -> Truth:
         match node:
             case ast.UnaryOp(op=ast.Not(), operand=operand):
-                truth = self.condition(formula, operand)
-                return Truth(truth.may_fail, truth.may_hold)
+                return _fails(self.condition(formula, operand))
             case ast.BoolOp(op=op, values=operands):
                 truths = [self.condition(formula, child) for child in operands]
-                holds, fails = [t.may_hold for t in truths], [t.may_fail for t in truths]
-                if isinstance(op, ast.And):
-                    return Truth(np.logical_and.reduce(holds), np.logical_or.reduce(fails))
-                return Truth(np.logical_or.reduce(holds), np.logical_and.reduce(fails))
+                return _all_of(truths) if isinstance(op, ast.And) else _any_of(truths)
             case ast.Compare(left=left, ops=ops, comparators=rest):
                 sides = [left, *rest]
-                found = [self._compared(formula, COMPARE[type(op)], sides[k], sides[k + 1]) for k, op in enumerate(ops)]
-                holds, fails = [t.may_hold for t in found], [t.may_fail for t in found]
-                return Truth(np.logical_and.reduce(holds), np.logical_or.reduce(fails))
+                return _all_of(
+                    [self._compared(formula, COMPARE[type(op)], sides[k], sides[k + 1]) for k, op in enumerate(ops)]
+                )
         return self._compared(formula, "!=", node, ast.Constant(0.0))
 
     def _compared(self, formula: Formula, sign: str, left: ast.expr, right: ast.expr) -> Truth:
@@ -228,33 +226,28 @@ class TreeWalk:
             case ast.Call(func=ast.Name(id="max" | "min" as name), args=parts), _ if sign in MIRRORED:
                 # which of them is the largest need not be known
                 truths = [self._compared(formula, sign, part, right) for part in parts]
-                holds, fails = [t.may_hold for t in truths], [t.may_fail for t in truths]
-                if (name == "max") == sign.startswith("<"):
-                    return Truth(np.logical_and.reduce(holds), np.logical_or.reduce(fails))
-                may_fail = np.logical_and.reduce(fails)
-                for part in parts:  # where one of them is no number, neither is the largest: the comparison fails
-                    may_fail = may_fail | ~self.number(formula, part).defined
-                return Truth(np.logical_or.reduce(holds), may_fail)
+                truth = (_all_of if (name == "max") == sign.startswith("<") else _any_of)(truths)
+                # where one of them is no number, neither is the largest
+                defined = np.asarray(reduce(and_, (one.defined for one in truths)))
+                return Truth(truth.may_hold | ~defined, truth.may_fail | ~defined, defined)
             case _, ast.Call(func=ast.Name(id="max" | "min")) if sign in MIRRORED:
                 return self._compared(formula, MIRRORED[sign], right, left)
         a, b = self.number(formula, left), self.number(formula, right)
         difference = ast.BinOp(left=left, op=ast.Sub(), right=right)
         found = self._sign(formula, difference, intervals.add(a, intervals.negative(b)), [a, b])
-        up, down, zero = found.up, found.down, found.zero
-        undefined = ~(a.defined & b.defined)  # a root of a negative number is equal to nothing, above and below nothing
+        # a root of a negative number is equal to nothing, above and below nothing
+        defined = a.defined & b.defined
+        up, down, zero = found.up | ~defined, found.down | ~defined, found.zero
         match sign:
-            case ">":
-                return Truth(up, down | zero | undefined)
-            case "<=":
-                return Truth(down | zero, up | undefined)
-            case "<":
-                return Truth(down, up | zero | undefined)
-            case ">=":
-                return Truth(up | zero, down | undefined)
+            case ">" | "<=":
+                above = Truth(up, down | zero, defined)
+                return above if sign == ">" else _fails(above)
+            case "<" | ">=":
+                below = Truth(down, up | zero, defined)
+                return below if sign == "<" else _fails(below)
         # a line inside the cell where they are equal is of measure zero, but samples may lie on it
-        equal = zero | (up & down)
-        unequal = up | down | undefined
-        return Truth(equal, unequal) if sign == "==" else Truth(unequal, equal)
+        equal = Truth(zero | (up & down), up | down, defined)
+        return equal if sign == "==" else _fails(equal)
 
     def _sign(self, formula: Formula, node: ast.expr, a: Enclosure, compared: list[Enclosure] | None = None) -> Sign:
         """Sign of a node.
@@ -348,4 +341,23 @@ def _size(enclosures: list[Enclosure]) -> np.ndarray:
 
 def chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
     """One of two values where the condition is decided, the hull of both elsewhere."""
-    return intervals.chosen(truth.may_hold, truth.may_fail, yes, no)
+    found = intervals.chosen(truth.may_hold, truth.may_fail, yes, no)
+    return replace(found, defined=found.defined & truth.defined)
+
+
+def _fails(truth: Truth) -> Truth:
+    """Whether a condition fails."""
+    return Truth(truth.may_fail, truth.may_hold, truth.defined)
+
+
+def _all_of(truths: list[Truth]) -> Truth:
+    """Whether all of several conditions hold: not if one of them fails, whatever the others are."""
+    may_hold = np.logical_and.reduce([truth.may_hold for truth in truths])
+    may_fail = np.logical_or.reduce([truth.may_fail for truth in truths])
+    one_fails = np.logical_or.reduce([truth.defined & ~truth.may_hold for truth in truths])
+    return Truth(may_hold, may_fail, one_fails | reduce(and_, (truth.defined for truth in truths)))
+
+
+def _any_of(truths: list[Truth]) -> Truth:
+    """Whether one of several conditions holds."""
+    return _fails(_all_of([_fails(truth) for truth in truths]))
