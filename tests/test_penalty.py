@@ -109,3 +109,12 @@ def test_mistakes(space, arguments, message):
         contact_pressure(u, **arguments)
     with pytest.raises(InputError, match="test function"):
         penalty(u, u, upper=1.0, eps=1.0)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_degrees_without_a_rule(degree):
+    """P2 and P3 on triangles have no nodal rule with positive weights: the message says what to take."""
+    V = releases.functionspace(dmesh.create_unit_square(COMM, 2, 2), "Lagrange", degree)
+    message = f"v has degree {degree} on a triangle: .* take degree 1, or degree 2 with ObstacleProblem"
+    with pytest.raises(InputError, match=message):
+        penalty(fem.Function(V), ufl.TestFunction(V), upper=1.0, eps=1.0)

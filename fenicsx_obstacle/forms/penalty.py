@@ -9,8 +9,9 @@ import ufl
 from petsc4py import PETSc
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.rules import Rule, facet_of, nodal_rule
+from fenicsx_obstacle.forms.rules import Rule, facet_of, has_nodal_rule, nodal_rule
 from fenicsx_obstacle.releases import called
+from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
 
@@ -19,6 +20,7 @@ def positive_part(t: Any) -> Any:
     return ufl.max_value(t, 0.0)
 
 
+@names_checked
 def penalty(
     u: Any,
     v: Any,
@@ -61,8 +63,15 @@ def penalty(
     measure = ufl.Measure("dx", domain=domain) if measure is None else measure
     if rule is None:
         cell = called(domain.ufl_cell().cellname)
-        on_facets = "facet" in measure.integral_type()
-        rule = nodal_rule(facet_of(cell) if on_facets else cell, _degree(space))
+        if "facet" in measure.integral_type():
+            cell = facet_of(cell)
+        degree = _degree(space)
+        if not has_nodal_rule(cell, degree):
+            raise InputError(
+                f"penalty: v has degree {degree} on a {cell}: the nodes have no quadrature rule with positive weights; "
+                "take degree 1, or degree 2 with ObstacleProblem"
+            )
+        rule = nodal_rule(cell, degree)
     dI = rule.on(measure)
     eps = _constant(domain, eps)
     above = 0 if upper is None else (1 / eps) * positive_part(u - upper)
@@ -77,6 +86,7 @@ def penalty_energy(u: Any, *, eps: Any, dI: Any, lower: Any = None, upper: Any =
     return (above**2 + below**2) / (2 * eps) * dI
 
 
+@names_checked
 def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) -> Any:
     """The contact pressure at the nodes: p(x_i) = -(u - g)^+(x_i) / eps, (3.7)-(3.8).
 

@@ -41,12 +41,14 @@ from fenicsx_obstacle.problems.input_checks import (
     refuse_no_positive_diagonal,
     refuse_not_finite,
     vertex_digests,
+    warn_of_empty,
 )
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.problems.values import Seconds
+from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
 from fenicsx_obstacle.solvers.linear import overriding, unread
@@ -107,6 +109,7 @@ class ObstacleProblem:
     _vector_valued = False
     _von_mises: VonMises | None = None
 
+    @names_checked
     def __init__(
         self,
         F: ufl.Form,
@@ -178,6 +181,7 @@ class ObstacleProblem:
         for name, given in (("F", F), ("energy", energy), ("J", J)):
             for integral in () if given is None else given.integrals():
                 check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
+        warn_of_empty(F, held, V.mesh, self.name)
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
         with releases.compiled_with(*compiled):
@@ -309,6 +313,7 @@ class ObstacleProblem:
         """The mesh and the spaces V_h and Q_h."""
         return self._problem.level
 
+    @names_checked
     def solve(
         self,
         *,
@@ -451,7 +456,7 @@ class ObstacleProblem:
             left = unread(options)
         ignored = [key for key in self._options if all(prefix + key in left for prefix in prefixes)]
         if ignored and self.level.comm.rank == 0:
-            warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=5)
+            warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=6)
 
     def _begin(self) -> None:
         """Update changed data, and start from u (collective)."""
@@ -482,8 +487,8 @@ class ObstacleProblem:
         """
         if self._form is not None:
             raise InputError(
-                f"{self.name}: bound=True needs tension and load as data, which are not known of a form: use "
-                "Scene(mesh=...)"
+                f"{self.name}: bound=True needs tension and load as data, which cannot be read from a form: "
+                "use Scene(mesh=..., tension=..., load=...)"
             )
         from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 

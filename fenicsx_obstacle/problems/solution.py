@@ -71,6 +71,13 @@ class Solution:
     bound: Bound | None = None
     tension: Any = field(default=None, repr=False)
 
+    def __post_init__(self) -> None:
+        # the names that ParaView shows; XDMFFile cannot write two Functions with one name
+        for name in ("pressure", "contact", "lower", "upper", "gap", "von_mises"):
+            function = getattr(self, name, None)
+            if function is not None:
+                function.name = name
+
     def __repr__(self) -> str:
         r = self.record
         how = r["method"] if r["eps"] is None else f"{r['method']}, eps = {r['eps']:.3g}"
@@ -259,7 +266,7 @@ class Solution:
         """A quantity as Functions of this mesh (collective)."""
         known = ("u", "pressure", "gap", "slope", "flux")
         if of not in known:
-            raise InputError(f"at() knows no '{of}'{nearest(of, known)}; it knows {', '.join(known)}")
+            raise InputError(f"at() has no quantity '{of}'" + nearest(of, known))
         if of == "gap":
             gap = fem.Function(self.level.V)
             gap.x.array[:] = np.inf
@@ -288,7 +295,7 @@ class Solution:
         if self.tension is None:
             raise InputError(
                 "at() has no flux here: the tension of a form is not known, nor that of a solution read without "
-                "a scene; 'slope' is |grad u|"
+                "a scene; 'slope' is the gradient of u"
             )
         return self.tension
 

@@ -188,7 +188,7 @@ class VectorSolution(Solution):
         known = ("u", "pressure", "gap", "von_mises")
         if of not in known:
             raise InputError(
-                f"at() of a vector-valued solution knows no '{of}'{nearest(of, known)}; it knows {', '.join(known)}; "
+                f"at() of a vector-valued solution has no quantity '{of}'{nearest(of, known)}; "
                 "normals and forces are in solution.nodes"
             )
         if of == "u":
