@@ -49,15 +49,19 @@ class Rule:
 
 
 def nodal_rule(cell: str, degree: int = 1) -> Rule:
-    """The rule whose points are the Lagrange nodes.
+    """The quadrature rule whose points are the Lagrange nodes, which `penalty` uses by default.
+
+    `dI = nodal_rule("triangle").on(ufl.dx)` is a measure with this rule. For example, `p * v * dI` is the form of the
+    contact forces at the nodes.
 
     Args:
         cell: Name of the cell: interval, triangle, tetrahedron, quadrilateral, hexahedron.
-        degree: Degree of V_h: 1 for simplices (vertex rule), 1 or 2 for tensor cells (trapezoid, Simpson).
+        degree: Degree of V_h: 1 (vertex rule, on tensor cells the trapezoid rule), or 2 on intervals, quadrilaterals
+            and hexahedra (Simpson's rule).
 
     Raises:
-        InputError: If no such rule has positive weights (3.6); the rule of P2 on triangles has weights 0 at the
-            vertices.
+        InputError: If the weights of the rule are not positive, as equation (3.6) of Kikuchi (1981) requires. The rule
+            of P2 on triangles has the weight 0 at the vertices.
     """
     if cell not in (*_VERTICES, *_DIMENSION):
         wanted = f"expected the name of a cell, one of {', '.join(_FACET)}"
