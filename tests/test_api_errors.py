@@ -12,9 +12,11 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import (
     Answer,
+    Elasticity,
     InputError,
     ObstacleProblem,
     Scene,
+    ball_gap,
     compare,
     contact_pressure,
     penalty,
@@ -375,6 +377,18 @@ WRONG = {
     "solve: tol = True: expected a number": lambda: solve(SCENE, tol=True),
     "--tol nan: must be positive": lambda: solve(SCENE, tol=float("nan")),
     "--tol -1: must be positive": lambda: solve(SCENE, tol=-1),
+    "--tol 5: the tolerance is relative and must be below 1": lambda: solve(SCENE, tol=5),
+    "unknown effect 'bcs'; u on the boundary is given by boundary=": lambda: Scene(mesh={}, tension=1, bcs=[]),
+    "unknown effect 'uper'; did you mean 'upper'": lambda: Scene(mesh={}, tension=1, uper=0.3),
+    r"mesh = 'a\.msh': expected a DOLFINx mesh or a table such as .*file": lambda: Scene(mesh="a.msh", tension=1),
+    "boundary: expected tables such as .*conditions of DOLFINx are for ObstacleProblem": lambda: Scene(
+        mesh={"shape": "disk"}, tension=1, boundary=[Own(square(2)).bc]
+    ),
+    "expected tables such as .*for ObstacleProblem": lambda: Scene(
+        mesh={"shape": "disk"}, tension=1, boundary=Own(square(2)).bc
+    ),
+    "Elasticity: there is no argument 'nu'": lambda: Elasticity(Own(square(2)).u, young=1, nu=0.3),
+    "ball_gap: there is no argument 'center'; did you mean 'centre'": lambda: ball_gap(0, 0, center=0, radius=1),
     "solve: budget = 5: expected a text such as '60s'": lambda: solve(SCENE, tol=0.3, budget=5),
     "--budget 5: expected limits such as": lambda: solve(SCENE, tol=0.3, budget="5"),
     "there is no argument 'cels'; did you mean 'cells'": lambda: solve(SCENE, cels=8),
@@ -437,3 +451,10 @@ def test_numbers_of_numpy_are_numbers():
     """Tolerances and numbers of cells from arrays."""
     record = solve(SCENE, cells=np.int32(8), tol=np.float32(0.5)).record
     assert record["adaptive"]["reached"] and total(COMM, 1.0) == COMM.size
+
+
+def test_a_single_part_of_the_boundary():
+    """boundary= takes one table in place of a list of one table."""
+    data = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "load": -1}
+    one, more = (Scene(**data, boundary=boundary) for boundary in ({"value": 0.1}, [{"value": 0.1}]))
+    assert one.toml() == more.toml()

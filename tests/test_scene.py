@@ -76,6 +76,8 @@ MISTAKES = {
     "unknown name": (BASE + 'load = "2*y + q"\n', r"load: unknown name 'q'[\s\S]*\n +2\*y \+ q\n          \^"),
     "syntax": (BASE + 'load = "2*^y"\n', r"cannot read this formula\n    2\*\^y\n       \^"),
     "not arithmetic": (BASE + 'load = "x.real"\n', "not allowed in a formula"),
+    "index": (BASE + 'load = "x[0]"\n', "not allowed in a formula; the coordinates are x, y and z"),
+    "prefix": (BASE + 'load = "np.sin(x)"\n', r"not allowed in a formula; functions have no prefix: sin\(\.\.\.\)"),
     "python": (BASE + "load = \"__import__('os')\"\n", "unknown function '__import__'"),
     "shadowing": ("[define]\nsin = 1\n" + BASE, "'sin' has a meaning already"),
     "no stiffness": ('[mesh]\nshape = "rectangle"\n', "add 'tension = 1'"),

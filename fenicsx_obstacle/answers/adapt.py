@@ -497,7 +497,7 @@ def check_tolerance(relative: float | None, absolute: float | None) -> tuple[flo
     """The tolerance, and whether it is relative.
 
     Raises:
-        InputError: Unless one of both is given, and positive.
+        InputError: Unless one of both is given and positive, and a relative one is below 1.
     """
     tolerance = absolute if relative is None else relative
     if relative is not None and absolute is not None:
@@ -505,6 +505,8 @@ def check_tolerance(relative: float | None, absolute: float | None) -> tuple[flo
     if tolerance is None or not 0 < tolerance < np.inf:
         option = "--tol-absolute" if relative is None else "--tol"
         raise InputError(f"{option} {tolerance}: must be positive and finite")
+    if relative is not None and relative >= 1:
+        raise InputError(f"--tol {relative:g}: the tolerance is relative and must be below 1: 0.05 is 5 %")
     return tolerance, relative is not None
 
 

@@ -15,6 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import nearest, shown
 
 PLANES = ("strain", "stress", "axial")
@@ -36,6 +37,7 @@ class Elasticity:
         remarks: What the user should know of the data, in words.
     """
 
+    @names_checked
     def __init__(
         self, u: fem.Function, *, young: Any, poisson: Any, plane: str | None = None, name: str = "Elasticity"
     ):
@@ -57,7 +59,9 @@ class Elasticity:
             raise InputError(f"{name}: u must have {max(gdim, 2)} components, one for each coordinate of the mesh")
         if gdim == 2 and plane not in PLANES:
             hint = nearest(str(plane), PLANES) if plane is not None else ""
-            raise InputError(f"{name}: plane = {shown(plane)}{hint}: a plane body needs {', '.join(PLANES)}")
+            raise InputError(
+                f"{name}: plane = {shown(plane)}{hint}: a plane body needs {' or '.join(map(repr, PLANES))}"
+            )
         if gdim == 3 and plane is not None:
             raise InputError(f"{name}: plane = {shown(plane)}: u has three components, so that there is no plane")
         self.u, self.young, self.poisson, self.plane = u, young, poisson, plane
@@ -155,30 +159,33 @@ class Elasticity:
         return dx(metadata={"quadrature_degree": degree}) if self.plane == "axial" else dx
 
 
+@names_checked
 def plane_gap(x: Any, n: Any, point: Sequence[Any], outward: Sequence[Any]) -> Any:
-    """The gap to a rigid half-space, in UFL: the length along n from x to its surface.
+    """The gap to a rigid half-space, as a UFL expression: the distance along n from x to its surface.
 
     Args:
         x: Points of the body's surface, `ufl.SpatialCoordinate(mesh)`.
-        n: Direction in which the gap is measured, a unit vector of the body outwards; a list or UFL.
-        point: On the surface; numbers, Constants or UFL, so that it may move.
-        outward: Normal of the half-space, towards the body; its length is of no importance.
+        n: Unit vector along which the gap is measured, from the body to the obstacle; a list or UFL.
+        point: A point on the surface: numbers, Constants or UFL. With a Constant the half-space can move.
+        outward: Normal of the half-space, towards the body; its length has no effect.
     """
     n, point, outward = (ufl.as_vector(list(one)) for one in (n, point, outward))
     return ufl.dot(point - x, outward) / ufl.dot(n, outward)
 
 
+@names_checked
 def ball_gap(x: Any, n: Any, centre: Sequence[Any], radius: Any, axis: Sequence[Any] | None = None) -> Any:
-    """The gap to a rigid ball, in the plane a cylinder, in UFL: the length along n from x to its surface.
+    """The gap to a rigid ball, in the plane a cylinder, in UFL: the distance along n from x to its surface.
 
-    Where the line along n misses the ball, the gap ends at the point that is nearest to the centre.
+    If the line through x misses the ball, the gap is the distance along n to the point of the line that is nearest to
+    the centre. Example: `ObstacleProblem(..., of=ufl.dot(u, n), upper=ball_gap(x, n, centre, radius), measure=ds(3))`.
 
     Args:
         x: Points of the body's surface, `ufl.SpatialCoordinate(mesh)`.
-        n: Direction in which the gap is measured, a unit vector of the body outwards; a list or UFL.
-        centre: Of the ball; numbers, Constants or UFL, so that it may move.
-        radius: Of the ball, in the unit of x.
-        axis: In space, the direction of a cylinder through `centre` in place of the ball.
+        n: Unit vector along which the gap is measured, from the body to the obstacle; a list or UFL.
+        centre: Centre of the ball: numbers, Constants or UFL. With a Constant the ball can move.
+        radius: Radius of the ball, in the unit of x.
+        axis: In space, the direction of the axis of a cylinder through `centre`, in place of the ball.
     """
     n, centre = ufl.as_vector(list(n)), ufl.as_vector(list(centre))
     there = centre - x

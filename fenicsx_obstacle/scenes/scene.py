@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +53,21 @@ RESERVED = {
     *formulas.FUNCTIONS,
     *formulas.FUNCTIONALS,
 }
+
+
+def _check_effects(effects: Mapping[str, Any]) -> None:
+    """Reject a keyword of a Scene that is neither an argument nor an effect.
+
+    Raises:
+        InputError: With the similar name of an argument or of an effect, if there is one.
+    """
+    arguments = [name for name, one in signature(Scene).parameters.items() if one.kind == one.KEYWORD_ONLY]
+    for key in effects:
+        if key not in known():
+            hint = "; u on the boundary is given by boundary=" if key in ("bc", "bcs") else None
+            raise InputError(
+                f"scene: [effects] unknown effect '{key}'" + (hint or nearest(key, [*known(), *arguments]))
+            )
 
 
 @dataclass(frozen=True, init=False)
@@ -121,7 +137,8 @@ class Scene(Vocabulary):
             cell_names: Names of materials, in the same way.
             lower: Lower obstacle, a datum.
             upper: Upper obstacle, a datum.
-            boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
+            boundary: A table as in [[boundary]], or a list of them: boundary=[{"on": "rim", "value": 0}]. By default
+                u = 0 on the whole boundary.
             exact: Exact solution, not a callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
             define: Named numbers and formulas.
             report: Named output quantities: report={"force": "integral(p)"}.
@@ -136,13 +153,19 @@ class Scene(Vocabulary):
             InputError: If the data are invalid; checks that need a mesh come later.
         """
         if not isinstance(mesh, dict) and not hasattr(mesh, "topology"):
-            wanted = "expected a DOLFINx mesh or a table such as {'shape': 'disk'}"
+            wanted = "expected a DOLFINx mesh or a table such as {'shape': 'disk'} or {'file': 'plate.msh'}"
             raise InputError(f"scene: mesh = {shown(mesh)}: {wanted}")
+        _check_effects(effects)
+        parts = [boundary] if isinstance(boundary, Mapping) else [] if boundary is None else boundary
+        given = parts if isinstance(parts, list | tuple) else [parts]
+        if any(hasattr(part, "dof_indices") for part in given):
+            wanted = "expected tables such as {'on': 'left', 'value': 0}; conditions of DOLFINx are for ObstacleProblem"
+            raise InputError(f"scene: boundary: {wanted}")
         raw = {
             "title": title, "u": u, "define": {} if define is None else define, "effects": effects,
             "mesh": mesh if isinstance(mesh, dict) else {},
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
-            "boundary": [] if boundary is None else boundary, "report": {} if report is None else report,
+            "boundary": parts, "report": {} if report is None else report,
             "profile": {} if profile is None else profile, "time": time,
             "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
         }  # fmt: skip
