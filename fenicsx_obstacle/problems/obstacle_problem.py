@@ -86,9 +86,9 @@ class ObstacleProblem:
     """A residual F(u; v) = 0 with obstacles, lower <= u <= upper.
 
     The penalty method solves F(u; v) + (1/eps) I((u - upper)^+ - (lower - u)^+, v) = 0 for all v. I is a quadrature
-    rule, equations (3.5) and (3.6) of Kikuchi (1981). Its points are the nodes of u, with P2 on triangles the midpoints
-    of edges. The penalty term is therefore diagonal. `solve(method="vi")` solves the variational inequality without a
-    penalty.
+    rule, equations (3.5) and (3.6) of Kikuchi (1981). Its points are the nodes of u; for scalar u and P2 on triangles
+    they are the midpoints of edges. The penalty acts at each of these contact nodes separately. `solve(method="vi")`
+    solves the variational inequality without a penalty.
 
     The arguments F, u, bcs, J and those for PETSc and the form compiler are those of DOLFINx's NonlinearProblem. All
     arguments except F and u need a keyword. All methods are collective.
