@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.show.explain import explain
 
@@ -183,3 +184,11 @@ def test_boundaries_overlap_in_order_and_unlisted_parts_are_free():
         boundary=[{"value": 5}, {"where": "x == 0 or x == 1 or y == 0 or y == 1", "value": "y"}], exact="y"
     )
     assert solve(scene).record["errors"]["max"] < 1e-9
+
+
+def test_a_mesh_is_no_scene(folder):
+    """The file of a mesh in place of a scene: the message says how a scene names it."""
+    file = folder / "plate.msh"
+    on_root(COMM, file.write_bytes, b"$MeshFormat\n4.1 1 8\n\x01\x00")
+    with pytest.raises(InputError, match=r"plate\.msh: a mesh, not a scene: .* mesh = \{file = 'plate\.msh'\}"):
+        Scene.read(file)

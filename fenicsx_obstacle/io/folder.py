@@ -133,6 +133,11 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
             raise InputError(f"{folder}: a file, not the folder of a saved answer")
         for name in ("answer.json", "fields.h5", *needed, "history.csv"):
             if not (folder / name).exists():
+                if name == "scene.toml":
+                    raise InputError(
+                        f"{folder}: holds a solution of ObstacleProblem, without a scene (scene.toml is missing): read "
+                        "it in Python by Solution.read"
+                    )
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
         try:
             found = places(folder / "fields.h5")
