@@ -258,9 +258,10 @@ def test_warnings_of_tags_and_conditions_without_effect():
     """A tag in F that no facet or cell has, and a condition without dofs: a warning names each, on rank 0."""
     own = Own()
     mesh, v = own.V.mesh, ufl.TestFunction(own.V)
-    facets = dmesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[0], 0))
-    tags = dmesh.meshtags(mesh, 1, np.sort(facets), np.full(len(facets), 3, dtype=np.int32))
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    left, middle = (dmesh.locate_entities(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 0.5))
+    facets, numbers = np.concatenate([left, middle]), np.repeat([3, 5], [len(left), len(middle)]).astype(np.int32)
+    order = np.argsort(facets)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=dmesh.meshtags(mesh, 1, facets[order], numbers[order]))
     none = fem.dirichletbc(fem.Function(own.V), np.zeros(0, dtype=np.int32))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -268,9 +269,11 @@ def test_warnings_of_tags_and_conditions_without_effect():
     assert not [one for one in caught if "ObstacleProblem:" in str(one.message)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        ObstacleProblem(own.F + v * ds(3) + v * ds(7), own.u, bcs=[own.bc, none], upper=0.3)
+        ObstacleProblem(own.F + v * ds(3) + v * ds(5) + v * ds(7), own.u, bcs=[own.bc, none], upper=0.3)
     found = [one for one in caught if "ObstacleProblem:" in str(one.message)]
     assert [str(one.message) for one in found] == ([] if COMM.rank else [
+        "ObstacleProblem: F has an integral ds over the tag 5, but no facet with this tag is on the boundary; "
+        "inside the domain take dS",
         "ObstacleProblem: F has an integral over the tag 7, but no facet has this tag",
         "ObstacleProblem: bcs[1] has no dofs, so that it has no effect",
     ])  # fmt: skip

@@ -324,7 +324,7 @@ def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: 
 
 
 def warn_of_empty(F: ufl.Form, bcs: Sequence[Any], mesh: dmesh.Mesh, place: str) -> None:
-    """Warn of tags in F that no cell or facet has, and of Dirichlet conditions without dofs (collective).
+    """Warn of integrals in F over no cell or facet, and of Dirichlet conditions without dofs (collective).
 
     Args:
         F: The residual.
@@ -339,8 +339,16 @@ def warn_of_empty(F: ufl.Form, bcs: Sequence[Any], mesh: dmesh.Mesh, place: str)
         if part is None or not hasattr(tags, "find"):
             continue
         for tag in _ids(integral):
-            if isinstance(tag, numbers.Integral) and total(mesh.comm, len(tags.find(tag))) == 0:
+            if not isinstance(tag, numbers.Integral):
+                continue
+            found = tags.find(tag)
+            if total(mesh.comm, len(found)) == 0:
                 empty[f"F has an integral over the tag {tag}, but no {part} has this tag"] = None
+            elif integral.integral_type() == "exterior_facet":
+                mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+                if total(mesh.comm, np.isin(found, dmesh.exterior_facet_indices(mesh.topology))) == 0:
+                    inside = "no facet with this tag is on the boundary; inside the domain take dS"
+                    empty[f"F has an integral ds over the tag {tag}, but {inside}"] = None
     for number, bc in enumerate(bcs):
         if total(mesh.comm, len(bc.dof_indices()[0])) == 0:
             empty[f"bcs[{number}] has no dofs, so that it has no effect"] = None
