@@ -16,6 +16,7 @@ from fenicsx_obstacle import (
     InputError,
     ObstacleProblem,
     Scene,
+    Solution,
     ball_gap,
     compare,
     contact_pressure,
@@ -280,13 +281,15 @@ def test_warnings_of_tags_and_conditions_without_effect():
     assert all(one.filename == __file__ for one in found)
 
 
-def test_names_of_the_functions_of_a_solution():
+def test_names_of_the_functions_of_a_solution(folder):
     """Each Function has a name of its own, which XDMFFile and ParaView need; u keeps the name of the unknown."""
     own = Own()
     own.u.name = "deflection"
     solution = ObstacleProblem(own.F, own.u, bcs=own.bc, upper=0.3).solve()
     names = [one.name for one in (solution.u, solution.pressure, solution.contact, solution.upper)]
     assert names == ["deflection", "pressure", "contact", "upper"]
+    solution.save(folder)
+    assert Solution.read(folder).u.name == "u"
 
 
 @pytest.mark.parametrize("eps", [1e-6, "auto"])

@@ -361,6 +361,7 @@ class Solution:
             fields: Those of `functions` there.
             parents: For each owned simplex the cell it was cut from.
         """
+        fields["u"].name = self.u.name
         return replace(self, level=level, tension=None, **fields)
 
     def summary(self) -> str:
