@@ -24,17 +24,17 @@ LOCKS, USELESS = 0.45, 0.49  # Poisson's ratios beyond which elements of degree 
 
 
 class Elasticity:
-    """Hooke's law for small displacements u.
+    """Hooke's law in UFL, for small displacements u.
 
-    In axial symmetry the mesh is a half section, x[0] >= 0 is the radius, u = (u_r, u_z), and integrals have the factor
-    x[0]: forces are per radian.
+    With plane="axial" the mesh is one half of a section through the axis of symmetry. x[0] >= 0 is the radius and u is
+    (u_r, u_z). Integrals have the factor x[0], so that forces are per radian.
 
     Attributes:
         u: Displacement, a vector-valued Function.
         young: Young's modulus E, force per area.
         poisson: Poisson's ratio, dimensionless.
         plane: `strain`, `stress` or `axial` on plane meshes; None in space.
-        remarks: What the user should know of the data, in words.
+        remarks: Warnings about the data, in words.
     """
 
     @names_checked
@@ -45,14 +45,15 @@ class Elasticity:
 
         Args:
             u: Displacement, a vector-valued Function.
-            young: A number, a Constant, a Function or UFL.
-            poisson: The same.
-            plane: `strain`, `stress` or `axial`; needed where u has two components.
-            name: What messages call it.
+            young: Young's modulus: a number, a Constant, a Function or a UFL expression.
+            poisson: Poisson's ratio: a number, a Constant, a Function or a UFL expression.
+            plane: "strain", "stress" or "axial"; required if u has two components, None in space.
+            name: The name of this object in messages.
 
         Raises:
-            InputError: If `plane` is another word or missing, E <= 0, the ratio is not between -1 and 1/2, or it is
-                above 0.49 and elements are of degree 1, where volumetric locking leaves no digit of the pressure.
+            InputError: If `plane` is missing or another word; if Young's modulus is not positive; if Poisson's ratio is
+                not between -1 and 1/2; or if it is above 0.49 with elements of degree 1. Because of volumetric locking
+                these elements then give no accurate pressure.
         """
         self._name, gdim = name, u.function_space.mesh.geometry.dim
         if u.function_space.dofmap.index_map_bs != gdim or gdim < 2:
@@ -111,15 +112,15 @@ class Elasticity:
 
     @property
     def radius(self) -> Any:
-        """The factor of all integrals: x[0] in axial symmetry, else 1."""
+        """The factor of all integrals: x[0] with plane="axial", otherwise 1."""
         return ufl.SpatialCoordinate(self.u.function_space.mesh)[0] if self.plane == "axial" else 1
 
     def over(self, measure: ufl.Measure) -> Any:
-        """A measure with that factor, as `ObstacleProblem` takes it for `measure`."""
+        """The measure with the factor `radius`, for the argument `measure` of `ObstacleProblem`."""
         return self.radius * measure if self.plane == "axial" else measure
 
     def strain_of(self, w: Any) -> Any:
-        """The strain of a displacement, shape (3, 3); in plane stress without its component across."""
+        """The strain of a displacement w, shape (3, 3); in plane stress without the component out of the plane."""
         e = ufl.sym(ufl.grad(w))
         if self.plane is None:
             return e
@@ -127,7 +128,7 @@ class Elasticity:
         return ufl.as_matrix([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, across]])
 
     def stress_of(self, w: Any) -> Any:
-        """The stress of a displacement, shape (3, 3)."""
+        """The stress of a displacement w, shape (3, 3)."""
         mu = self.young / (2 * (1 + self.poisson))
         lam = self.young * self.poisson / ((1 + self.poisson) * (1 - 2 * self.poisson))
         e = self.strain_of(w)
@@ -138,16 +139,16 @@ class Elasticity:
 
     @cached_property
     def stress(self) -> Any:
-        """The stress of u, shape (3, 3), as `ObstacleProblem` takes it for `stress`."""
+        """The stress of u, shape (3, 3), for the argument `stress` of `ObstacleProblem`."""
         return self.stress_of(self.u)
 
     def residual(self, v: Any) -> ufl.Form:
-        """int stress(u) : strain(v), without loads."""
+        """The residual without loads, the integral of stress(u) : strain(v)."""
         return self.radius * ufl.inner(self.stress, self.strain_of(v)) * self._dx
 
     @property
     def energy(self) -> ufl.Form:
-        """int stress(u) : strain(u)/2."""
+        """The elastic energy, the integral of stress(u) : strain(u)/2."""
         return self.radius * ufl.inner(self.stress, self.strain_of(self.u)) / 2 * self._dx
 
     @property
