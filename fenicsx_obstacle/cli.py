@@ -255,8 +255,8 @@ def compare(first: Path, second: Path, json_file: str | None) -> None:
 def plot(result: Path, output: Path | None, along: str | None, compare: tuple[str, ...]) -> None:
     """Draw a saved result: u, contact set and pressure.
 
-    RESULT is a folder of 'solve'; its page then shows the picture, unless --output (.png, .pdf, .svg) is given. With
-    --along it writes RESULT/along.png and along.csv.
+    RESULT is a folder of 'solve'; its page then shows the picture, unless --output (.png, .pdf, .svg) is given. It may
+    also be a folder that Solution.save wrote in Python. With --along it writes RESULT/along.png and along.csv.
     """
     if along is not None:
         from fenicsx_obstacle.answers.answer import Answer
@@ -268,6 +268,16 @@ def plot(result: Path, output: Path | None, along: str | None, compare: tuple[st
         return
     if compare:
         raise InputError("--compare: needs --along")
+    from mpi4py import MPI
+
+    from fenicsx_obstacle.parallel import on_root
+
+    files = on_root(MPI.COMM_WORLD, lambda: [(result / name).exists() for name in ("answer.json", "scene.toml")])
+    if files == [True, False]:  # saved by ObstacleProblem
+        from fenicsx_obstacle.problems.solution import Solution
+
+        tell(Solution.read(result).plot(output or result / "answer.png").said)
+        return
     from fenicsx_obstacle.answers.answer import Answer
     from fenicsx_obstacle.show.report import report_answer
 

@@ -13,8 +13,8 @@ NOT_REACHED = 4
 
 
 REMEDIES = {
-    "penalty": "; a larger eps, or the method vi, may do",
-    "successive": "; a larger eps, or --method penalty, may do",
+    "penalty": "; try a larger eps, or the method vi",
+    "successive": "; try a larger eps, or the method penalty",
 }
 
 

@@ -32,6 +32,7 @@ def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
         signature = inspect.signature(function)
         named = [name for name, one in signature.parameters.items() if one.kind != inspect.Parameter.VAR_KEYWORD]
         name = function.__qualname__
+        check_names = _check_names(name, signature)
 
         @cache
         def kinds() -> dict[str, Any]:
@@ -40,9 +41,7 @@ def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:
-            for key in kwargs:
-                if key not in named and len(named) == len(signature.parameters):
-                    raise InputError(f"{name}: there is no argument '{key}'" + nearest(key, named))
+            check_names(args, kwargs)
             given = signature.bind(*args, **kwargs).arguments
             for key, kind in kinds().items():
                 if key in given and not _fits(given[key], kind):
@@ -54,6 +53,38 @@ def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
         return call
 
     return decorate
+
+
+def names_checked(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorator: check the names of the arguments of a function, but not their types."""
+    check_names = _check_names(function.__qualname__.removesuffix(".__init__"), inspect.signature(function))
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        check_names(args, kwargs)
+        return function(*args, **kwargs)
+
+    return call
+
+
+def _check_names(name: str, signature: inspect.Signature) -> Callable[[tuple[Any, ...], Mapping[str, Any]], None]:
+    """A function that rejects unknown keywords, and positional arguments that must have a keyword."""
+    parameters = signature.parameters.values()
+    named = [one.name for one in parameters if one.kind != inspect.Parameter.VAR_KEYWORD]
+    keywords = [one.name for one in parameters if one.kind == inspect.Parameter.KEYWORD_ONLY]
+    positional = [one for one in named if one not in keywords]
+    known = [one for one in named if one not in ("self", "cls")]
+
+    def check(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:
+        for key in kwargs:
+            if key not in named and len(named) == len(parameters):
+                raise InputError(f"{name}: there is no argument '{key}'" + nearest(key, known))
+        if len(args) > len(positional) and keywords:
+            without = " and ".join(one for one in positional if one in known)
+            which = f"all arguments except {without}" if without else "all arguments"
+            raise InputError(f"{name}: {which} need a keyword, such as {keywords[0]}=")
+
+    return check
 
 
 def _options(kind: Any) -> tuple[Any, ...]:

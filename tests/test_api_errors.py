@@ -1,5 +1,7 @@
 """What Python callers pass: obstacles of every kind in `solve_form`, and helpful errors for what is wrong."""
 
+import warnings
+
 import numpy as np
 import pytest
 import ufl
@@ -8,7 +10,22 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
-from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, compare, releases, solve, solve_form, study
+from fenicsx_obstacle import (
+    Answer,
+    Elasticity,
+    InputError,
+    ObstacleProblem,
+    Scene,
+    Solution,
+    ball_gap,
+    compare,
+    contact_pressure,
+    penalty,
+    releases,
+    solve,
+    solve_form,
+    study,
+)
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.releases import functionspace
 
@@ -126,7 +143,7 @@ def test_obstacles_that_cannot_be_taken():
             r"upper is a Function on another mesh, .* at \(0, 0\): is this point outside",
         ),
         (function(square(6, dmesh.CellType.quadrilateral, high=0.9), bowl), r"on another mesh, .* at \(0, 0\.9167\)"),
-        (fem.Function(many), "a Function with 2 components"),
+        (fem.Function(many), "a Function with 2 components: expected a scalar Function"),
         (function(mesh, bowl, "DG", 0), "not continuous"),
         (function(other, bowl, "DG", 1), "not continuous"),
         (own.u, r"upper is u itself.*u\.copy\(\)"),
@@ -136,7 +153,7 @@ def test_obstacles_that_cannot_be_taken():
         (x, r"an expression of shape \(2,\)"),
         (ufl.TestFunction(V) + 1, "holds a test or trial function"),
         (np.full(13**2, 0.3), r"upper = array\(.*expected a number, a Constant"),
-        ("0.3", r"upper = '0\.3': expected a number, a Constant"),
+        ("0.3", r"upper = '0\.3': expected a number, a Constant.*a formula as text is for Scene"),
         (True, "upper = True: expected a number, a Constant"),
         ([0.3], r"upper = \[0\.3\]: expected"),
         (lambda: 0.3, r"the callable takes x of shape \(3, n\).*TypeError"),
@@ -195,6 +212,7 @@ def test_forms_and_conditions_of_another_kind():
         ((F, V), {}, "u = .*expected the Function"),
         ((None, u), {}, "F = None: expected a UFL form, a linear form in one test function"),
         ((8 * v, u), {}, "F = .*expected a UFL form"),
+        ((u * v * ufl.dx(domain=mesh) == 8 * v * ufl.dx(domain=mesh), u), {}, "F is an equation: give the residual"),
         ((ufl.inner(ufl.grad(ufl.TrialFunction(V)), ufl.grad(v)) * ufl.dx, u), {}, "no trial function"),
         ((8 * v * ufl.dx, u), {}, "F does not depend on u"),
         ((F, fem.Function(V)), {}, "F does not depend on u"),
@@ -214,6 +232,64 @@ def test_forms_and_conditions_of_another_kind():
     for (form, unknown), given, message in cases:
         with pytest.raises(InputError, match=message):
             solve_form(form, unknown, **{"bcs": [own.bc], "upper": 0.3, "eps": 1e-6, **given})
+
+
+def test_names_of_arguments():
+    """An unknown keyword, and an argument that needs a keyword: the message names the argument, or a similar one."""
+    own = Own()
+    u, v = own.u, ufl.TestFunction(own.V)
+    problem = ObstacleProblem(own.F, u, bcs=own.bc, upper=0.3)
+    cases = [
+        (lambda: ObstacleProblem(own.F, u, bc=own.bc, upper=0.3), "there is no argument 'bc'; did you mean 'bcs'"),
+        (
+            lambda: ObstacleProblem(own.F, u, [own.bc], upper=0.3),
+            "^ObstacleProblem: all arguments except F and u need a keyword, such as bcs=",
+        ),
+        (lambda: problem.solve(methd="vi"), "solve: there is no argument 'methd'; did you mean 'method'"),
+        (lambda: problem.solve(1e-6), "solve: all arguments need a keyword, such as eps="),
+        (lambda: penalty(u, v, uper=0.3, eps=1e-3), "penalty: there is no argument 'uper'; did you mean 'upper'"),
+        (lambda: contact_pressure(u, eps=1e-3, lover=0.3), "there is no argument 'lover'; did you mean 'lower'"),
+    ]
+    for call, message in cases:
+        with pytest.raises(InputError, match=message):
+            call()
+
+
+def test_warnings_of_tags_and_conditions_without_effect():
+    """A tag in F that no facet or cell has, and a condition without dofs: a warning names each, on rank 0."""
+    own = Own()
+    mesh, v = own.V.mesh, ufl.TestFunction(own.V)
+    left, middle = (dmesh.locate_entities(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 0.5))
+    facets, numbers = np.concatenate([left, middle]), np.repeat([3, 5], [len(left), len(middle)]).astype(np.int32)
+    order = np.argsort(facets)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=dmesh.meshtags(mesh, 1, facets[order], numbers[order]))
+    none = fem.dirichletbc(fem.Function(own.V), np.zeros(0, dtype=np.int32))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ObstacleProblem(own.F + v * ds(3), own.u, bcs=own.bc, upper=0.3)
+    assert not [one for one in caught if "ObstacleProblem:" in str(one.message)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ObstacleProblem(own.F + v * ds(3) + v * ds(5) + v * ds(7), own.u, bcs=[own.bc, none], upper=0.3)
+    found = [one for one in caught if "ObstacleProblem:" in str(one.message)]
+    assert [str(one.message) for one in found] == ([] if COMM.rank else [
+        "ObstacleProblem: F has an integral ds over the tag 5, but no facet with this tag is on the boundary; "
+        "inside the domain take dS",
+        "ObstacleProblem: F has an integral over the tag 7, but no facet has this tag",
+        "ObstacleProblem: bcs[1] has no dofs, so that it has no effect",
+    ])  # fmt: skip
+    assert all(one.filename == __file__ for one in found)
+
+
+def test_names_of_the_functions_of_a_solution(folder):
+    """Each Function has a name of its own, which XDMFFile and ParaView need; u keeps the name of the unknown."""
+    own = Own()
+    own.u.name = "deflection"
+    solution = ObstacleProblem(own.F, own.u, bcs=own.bc, upper=0.3).solve()
+    names = [one.name for one in (solution.u, solution.pressure, solution.contact, solution.upper)]
+    assert names == ["deflection", "pressure", "contact", "upper"]
+    solution.save(folder)
+    assert Solution.read(folder).u.name == "u"
 
 
 @pytest.mark.parametrize("eps", [1e-6, "auto"])
@@ -307,6 +383,18 @@ WRONG = {
     "solve: tol = True: expected a number": lambda: solve(SCENE, tol=True),
     "--tol nan: must be positive": lambda: solve(SCENE, tol=float("nan")),
     "--tol -1: must be positive": lambda: solve(SCENE, tol=-1),
+    "--tol 5: the tolerance is relative and must be below 1": lambda: solve(SCENE, tol=5),
+    "unknown effect 'bcs'; u on the boundary is given by boundary=": lambda: Scene(mesh={}, tension=1, bcs=[]),
+    "unknown effect 'uper'; did you mean 'upper'": lambda: Scene(mesh={}, tension=1, uper=0.3),
+    r"mesh = 'a\.msh': expected a DOLFINx mesh or a table such as .*file": lambda: Scene(mesh="a.msh", tension=1),
+    "boundary: expected tables such as .*conditions of DOLFINx are for ObstacleProblem": lambda: Scene(
+        mesh={"shape": "disk"}, tension=1, boundary=[Own(square(2)).bc]
+    ),
+    "expected tables such as .*for ObstacleProblem": lambda: Scene(
+        mesh={"shape": "disk"}, tension=1, boundary=Own(square(2)).bc
+    ),
+    "Elasticity: there is no argument 'nu'": lambda: Elasticity(Own(square(2)).u, young=1, nu=0.3),
+    "ball_gap: there is no argument 'center'; did you mean 'centre'": lambda: ball_gap(0, 0, center=0, radius=1),
     "solve: budget = 5: expected a text such as '60s'": lambda: solve(SCENE, tol=0.3, budget=5),
     "--budget 5: expected limits such as": lambda: solve(SCENE, tol=0.3, budget="5"),
     "there is no argument 'cels'; did you mean 'cells'": lambda: solve(SCENE, cels=8),
@@ -369,3 +457,10 @@ def test_numbers_of_numpy_are_numbers():
     """Tolerances and numbers of cells from arrays."""
     record = solve(SCENE, cells=np.int32(8), tol=np.float32(0.5)).record
     assert record["adaptive"]["reached"] and total(COMM, 1.0) == COMM.size
+
+
+def test_a_single_part_of_the_boundary():
+    """boundary= takes one table in place of a list of one table."""
+    data = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "load": -1}
+    one, more = (Scene(**data, boundary=boundary) for boundary in ({"value": 0.1}, [{"value": 0.1}]))
+    assert one.toml() == more.toml()

@@ -259,7 +259,7 @@ def test_saved_and_read(cell, degree, folder):
     assert np.array_equal(again.force.resultant, solution.force.resultant)
     line = again.along([0.1] * body.dim, [0.9] * body.dim, n=5)
     assert np.allclose(line.u[:, top], 0.01 * (1 - line.points[:, top]), atol=1e-8)
-    with pytest.raises(InputError, match="knows no 'slope'"):
+    with pytest.raises(InputError, match="has no quantity 'slope'"):
         again.at(points, "slope")
     with pytest.raises(InputError, match="vector-valued solutions are not compared"):
         compare(again, solution)

@@ -87,7 +87,7 @@ def test_ball_with_axial_symmetry():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"plane": None}, "plane = None: a plane body needs strain, stress, axial"),
+        ({"plane": None}, "plane = None: a plane body needs 'strain' or 'stress' or 'axial'"),
         ({"plane": "strian"}, "did you mean 'strain'"),
         ({"young": 0.0}, "young = 0: must be positive"),
         ({"poisson": 0.5}, "poisson = 0.5: must be above -1 and below 1/2"),

@@ -513,7 +513,7 @@ def test_made_of_effects():
     assert same(found.energy, answer.energy) and same(found.bound.total, answer.bound.total)
     assert found.record["bound"]["words"] == "certified"
     assert problem.solve(bound=True).iterations == 0
-    with pytest.raises(InputError, match="bound=True needs tension and load as data, which are not known of a form"):
+    with pytest.raises(InputError, match="bound=True needs tension and load as data, which cannot be read from a form"):
         Membrane(4).problem().solve(bound=True)
 
 

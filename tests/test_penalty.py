@@ -109,3 +109,68 @@ def test_mistakes(space, arguments, message):
         contact_pressure(u, **arguments)
     with pytest.raises(InputError, match="test function"):
         penalty(u, u, upper=1.0, eps=1.0)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_degrees_without_a_rule(degree):
+    """P2 and P3 on triangles have no nodal rule with positive weights: the message says what to take."""
+    V = releases.functionspace(dmesh.create_unit_square(COMM, 2, 2), "Lagrange", degree)
+    message = f"v has degree {degree} on a triangle: .* take degree 1, or degree 2 with ObstacleProblem"
+    with pytest.raises(InputError, match=message):
+        penalty(fem.Function(V), ufl.TestFunction(V), upper=1.0, eps=1.0)
+
+
+def snes_of_own(eps, divergence, linesearch):
+    """PETSc's reason, steps and the contact force of a plain SNES for the Laplacian with load -10, from u = 0
+    (collective)."""
+    mesh = releases.settle(dmesh.create_unit_square(COMM, 40, 40))
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    g = -0.3 - 0.2 * x[0]
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 10 * v * ufl.dx + penalty(u, v, lower=g, eps=eps)
+    facets = dmesh.exterior_facet_indices(mesh.topology)
+    bc = fem.dirichletbc(fem.Function(V), fem.locate_dofs_topological(V, 1, facets))
+    form, J = releases.form(F), releases.form(ufl.derivative(F, u))
+    owned = V.dofmap.index_map.size_local
+
+    def residual(_, x, out):
+        u.x.array[:owned] = x.array_r
+        u.x.scatter_forward()
+        with out.localForm() as local:
+            local.set(0.0)
+        fem.petsc.assemble_vector(out, form)
+        out.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        fem.petsc.set_bc(out, [bc], x, -1.0)
+
+    def jacobian(_, x, A, P):
+        A.zeroEntries()
+        fem.petsc.assemble_matrix(A, J, [bc])
+        A.assemble()
+
+    state = releases.create_vector(V)
+    state.set(0.0)
+    snes = PETSc.SNES().create(COMM)
+    snes.setOptionsPrefix("own_")
+    snes.setFunction(residual, state.duplicate())
+    snes.setJacobian(jacobian, fem.petsc.create_matrix(J))
+    options, settings = PETSc.Options(), {
+        "snes_atol": 1e-10, "snes_rtol": 1e-10, "snes_divergence_tolerance": divergence,
+        "snes_linesearch_type": linesearch, "ksp_rtol": 1e-10, "pc_type": "bjacobi", "sub_pc_type": "lu",
+    }  # fmt: skip
+    for key, value in settings.items():
+        options[f"own_{key}"] = value
+    snes.setFromOptions()
+    snes.solve(None, state)
+    for key in settings:
+        options.delValue(f"own_{key}")
+    force = total(COMM, fem.assemble_scalar(releases.form(contact_pressure(u, lower=g, eps=eps) * ufl.dx)))
+    return snes.getConvergedReason(), snes.getIterationNumber(), force
+
+
+def test_settings_for_a_solver_of_your_own():
+    """Full steps and no divergence tolerance: SNES converges for a small eps. With its defaults it does not."""
+    for eps in (1e-5, 1e-8):
+        reason, steps, force = snes_of_own(eps, -1, "basic")
+        assert reason > 0 and steps <= 15 and np.isclose(force, 1.5531, rtol=1e-3)
+        assert snes_of_own(eps, 1e4, "bt")[0] < 0
+    assert snes_of_own(1e-8, 1e4, "basic")[0] == PETSc.SNES.ConvergedReason.DIVERGED_DTOL

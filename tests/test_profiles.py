@@ -192,3 +192,16 @@ def test_plot_a_body_along(folder):
             CliRunner().invoke(commands, [*arguments, compare], catch_exceptions=False)
     with pytest.raises(InputError, match="--compare: needs --along"):
         CliRunner().invoke(commands, ["plot", str(folder), "--compare", "p = 1"], catch_exceptions=False)
+
+
+@pytest.mark.serial
+def test_plot_without_a_scene(folder):
+    """`plot` also draws what Solution.save wrote; along a line it names Solution.read, because there is no scene."""
+    from fenicsx_obstacle.cli import commands
+
+    membrane(load=-8, lower=-0.1).problem().solve().save(folder)
+    assert not (folder / "scene.toml").exists()
+    CliRunner().invoke(commands, ["plot", str(folder)], catch_exceptions=False)
+    assert (folder / "answer.png").exists()
+    with pytest.raises(InputError, match=r"without a scene .*: read it in Python by Solution\.read"):
+        CliRunner().invoke(commands, ["plot", str(folder), "--along", "0,0.5:1,0.5"], catch_exceptions=False)

@@ -51,6 +51,12 @@ def test_quadratic_triangles_are_refused():
         nodal_rule("triangle", 2)
 
 
+def test_cells_without_a_rule():
+    """What is not the name of a cell is rejected, with the names."""
+    with pytest.raises(InputError, match="cell = 'prism': expected the name of a cell, one of interval, triangle"):
+        nodal_rule("prism")
+
+
 def test_lumped_norm_is_equivalent_on_every_triangle():
     """(3.21) and (3.28), misprint of (3.27) corrected: ||q||_0^2 <= I(q, q) <= 4 ||q||_0^2, both sharp."""
     consistent = (np.ones((3, 3)) + np.eye(3)) / 24

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.show.explain import explain
 
@@ -76,6 +77,8 @@ MISTAKES = {
     "unknown name": (BASE + 'load = "2*y + q"\n', r"load: unknown name 'q'[\s\S]*\n +2\*y \+ q\n          \^"),
     "syntax": (BASE + 'load = "2*^y"\n', r"cannot read this formula\n    2\*\^y\n       \^"),
     "not arithmetic": (BASE + 'load = "x.real"\n', "not allowed in a formula"),
+    "index": (BASE + 'load = "x[0]"\n', "not allowed in a formula; the coordinates are x, y and z"),
+    "prefix": (BASE + 'load = "np.sin(x)"\n', r"not allowed in a formula; functions have no prefix: sin\(\.\.\.\)"),
     "python": (BASE + "load = \"__import__('os')\"\n", "unknown function '__import__'"),
     "shadowing": ("[define]\nsin = 1\n" + BASE, "'sin' has a meaning already"),
     "no stiffness": ('[mesh]\nshape = "rectangle"\n', "add 'tension = 1'"),
@@ -181,3 +184,11 @@ def test_boundaries_overlap_in_order_and_unlisted_parts_are_free():
         boundary=[{"value": 5}, {"where": "x == 0 or x == 1 or y == 0 or y == 1", "value": "y"}], exact="y"
     )
     assert solve(scene).record["errors"]["max"] < 1e-9
+
+
+def test_a_mesh_is_no_scene(folder):
+    """The file of a mesh in place of a scene: the message says how a scene names it."""
+    file = folder / "plate.msh"
+    on_root(COMM, file.write_bytes, b"$MeshFormat\n4.1 1 8\n\x01\x00")
+    with pytest.raises(InputError, match=r"plate\.msh: a mesh, not a scene: .* mesh = \{file = 'plate\.msh'\}"):
+        Scene.read(file)

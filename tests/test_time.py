@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.answers.time_history import TimeHistory
 from fenicsx_obstacle.solvers.steps import difference, extrapolation
 
 INTERVAL = {"shape": "interval", "cells": 16}
@@ -417,3 +418,11 @@ def test_at_rest_nothing_of_time_is_imported(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_column_that_is_not_there():
+    """A name that is no column of the time history is rejected, with a similar one."""
+    history = TimeHistory(({"step": 0, "t": 0.0}, {"step": 1, "t": 0.5, "force_lower": 2.0}), ())
+    assert np.isnan(history.column("force_lower")[0]) and history.column("force_lower")[1] == 2
+    with pytest.raises(InputError, match="time_history has no column 'force_lowr'; did you mean 'force_lower'"):
+        history.column("force_lowr")

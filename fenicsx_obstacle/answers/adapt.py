@@ -69,32 +69,33 @@ def solve(
     """Solve a scene (collective).
 
     Args:
-        scene: A Scene, its file, or its name in the catalogue; the other arguments replace its values.
-        eps: Penalty parameter: a number in units of u/p, or a formula in h.
-        cells: Cells per side, for shapes.
-        refine: Uniform refinements.
-        method: penalty, successive or vi.
-        start: nested, from the coarsest level of the mesh on, or cold.
-        element: Pair of spaces and rule: P1, Q1, Q2, P2, P1-voronoi, Q1-gauss.
+        scene: A Scene, its file, or its name in the catalogue. The other arguments take precedence over its values.
+        eps: Penalty parameter: "auto", a number in the unit of u/p, or a formula in h.
+        cells: Number of cells along x, for meshes that are shapes.
+        refine: Number of uniform refinements.
+        method: "penalty", "successive" or "vi".
+        start: "nested": start on the coarsest mesh; "cold": solve on the finest mesh only.
+        element: "P1", "P2", "Q1", "Q2", "P1-voronoi" or "Q1-gauss".
         comm: Communicator; not used if the scene has a DOLFINx mesh.
-        yardstick: Also time a linear Poisson solve on the same mesh, the baseline.
-        bound: Bound the error: answer.bound.
-        tol: Tolerance for the relative error in the energy norm; the mesh and, if it is auto, eps are chosen.
-        tol_absolute: The same in the unit of the energy norm.
-        goal: The tolerance is for this quantity instead, relative to its value or in its unit: energy, force
-            (force.lower or force.upper where there are two obstacles), or a name of [report] that depends on u
-            differentiably.
-        budget: With a tolerance: a limit, "60s", "8GB" or "1e6 unknowns"; the best solution so far is returned.
-        restart: With [time]: continue from the state in this folder, saved by any number of ranks.
-        keep: With [time]: folder for the state, saved every 20 s and at the end.
-        uncertainty: Estimate the error of each quantity from two coarser meshes: answer.record["uncertainty"].
+        yardstick: Also measure the time of one linear Poisson solve on the same mesh.
+        bound: Also compute a bound of the energy error, `answer.bound`.
+        tol: Tolerance for the energy error, relative to the energy norm of u: 0.05 is 5 %. The mesh is refined and, if
+            eps is "auto", eps is reduced until the bound is below the tolerance.
+        tol_absolute: Tolerance for the energy error, in the unit of the energy norm.
+        goal: Apply the tolerance to this quantity in place of the energy error: "energy", "force" ("force.lower" or
+            "force.upper" if there are two obstacles), or a name of [report] that depends on u differentiably.
+        budget: With a tolerance: a limit, such as "60s", "8GB" or "1e6 unknowns". If the limit ends the refinement, the
+            best solution so far is returned, and `answer.adaptive.reached` is False.
+        restart: With [time]: continue from the state in this folder. Any number of ranks may have saved it.
+        keep: With [time]: save the state into this folder every 20 s and at the end.
+        uncertainty: Estimate the error of each quantity from two coarser meshes: `answer.record["uncertainty"]`.
 
     Returns:
-        The solution, always converged.
+        The solution. A solve that does not converge returns no solution, but raises an error.
 
     Raises:
         InputError: If the data are invalid.
-        NotConverged: With PETSc's reason.
+        NotConverged: If a solver fails, with PETSc's reason.
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
     scene, limits = changed(scene_of(scene), given), Budget.of(budget)
@@ -497,7 +498,7 @@ def check_tolerance(relative: float | None, absolute: float | None) -> tuple[flo
     """The tolerance, and whether it is relative.
 
     Raises:
-        InputError: Unless one of both is given, and positive.
+        InputError: Unless one of both is given and positive, and a relative one is below 1.
     """
     tolerance = absolute if relative is None else relative
     if relative is not None and absolute is not None:
@@ -505,6 +506,8 @@ def check_tolerance(relative: float | None, absolute: float | None) -> tuple[flo
     if tolerance is None or not 0 < tolerance < np.inf:
         option = "--tol-absolute" if relative is None else "--tol"
         raise InputError(f"{option} {tolerance}: must be positive and finite")
+    if relative is not None and relative >= 1:
+        raise InputError(f"--tol {relative:g}: the tolerance is relative and must be below 1: 0.05 is 5 %")
     return tolerance, relative is not None
 
 

@@ -27,12 +27,13 @@ NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the c
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Answer(Solution):
-    """A solution of a scene.
+    """A solution of a scene. It has all attributes and methods of `Solution`.
 
     Attributes:
-        scene: The scene with all changes.
-        error: Nodal distance to the exact solution, or None.
-        time_history: All steps, of a scene with [time]; the fields are those at the final time.
+        scene: The scene, with the changes made by arguments of `solve`.
+        error: Difference from the exact solution at the nodes; None if the exact solution is not known.
+        time_history: All time steps, for a scene with [time]; otherwise None. `u`, `pressure` and the other fields are
+            those at the final time.
     """
 
     scene: Scene = field(kw_only=True)

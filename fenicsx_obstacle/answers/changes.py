@@ -59,4 +59,6 @@ def _by_keys(options: dict[str, Any], source: str) -> dict[str, Any]:
 
 def _check_cells(changes: dict[str, Any], scene: Scene) -> None:
     if "mesh.cells" in changes and (scene.mesh is not None or scene.tables.mesh.file is not None):
-        raise InputError(f"{scene.source}: 'cells' is for shapes; refine a mesh from Python with 'refine'")
+        raise InputError(
+            f"{scene.source}: 'cells' is for shapes; refine a mesh from a file or from Python with 'refine'"
+        )

@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.text import nearest
+
 Row = Mapping[str, Any]
 
 
@@ -32,15 +35,26 @@ class TimeHistory:
     """All steps of a scene with [time].
 
     Attributes:
-        rows: Step, t, dt, Newton and Krylov steps, energies, contact area, forces, penetration, figures of [report].
-        frames: Fields at some moments, the first and the last among them.
+        rows: One dict for each time step, with the columns of history.csv: step, t, dt, newton, krylov, energy,
+            contact_area, force_lower, force_upper, penetration, and the values of [report]. The first row is t = 0.
+        frames: The fields at the saved times, the first and the last among them.
     """
 
     rows: tuple[Row, ...]
     frames: tuple[Frame, ...]
 
     def column(self, name: str) -> np.ndarray:
-        """A column of the rows, not-a-number where there is none."""
+        """The values of one column, one for each row; not-a-number in rows without this column.
+
+        Args:
+            name: A column of history.csv.
+
+        Raises:
+            InputError: If no row has this column.
+        """
+        names = {key for row in self.rows for key in row}
+        if name not in names:
+            raise InputError(f"time_history has no column '{name}'" + nearest(name, names))
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
 
     def renumbered(self, old: np.ndarray, new: np.ndarray | None) -> TimeHistory:

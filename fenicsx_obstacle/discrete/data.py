@@ -460,9 +460,9 @@ class Data:
             return level.boundary_facets
         for name in part.on:
             if name not in level.facets:
-                raise InputError(
-                    f"{self.model.source}: {part.name} on: no part named '{name}'" + nearest(name, level.facets)
-                )
+                none = " (the mesh has no named parts; in Python, facet_tags and facet_names define them)"
+                known = nearest(name, level.facets) if level.facets else none
+                raise InputError(f"{self.model.source}: {part.name} on: no part named '{name}'{known}")
             if total(level.comm, len(level.facets[name])) == 0:
                 what = "no facet of the mesh lies on it; a part inside must be embedded in its domain"
                 raise InputError(f"{self.model.source}: {part.name} on = '{name}': {what}")

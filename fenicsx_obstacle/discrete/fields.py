@@ -116,7 +116,7 @@ class OfCallable(Field):
         except Exception as error:
             got = f"{type(error).__name__}: {error}"
             wanted = "takes x of shape (3, n), as Function.interpolate does, and returns n values"
-            raise InputError(f"{self.source}: the callable {wanted}; this one: {got}") from error
+            raise InputError(f"{self.source}: the callable {wanted}; the call failed: {got}") from error
 
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
         values = np.empty(0)
@@ -208,7 +208,7 @@ class OfFunction(Field):
         self._interpolated = interpolated
         if function.ufl_shape != ():
             count = int(np.prod(function.ufl_shape))
-            raise InputError(f"{source} is a Function with {count} components: expected one of one")
+            raise InputError(f"{source} is a Function with {count} components: expected a scalar Function")
 
     @property
     def _mesh(self) -> Any:
@@ -294,9 +294,7 @@ class OfExpression(Field):
     def __init__(self, expression: Any, source: str):
         self.ufl, self.source, self.text = expression, source, str(expression)
         if expression.ufl_shape != ():
-            raise InputError(
-                f"{source} is an expression of shape {expression.ufl_shape}: expected one of one component"
-            )
+            raise InputError(f"{source} is an expression of shape {expression.ufl_shape}: expected a scalar expression")
         if extract_arguments(expression):
             raise InputError(f"{source} holds a test or trial function: expected {EXPECTED}")
         self._sampled: OfFunction | None = None
@@ -369,7 +367,8 @@ def field(value: Any, source: str) -> Field:
         return ByCells({name: field(part, f"{source}.{name}") for name, part in value.items()}, source)
     if callable(value) and not isinstance(value, type):
         return OfCallable(value, source)
-    raise InputError(f"{source} = {shown(value)}: expected {EXPECTED}")
+    hint = "; a formula as text is for Scene and scene files" if isinstance(value, str) else ""
+    raise InputError(f"{source} = {shown(value)}: expected {EXPECTED}{hint}")
 
 
 def is_complex(expression: Any) -> bool:

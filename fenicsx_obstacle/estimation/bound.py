@@ -45,26 +45,26 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """A bound of the energy error ||mu^(1/2) grad(u - u_h)||, in the unit of the square root of the energy.
+    """An upper bound of the energy error ||mu^(1/2) grad(u - u_h)||, in the unit of the square root of the energy.
 
-    With foundations and springs it bounds a(u - u_h, u - u_h)^(1/2), which contains them.
+    u is the exact solution and u_h the computed one. With foundations and springs the bound is for
+    a(u - u_h, u - u_h)^(1/2), which contains their energy.
 
     Attributes:
-        total: Of u_h.
-        admissible_total: Of v_h.
-        relative: total over the energy norm of u_h; None where that is 0.
-        discretisation: What a finer mesh makes smaller: ||mu^(1/2) grad u_h - mu^(-1/2) sigma||.
-        penalty: What a smaller eps makes smaller: ||mu^(1/2) grad(max(u_h, lower) - u_h)||, the maximum taken at the
-            points of contact.
-        algebraic: What further iterations make smaller: Friedrichs' constant times the unbalanced force.
-        data: Load, obstacle and boundary values between nodes.
-        energy: Numbers that the energy J(u) of the solution lies between, as far as `words` says; None with effects
-            other than tension and load, with P2, and where boundary values or obstacles there are not P1.
-        guaranteed: Whether all hypotheses hold: the words are 'certified' alone.
-        words: What it rests on.
-        indicator: Contribution of each owned cell to the bound, to first order; the sum over all ranks is about total.
-            None for a solution read from files.
-        admissible: v_h; None for a solution read from files.
+        total: The bound for u_h.
+        admissible_total: The bound for the admissible function v_h.
+        relative: total divided by a lower bound of the energy norm of u_h; None if this lower bound is 0.
+        discretisation: Part due to the mesh: ||mu^(1/2) grad u_h - mu^(-1/2) sigma||, sigma the equilibrated flux.
+        penalty: Part due to eps: ||mu^(1/2) grad(max(u_h, lower) - u_h)||, with the maximum at the contact nodes.
+        algebraic: Part due to the iterations: Friedrichs' constant times the unbalanced force.
+        data: Part due to load, obstacle and boundary values between the nodes.
+        energy: Lower and upper bound of the energy J(u), under the assumptions that `words` states. None with effects
+            other than tension and load, with P2, and if boundary values or obstacles at the boundary are not P1.
+        guaranteed: Whether `words` is 'certified', so that the bound needs no further assumption.
+        words: The assumptions of the bound.
+        indicator: Contribution of each owned cell to the bound, to first order. Their sum over all ranks is about
+            total. None for a solution that was read from files.
+        admissible: v_h, a function near u_h that satisfies the constraint; None for a solution read from files.
     """
 
     total: float

@@ -15,6 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import nearest, shown
 
 PLANES = ("strain", "stress", "axial")
@@ -23,19 +24,20 @@ LOCKS, USELESS = 0.45, 0.49  # Poisson's ratios beyond which elements of degree 
 
 
 class Elasticity:
-    """Hooke's law for small displacements u.
+    """Hooke's law in UFL, for small displacements u.
 
-    In axial symmetry the mesh is a half section, x[0] >= 0 is the radius, u = (u_r, u_z), and integrals have the factor
-    x[0]: forces are per radian.
+    With plane="axial" the mesh is one half of a section through the axis of symmetry. x[0] >= 0 is the radius and u is
+    (u_r, u_z). Integrals have the factor x[0], so that forces are per radian.
 
     Attributes:
         u: Displacement, a vector-valued Function.
         young: Young's modulus E, force per area.
         poisson: Poisson's ratio, dimensionless.
         plane: `strain`, `stress` or `axial` on plane meshes; None in space.
-        remarks: What the user should know of the data, in words.
+        remarks: Warnings about the data, in words.
     """
 
+    @names_checked
     def __init__(
         self, u: fem.Function, *, young: Any, poisson: Any, plane: str | None = None, name: str = "Elasticity"
     ):
@@ -43,21 +45,24 @@ class Elasticity:
 
         Args:
             u: Displacement, a vector-valued Function.
-            young: A number, a Constant, a Function or UFL.
-            poisson: The same.
-            plane: `strain`, `stress` or `axial`; needed where u has two components.
-            name: What messages call it.
+            young: Young's modulus: a number, a Constant, a Function or a UFL expression.
+            poisson: Poisson's ratio: a number, a Constant, a Function or a UFL expression.
+            plane: "strain", "stress" or "axial"; required if u has two components, None in space.
+            name: The name of this object in messages.
 
         Raises:
-            InputError: If `plane` is another word or missing, E <= 0, the ratio is not between -1 and 1/2, or it is
-                above 0.49 and elements are of degree 1, where volumetric locking leaves no digit of the pressure.
+            InputError: If `plane` is missing or another word; if Young's modulus is not positive; if Poisson's ratio is
+                not between -1 and 1/2; or if it is above 0.49 with elements of degree 1. Because of volumetric locking
+                these elements then give no accurate pressure.
         """
         self._name, gdim = name, u.function_space.mesh.geometry.dim
         if u.function_space.dofmap.index_map_bs != gdim or gdim < 2:
             raise InputError(f"{name}: u must have {max(gdim, 2)} components, one for each coordinate of the mesh")
         if gdim == 2 and plane not in PLANES:
             hint = nearest(str(plane), PLANES) if plane is not None else ""
-            raise InputError(f"{name}: plane = {shown(plane)}{hint}: a plane body needs {', '.join(PLANES)}")
+            raise InputError(
+                f"{name}: plane = {shown(plane)}{hint}: a plane body needs {' or '.join(map(repr, PLANES))}"
+            )
         if gdim == 3 and plane is not None:
             raise InputError(f"{name}: plane = {shown(plane)}: u has three components, so that there is no plane")
         self.u, self.young, self.poisson, self.plane = u, young, poisson, plane
@@ -107,15 +112,15 @@ class Elasticity:
 
     @property
     def radius(self) -> Any:
-        """The factor of all integrals: x[0] in axial symmetry, else 1."""
+        """The factor of all integrals: x[0] with plane="axial", otherwise 1."""
         return ufl.SpatialCoordinate(self.u.function_space.mesh)[0] if self.plane == "axial" else 1
 
     def over(self, measure: ufl.Measure) -> Any:
-        """A measure with that factor, as `ObstacleProblem` takes it for `measure`."""
+        """The measure with the factor `radius`, for the argument `measure` of `ObstacleProblem`."""
         return self.radius * measure if self.plane == "axial" else measure
 
     def strain_of(self, w: Any) -> Any:
-        """The strain of a displacement, shape (3, 3); in plane stress without its component across."""
+        """The strain of a displacement w, shape (3, 3); in plane stress without the component out of the plane."""
         e = ufl.sym(ufl.grad(w))
         if self.plane is None:
             return e
@@ -123,7 +128,7 @@ class Elasticity:
         return ufl.as_matrix([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, across]])
 
     def stress_of(self, w: Any) -> Any:
-        """The stress of a displacement, shape (3, 3)."""
+        """The stress of a displacement w, shape (3, 3)."""
         mu = self.young / (2 * (1 + self.poisson))
         lam = self.young * self.poisson / ((1 + self.poisson) * (1 - 2 * self.poisson))
         e = self.strain_of(w)
@@ -134,16 +139,16 @@ class Elasticity:
 
     @cached_property
     def stress(self) -> Any:
-        """The stress of u, shape (3, 3), as `ObstacleProblem` takes it for `stress`."""
+        """The stress of u, shape (3, 3), for the argument `stress` of `ObstacleProblem`."""
         return self.stress_of(self.u)
 
     def residual(self, v: Any) -> ufl.Form:
-        """int stress(u) : strain(v), without loads."""
+        """The residual without loads, the integral of stress(u) : strain(v)."""
         return self.radius * ufl.inner(self.stress, self.strain_of(v)) * self._dx
 
     @property
     def energy(self) -> ufl.Form:
-        """int stress(u) : strain(u)/2."""
+        """The elastic energy, the integral of stress(u) : strain(u)/2."""
         return self.radius * ufl.inner(self.stress, self.strain_of(self.u)) / 2 * self._dx
 
     @property
@@ -155,30 +160,33 @@ class Elasticity:
         return dx(metadata={"quadrature_degree": degree}) if self.plane == "axial" else dx
 
 
+@names_checked
 def plane_gap(x: Any, n: Any, point: Sequence[Any], outward: Sequence[Any]) -> Any:
-    """The gap to a rigid half-space, in UFL: the length along n from x to its surface.
+    """The gap to a rigid half-space, as a UFL expression: the distance along n from x to its surface.
 
     Args:
         x: Points of the body's surface, `ufl.SpatialCoordinate(mesh)`.
-        n: Direction in which the gap is measured, a unit vector of the body outwards; a list or UFL.
-        point: On the surface; numbers, Constants or UFL, so that it may move.
-        outward: Normal of the half-space, towards the body; its length is of no importance.
+        n: Unit vector along which the gap is measured, from the body to the obstacle; a list or UFL.
+        point: A point on the surface: numbers, Constants or UFL. With a Constant the half-space can move.
+        outward: Normal of the half-space, towards the body; its length has no effect.
     """
     n, point, outward = (ufl.as_vector(list(one)) for one in (n, point, outward))
     return ufl.dot(point - x, outward) / ufl.dot(n, outward)
 
 
+@names_checked
 def ball_gap(x: Any, n: Any, centre: Sequence[Any], radius: Any, axis: Sequence[Any] | None = None) -> Any:
-    """The gap to a rigid ball, in the plane a cylinder, in UFL: the length along n from x to its surface.
+    """The gap to a rigid ball, in the plane a cylinder, in UFL: the distance along n from x to its surface.
 
-    Where the line along n misses the ball, the gap ends at the point that is nearest to the centre.
+    If the line through x misses the ball, the gap is the distance along n to the point of the line that is nearest to
+    the centre. Example: `ObstacleProblem(..., of=ufl.dot(u, n), upper=ball_gap(x, n, centre, radius), measure=ds(3))`.
 
     Args:
         x: Points of the body's surface, `ufl.SpatialCoordinate(mesh)`.
-        n: Direction in which the gap is measured, a unit vector of the body outwards; a list or UFL.
-        centre: Of the ball; numbers, Constants or UFL, so that it may move.
-        radius: Of the ball, in the unit of x.
-        axis: In space, the direction of a cylinder through `centre` in place of the ball.
+        n: Unit vector along which the gap is measured, from the body to the obstacle; a list or UFL.
+        centre: Centre of the ball: numbers, Constants or UFL. With a Constant the ball can move.
+        radius: Radius of the ball, in the unit of x.
+        axis: In space, the direction of the axis of a cylinder through `centre`, in place of the ball.
     """
     n, centre = ufl.as_vector(list(n)), ufl.as_vector(list(centre))
     there = centre - x

@@ -9,8 +9,9 @@ import ufl
 from petsc4py import PETSc
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.rules import Rule, facet_of, nodal_rule
+from fenicsx_obstacle.forms.rules import Rule, facet_of, has_nodal_rule, nodal_rule
 from fenicsx_obstacle.releases import called
+from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
 
@@ -19,6 +20,7 @@ def positive_part(t: Any) -> Any:
     return ufl.max_value(t, 0.0)
 
 
+@names_checked
 def penalty(
     u: Any,
     v: Any,
@@ -29,24 +31,26 @@ def penalty(
     rule: Rule | None = None,
     measure: Any = None,
 ) -> ufl.Form:
-    """The term that makes a residual F(u; v) the penalised obstacle problem: `F += penalty(u, v, upper=g, eps=eps)`.
+    """The penalty term of the residual F(u; v), for a solver of your own: `F += penalty(u, v, lower=g, eps=1e-4)`.
 
-    (3.4): a(u, v) + (1/eps) I((u - g)^+, v) = f(v) for u <= g, and its mirror image for u >= lower.
+    The term is (1/eps) I((u - upper)^+ - (lower - u)^+, v), as in equation (3.4) of Kikuchi (1981). I is the quadrature
+    rule whose points are the nodes, so that the term is diagonal in the nodal values.
 
     Args:
-        u: Displacement, any scalar UFL expression.
-        v: Test function, or a scalar part of one.
-        eps: Penalty parameter > 0 in units of u/p; a Constant can be changed later without compiling again.
-        lower: Obstacle below, anything UFL takes; None for none.
-        upper: Obstacle above, anything UFL takes; None for none.
-        rule: Quadrature I; by default the nodal rule of v's element.
+        u: The unknown, or any scalar UFL expression of it, such as `ufl.dot(u, n)`.
+        v: Test function, or the same scalar expression of the test function.
+        eps: Penalty parameter > 0 in the unit of u/p. The value of a Constant can be changed later.
+        lower: Lower obstacle, a number, a Constant, a Function or a UFL expression; None if there is none.
+        upper: Upper obstacle, of the same kinds; None if there is none.
+        rule: Quadrature rule I; by default `nodal_rule` for the element of v.
         measure: Where contact can happen; by default the whole domain, `ds(3)` for a part of the boundary.
 
     Returns:
         A linear form in v.
 
     Raises:
-        InputError: If eps is not positive, no obstacle is given, or the element has no nodal rule.
+        InputError: If eps is not positive, no obstacle is given, or the element of v has no nodal rule (P2 on triangles
+            and tetrahedra, degree 3 and above).
     """
     if lower is None and upper is None:
         raise InputError("penalty: give an obstacle, lower= or upper=")
@@ -61,8 +65,15 @@ def penalty(
     measure = ufl.Measure("dx", domain=domain) if measure is None else measure
     if rule is None:
         cell = called(domain.ufl_cell().cellname)
-        on_facets = "facet" in measure.integral_type()
-        rule = nodal_rule(facet_of(cell) if on_facets else cell, _degree(space))
+        if "facet" in measure.integral_type():
+            cell = facet_of(cell)
+        degree = _degree(space)
+        if not has_nodal_rule(cell, degree):
+            raise InputError(
+                f"penalty: v has degree {degree} on a {cell}: the nodes have no quadrature rule with positive weights; "
+                "take degree 1, or degree 2 with ObstacleProblem"
+            )
+        rule = nodal_rule(cell, degree)
     dI = rule.on(measure)
     eps = _constant(domain, eps)
     above = 0 if upper is None else (1 / eps) * positive_part(u - upper)
@@ -77,19 +88,22 @@ def penalty_energy(u: Any, *, eps: Any, dI: Any, lower: Any = None, upper: Any =
     return (above**2 + below**2) / (2 * eps) * dI
 
 
+@names_checked
 def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) -> Any:
-    """The contact pressure at the nodes: p(x_i) = -(u - g)^+(x_i) / eps, (3.7)-(3.8).
+    """The contact pressure p at the nodes, after a solve with `penalty`.
 
-    p <= 0 where u presses against `upper`, p >= 0 against `lower`: -div(mu grad u) = f + p.
+    p = ((lower - u)^+ - (u - upper)^+)/eps, equations (3.7) and (3.8) of Kikuchi (1981). It is a load on the right-hand
+    side, -div(mu grad u) = f + p: p >= 0 at a lower obstacle, p <= 0 at an upper obstacle. With P1 the contact force is
+    the integral of `p * ufl.dx`.
 
     Args:
-        u: Solution, a Function of a Lagrange space whose nodes are the points of its rule.
-        eps: The penalty parameter it was solved with.
-        lower: Obstacle below: a Function of the same space, a number, or a UFL expression.
-        upper: Obstacle above: a Function of the same space, a number, or a UFL expression.
+        u: Solution, a Function of the Lagrange space for which `penalty` was used.
+        eps: The penalty parameter of the solve.
+        lower: Lower obstacle: a Function of the same space, a number, or a UFL expression.
+        upper: Upper obstacle: a Function of the same space, a number, or a UFL expression.
 
     Returns:
-        Function of the same space, nodal values of p in Q_h.
+        Function of the same space with the nodal values of p.
 
     Raises:
         InputError: If eps is not positive or no obstacle is given.

@@ -12,6 +12,7 @@ from itertools import product
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.text import shown
 
 _VERTICES = {
     "vertex": ((),),
@@ -48,24 +49,36 @@ class Rule:
 
 
 def nodal_rule(cell: str, degree: int = 1) -> Rule:
-    """The rule whose points are the Lagrange nodes.
+    """The quadrature rule whose points are the Lagrange nodes, which `penalty` uses by default.
+
+    `dI = nodal_rule("triangle").on(ufl.dx)` is a measure with this rule. For example, `p * v * dI` is the form of the
+    contact forces at the nodes.
 
     Args:
         cell: Name of the cell: interval, triangle, tetrahedron, quadrilateral, hexahedron.
-        degree: Degree of V_h: 1 for simplices (vertex rule), 1 or 2 for tensor cells (trapezoid, Simpson).
+        degree: Degree of V_h: 1 (vertex rule, on tensor cells the trapezoid rule), or 2 on intervals, quadrilaterals
+            and hexahedra (Simpson's rule).
 
     Raises:
-        InputError: If no such rule has positive weights (3.6); the rule of P2 on triangles has weights 0 at the
-            vertices.
+        InputError: If the weights of the rule are not positive, as equation (3.6) of Kikuchi (1981) requires. The rule
+            of P2 on triangles has the weight 0 at the vertices.
     """
-    if degree == 1 and cell in _VERTICES:
+    if cell not in (*_VERTICES, *_DIMENSION):
+        wanted = f"expected the name of a cell, one of {', '.join(_FACET)}"
+        raise InputError(f"nodal_rule: cell = {shown(cell)}: {wanted}")
+    if not has_nodal_rule(cell, degree):
+        raise InputError(f"nodal_rule: degree {degree} on a {cell}: the nodes have no rule with positive weights (3.6)")
+    if cell in _VERTICES and degree == 1:
         points = _VERTICES[cell]
         return Rule(points, (_VOLUME[cell] / len(points),) * len(points))
-    if degree in _LINE and (cell in _DIMENSION or cell == "interval"):
-        nodes = list(product(_LINE[degree], repeat=_DIMENSION.get(cell, 1)))
-        points = tuple(tuple(x for x, _ in reversed(node)) for node in nodes)
-        return Rule(points, tuple(_product(w for _, w in node) for node in nodes))
-    raise InputError(f"degree {degree} on a {cell} has no nodal rule with positive weights (3.6); pass rule=Rule(...)")
+    nodes = list(product(_LINE[degree], repeat=_DIMENSION.get(cell, 1)))
+    points = tuple(tuple(x for x, _ in reversed(node)) for node in nodes)
+    return Rule(points, tuple(_product(w for _, w in node) for node in nodes))
+
+
+def has_nodal_rule(cell: str, degree: int) -> bool:
+    """Whether the nodes of this degree have a rule with positive weights."""
+    return degree == 1 or (degree in _LINE and (cell in _DIMENSION or cell == "interval"))
 
 
 def midpoint_rule(cell: str) -> Rule:

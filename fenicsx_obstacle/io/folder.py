@@ -133,6 +133,11 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
             raise InputError(f"{folder}: a file, not the folder of a saved answer")
         for name in ("answer.json", "fields.h5", *needed, "history.csv"):
             if not (folder / name).exists():
+                if name == "scene.toml":
+                    raise InputError(
+                        f"{folder}: holds a solution of ObstacleProblem, without a scene (scene.toml is missing): read "
+                        "it in Python by Solution.read"
+                    )
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
         try:
             found = places(folder / "fields.h5")
@@ -172,6 +177,8 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         fields = restored(level, {name: arrays[name] for name in names if name in arrays}, element)
     except (InputError, LookupError, ValueError) as error:
         raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
+    for name, function in fields.items():
+        function.name = name
     further |= {name: fields.get(name) for name in ("lower", "upper")}
     if "bound" in record:
         from fenicsx_obstacle.estimation.bound import Bound  # only where it was asked for

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numbers
 import traceback
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from hashlib import sha256
@@ -76,12 +77,14 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
         InputError: Naming what came, and what is expected.
     """
     kinds = ("a functional of u", "a linear form in one test function", "a bilinear form in trial and test function")
+    if isinstance(form, ufl.equation.Equation):
+        raise InputError(f"{place} is an equation: give the residual, a(u, v) - L(v), in place of a(u, v) == L(v)")
     if not isinstance(form, ufl.Form):
         raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kinds[arguments]}")
     found = form.arguments()
     words = (
         "must be a functional of u",
-        "must be linear in one test function, and hold no trial function",
+        "must be linear in one test function, and contain no trial function",
         "must be bilinear, in a trial and a test function",
     )[arguments]
     if len(found) != arguments:
@@ -318,6 +321,40 @@ def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: 
     codim = {"cell": 0, "exterior_facet": 1, "interior_facet": 1}.get(measure.integral_type())
     if codim is not None and hasattr(tags, "find"):
         check_tags(tags, mesh, mesh.topology.dim - codim, f"{place}: subdomain_data")
+
+
+def warn_of_empty(F: ufl.Form, bcs: Sequence[Any], mesh: dmesh.Mesh, place: str) -> None:
+    """Warn of integrals in F over no cell or facet, and of Dirichlet conditions without dofs (collective).
+
+    Args:
+        F: The residual.
+        bcs: Dirichlet conditions.
+        mesh: Mesh of u.
+        place: What messages call the problem.
+    """
+    parts = {"cell": "cell", "exterior_facet": "facet", "interior_facet": "facet"}
+    empty: dict[str, None] = {}
+    for integral in F.integrals():
+        tags, part = integral.subdomain_data(), parts.get(integral.integral_type())
+        if part is None or not hasattr(tags, "find"):
+            continue
+        for tag in _ids(integral):
+            if not isinstance(tag, numbers.Integral):
+                continue
+            found = tags.find(tag)
+            if total(mesh.comm, len(found)) == 0:
+                empty[f"F has an integral over the tag {tag}, but no {part} has this tag"] = None
+            elif integral.integral_type() == "exterior_facet":
+                mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+                if total(mesh.comm, np.isin(found, dmesh.exterior_facet_indices(mesh.topology))) == 0:
+                    inside = "no facet with this tag is on the boundary; inside the domain take dS"
+                    empty[f"F has an integral ds over the tag {tag}, but {inside}"] = None
+    for number, bc in enumerate(bcs):
+        if total(mesh.comm, len(bc.dof_indices()[0])) == 0:
+            empty[f"bcs[{number}] has no dofs, so that it has no effect"] = None
+    if mesh.comm.rank == 0:
+        for words in empty:
+            warnings.warn(f"{place}: {words}", stacklevel=4)
 
 
 def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:

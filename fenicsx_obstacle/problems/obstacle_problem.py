@@ -41,12 +41,14 @@ from fenicsx_obstacle.problems.input_checks import (
     refuse_no_positive_diagonal,
     refuse_not_finite,
     vertex_digests,
+    warn_of_empty,
 )
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.problems.values import Seconds
+from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.solvers import multigrid
 from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
 from fenicsx_obstacle.solvers.linear import overriding, unread
@@ -81,32 +83,37 @@ class Solved:
 
 
 class ObstacleProblem:
-    """Find u between obstacles such that F(u; v) + (1/eps) I((u - g)^+, v) = 0 for all v, or the inequality itself.
+    """A residual F(u; v) = 0 with obstacles, lower <= u <= upper.
 
-    I is the rule at the nodes of u (3.5), (3.6): the penalty is diagonal, and (3.7) gives the contact pressure at the
-    nodes. Whether F is linear in u is detected; if so, its matrix is assembled once and reused while the values of the
-    coefficients in it stay the same.
+    The penalty method solves F(u; v) + (1/eps) I((u - upper)^+ - (lower - u)^+, v) = 0 for all v. I is a quadrature
+    rule, equations (3.5) and (3.6) of Kikuchi (1981). Its points are the nodes of u; for scalar u and P2 on triangles
+    they are the midpoints of edges. The penalty acts at each of these contact nodes separately. `solve(method="vi")`
+    solves the variational inequality without a penalty.
 
-    Data may change between two calls of `solve`: values of Constants and Functions in F, obstacles and Dirichlet
-    values are updated, and the iteration starts from u, as a loop over time steps needs it. The mesh must stay where
-    it is: after a move create a new ObstacleProblem. Where F is linear and symmetric, and u is one number or turns out
-    to be a bad start, algebraic coarse levels give a better one.
+    The arguments F, u, bcs, J and those for PETSc and the form compiler are those of DOLFINx's NonlinearProblem. All
+    arguments except F and u need a keyword. All methods are collective.
 
-    All methods are collective.
+    - Linear or nonlinear. The class detects whether F is linear in u. If it is, the matrix is assembled once, and
+      reused while the values of its coefficients stay the same.
+    - Second solve. If Constants, Functions, obstacles or Dirichlet values have changed, `solve` uses the new values. It
+      starts from u, so that a loop over time or load steps may call it repeatedly.
+    - Initial guess. If F is linear and symmetric, and u is constant or a bad initial guess, the problem is first solved
+      on algebraic coarse levels.
+    - Mesh. The mesh must not move. After a move create a new ObstacleProblem.
 
     Attributes:
-        u: The unknown: start and solution.
-        solver: The SNES of the last attempt, for its counts, reason and options; None before the first solve. Each
-            attempt has a new one: `petsc_options` change it, `monitor` watches it.
-        A: The matrix of the last linear system; rows of Dirichlet dofs are those of the identity.
-        b: The residual F(u; v_i) at the last u, without the contact forces; at Dirichlet dofs the reaction of the
-            support.
+        u: The unknown: before a solve the initial guess, after it the solution.
+        solver: The SNES of the last solve, with its counts, reason and options; None before the first solve. Each solve
+            makes a new SNES. Use `petsc_options` to change its options, and `monitor` to follow its steps.
+        A: The matrix of the last linear system. Rows of Dirichlet dofs are those of the identity.
+        b: The residual F(u; v_i) at the last u, without the contact forces. At Dirichlet dofs it is the reaction force.
     """
 
     name = "ObstacleProblem"  # in messages
     _vector_valued = False
     _von_mises: VonMises | None = None
 
+    @names_checked
     def __init__(
         self,
         F: ufl.Form,
@@ -127,36 +134,40 @@ class ObstacleProblem:
     ):
         """Compile and assemble (collective).
 
+        A warning names each tag in F that no cell or facet has, and each condition in bcs without dofs.
+
         Args:
-            F: Residual without contact, a linear form in one test function; linear in u or not.
-            u: Unknown of F, a continuous Lagrange Function of degree 1 or 2, scalar or vector-valued. It holds the
-                start, and then the solution. If u is given nowhere and only the obstacle supports it, the iteration
-                starts from contact instead.
+            F: Residual without contact, such as a(u, v) - L(v): a form with the Function u and one test function. It
+                may be linear or nonlinear in u.
+            u: Unknown of F, a continuous Lagrange Function of degree 1 or 2, scalar or vector-valued. Its values are
+                the initial guess, and after a solve the solution. If only the obstacle supports u, because no
+                Dirichlet condition does, the iteration starts from contact instead.
             bcs: Dirichlet conditions, a list or a single one.
-            lower: Obstacle below, taken at the nodes: a number; a Constant; a Function, also of another space, or on
-                another mesh that covers this one; UFL without u; or a callable of x, shape (3, n), as
-                Function.interpolate takes it. In units of u.
-            upper: Obstacle above, in the same way.
-            energy: The functional whose derivative F is; with it a line search safeguards the iteration. Needed where F
-                is not linear only.
-            J: The derivative of F, by default that of UFL; not used if F is linear.
-            of: For vector-valued u, the bounded component: a scalar UFL expression linear in u, such as
-                `ufl.dot(u, n)` with a constant, a field or `ufl.FacetNormal(mesh)` for n; it is sampled once. At each
-                contact node it has one unit normal, the mean over the facets there.
-            measure: Where contact can be: `ds(3)` for the facets tagged 3, also a tuple of tags; by default the domain.
-                The pressure is then a force per area of these facets (in the plane, per length). Of vector-valued u
-                facets of the boundary, and there may be a factor, as `x[0] * ds(3)` in axial symmetry.
-            stress: Of vector-valued u, its stress in UFL, a tensor with three rows (also in plane strain and axial
-                symmetry) or, in plane stress, with two. Solutions then have the von Mises stress of each cell.
+            lower: Lower obstacle, in the unit of u. It is evaluated at the nodes. It may be a number; a Constant; a
+                Function of any continuous space, also on another mesh that covers this one; a UFL expression without
+                u; or a callable of x, an array of shape (3, n), as for Function.interpolate.
+            upper: Upper obstacle, of the same kinds.
+            energy: The functional whose derivative is F (optional, for nonlinear F). A line search then decreases this
+                energy, which makes Newton's method more robust.
+            J: The derivative of F. By default UFL computes it. It is not used if F is linear.
+            of: For vector-valued u, the scalar that the obstacles bound: a UFL expression linear in u, such as
+                `ufl.dot(u, n)`, where n is a constant vector, a field or `ufl.FacetNormal(mesh)`. It is evaluated once.
+                Each contact node has one unit normal, the mean over its facets.
+            measure: Where contact can happen: `ds(3)` for the facets with the tag 3, `ds((3, 4))` for two tags. By
+                default the whole domain. On facets the pressure is a force per area (in the plane, per length). For
+                vector-valued u the measure is required. It may have a factor, as `x[0] * ds(3)` in axial symmetry.
+            stress: For vector-valued u, its stress in UFL (optional): a tensor with three rows (also in plane strain
+                and axial symmetry) or, in plane stress, with two. The solution then has the von Mises stress of each
+                cell.
             petsc_options_prefix: Prefix of the options of SNES, KSP and PC; by default `penalty_` or `vi_`.
-            petsc_options: Options without the prefix; they go before those of the command line, and hold for this
-                problem alone. By default: conjugate gradients with algebraic multigrid where the derivative of F is
-                symmetric, else GMRES; multigrid on algebraic levels where F is linear and symmetric.
+            petsc_options: PETSc options without the prefix, for this problem only. They take precedence over those of
+                the command line. By default the linear solver is conjugate gradients with algebraic multigrid if the
+                derivative of F is symmetric, and GMRES otherwise.
             form_compiler_options: As for dolfinx.fem.form.
             jit_options: As for dolfinx.fem.form.
 
         Raises:
-            InputError: If an argument is of another kind, or no u can satisfy the data.
+            InputError: If an argument is invalid, or no u can satisfy the data.
         """
         check_unknown(u, self.name, lower=lower, upper=upper, of=of, stress=stress)
         V = u.function_space
@@ -178,6 +189,7 @@ class ObstacleProblem:
         for name, given in (("F", F), ("energy", energy), ("J", J)):
             for integral in () if given is None else given.integrals():
                 check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
+        warn_of_empty(F, held, V.mesh, self.name)
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
         with releases.compiled_with(*compiled):
@@ -310,6 +322,7 @@ class ObstacleProblem:
         """The mesh and the spaces V_h and Q_h."""
         return self._problem.level
 
+    @names_checked
     def solve(
         self,
         *,
@@ -319,21 +332,26 @@ class ObstacleProblem:
         bound: bool = False,
         monitor: Monitor | None = None,
     ) -> Solution:
-        """Solve, starting from u or from coarse levels (collective).
+        """Solve the problem; u holds the solution afterwards (collective).
 
         Args:
-            eps: Penalty parameter in units of u/p, a number or a Constant; "auto" takes a hundredth of the median of
-                D_i/A_ii over the nodes where u is free, for A the derivative of F at the start and D the weights of I;
-                of a model it is h^2/100 over the largest tension.
-            method: penalty; successive, the paper's (3.4)*, which starts without contact; or vi, for the variational
-                inequality by SNES VI, without eps.
-            rtol: The solver stops if unbalanced forces over acting forces are below it; dimensionless.
-            bound: Bound the energy error; needs a problem made of effects.
-            monitor: Called with the number of each Newton step and its `Step`, on all ranks.
+            eps: Penalty parameter in the unit of u/p, a number or a Constant. With "auto" it is a hundredth of the
+                median of D_i/A_ii over the nodes where u is not given. A is the derivative of F at the initial guess,
+                and D_i are the weights of I. For a problem made from a Scene, "auto" is h^2/100 divided by the largest
+                tension.
+            method: "penalty"; "vi", the variational inequality by SNES VI, without eps; or "successive", the iteration
+                (3.4)* of Kikuchi's paper, which starts without contact.
+            rtol: The solver stops when the sum of unbalanced forces, divided by the sum of acting forces, is below this
+                number.
+            bound: Also compute a bound of the energy error. This needs a problem made from a Scene.
+            monitor: A function that is called on all ranks with the number of each Newton step and its `Step`.
+
+        Returns:
+            The solution. It is a copy, which later solves do not change.
 
         Raises:
-            InputError: If an argument is of another kind, or no u can satisfy the data.
-            NotConverged: With PETSc's reason; u is then unchanged.
+            InputError: If an argument is invalid, or no u can satisfy the data.
+            NotConverged: If the solver fails, with PETSc's reason; u is then unchanged.
         """
         started = time.perf_counter()
         if bound and self._estimator is None:
@@ -453,7 +471,7 @@ class ObstacleProblem:
             left = unread(options)
         ignored = [key for key in self._options if all(prefix + key in left for prefix in prefixes)]
         if ignored and self.level.comm.rank == 0:
-            warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=5)
+            warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=6)
 
     def _begin(self) -> None:
         """Update changed data, and start from u (collective)."""
@@ -484,8 +502,8 @@ class ObstacleProblem:
         """
         if self._form is not None:
             raise InputError(
-                f"{self.name}: bound=True needs tension and load as data, which are not known of a form: use "
-                "Scene(mesh=...)"
+                f"{self.name}: bound=True needs tension and load as data, which cannot be read from a form: "
+                "use Scene(mesh=..., tension=..., load=...)"
             )
         from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 

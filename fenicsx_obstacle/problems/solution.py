@@ -48,16 +48,19 @@ class Solution:
     """A converged solution with its pressure, contact set, history and values.
 
     Attributes:
-        level: The mesh and its spaces.
-        u: Solution, in the unit of the obstacles; a copy, which later solves do not change.
-        pressure: Contact pressure p in Q_h, in the unit of the load; <= 0 against the upper obstacle.
-        contact: 1 at the points of I in contact, else 0; in Q_h.
-        lower: Nodal lower obstacle, or None.
-        upper: Nodal upper obstacle, or None.
-        history: The steps of the iteration.
+        level: The mesh and its spaces, `level.mesh` and `level.V`.
+        u: Solution, in the unit of the obstacles. It is a copy, which later solves do not change.
+        pressure: Contact pressure p, in the unit of the load: >= 0 at the lower obstacle, <= 0 at the upper one. Its
+            space Q_h has the contact nodes as nodes. With P1 it is the space of u, with P2 on triangles the
+            Crouzeix-Raviart space: its values at the midpoints of edges have these signs, but between them p may have
+            the opposite sign near the free boundary.
+        contact: 1 at the contact nodes where u is in contact, 0 at the others; in the space of the pressure.
+        lower: Lower obstacle at the nodes, or None.
+        upper: Upper obstacle at the nodes, or None.
+        history: The Newton steps.
         record: All values, as in answer.json.
         bound: Bound of the energy error, or None.
-        tension: In UFL, a number or a matrix; None for a form, and for a solution read from files.
+        tension: The tension in UFL, a number or a matrix; None for a form, and for a solution that was read from files.
     """
 
     level: Level
@@ -70,6 +73,13 @@ class Solution:
     record: Mapping[str, Any] = field(repr=False)
     bound: Bound | None = None
     tension: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        # the names that ParaView shows; XDMFFile cannot write two Functions with one name
+        for name in ("pressure", "contact", "lower", "upper", "gap", "von_mises"):
+            function = getattr(self, name, None)
+            if function is not None:
+                function.name = name
 
     def __repr__(self) -> str:
         r = self.record
@@ -100,49 +110,49 @@ class Solution:
 
     @property
     def area(self) -> float:
-        """Area of the contact set, which ends between nodes; for obstacles on the boundary a length."""
+        """Area of the contact set; for an obstacle on the boundary of a plane domain its length."""
         return self.record["contact"]["area"]
 
     @property
     def force(self) -> Force:
-        """The resultants of the contact pressure."""
+        """The contact forces, `force.lower` and `force.upper`, both >= 0; None for an obstacle that does not exist."""
         contact = self.record["contact"]
         return Force(*(contact[side]["force"] if side in contact else None for side in ("lower", "upper")))
 
     @property
     def penetration(self) -> float:
-        """Largest penetration of an obstacle."""
+        """Largest distance by which u penetrates an obstacle, in the unit of u."""
         return self.record["penetration"]
 
     @property
     def energy(self) -> float | None:
-        """a(u, u)/2 - f(u) and the energy of the penalty; None where there is no energy."""
+        """a(u, u)/2 - f(u) plus the energy of the penalty; None if the problem has no energy."""
         return self.record["energy"]
 
     @property
     def iterations(self) -> int:
-        """Newton steps on the finest mesh."""
+        """Number of Newton steps on the finest mesh."""
         return self.record["newton_iterations"]
 
     @property
     def dofs(self) -> int:
-        """Unknowns on all ranks, those with given values included."""
+        """Number of unknowns on all ranks, including those with given values."""
         return self.record["dofs"]
 
     @property
     def report(self) -> Mapping[str, float | None]:
-        """The values that [report] asks for, by name; None where a value is not finite."""
+        """The values of [report] by name; None if a value is not finite."""
         return self.record.get("report") or {}
 
     @property
     def errors(self) -> Errors | None:
-        """Of u and p; None where the exact solution is not known."""
+        """The errors of u and p; None if the exact solution is not known."""
         found = self.record.get("errors")
         return None if found is None else _from_record(Errors, found)
 
     @property
     def adaptive(self) -> Adaptive | None:
-        """How the tolerance was reached; None where none was asked for."""
+        """The adaptive meshes and whether the tolerance was reached; None if no tolerance was given."""
         found = self.record.get("adaptive")
         if found is None:
             return None
@@ -151,7 +161,7 @@ class Solution:
 
     @property
     def goal(self) -> Quantity | None:
-        """The quantity that had a tolerance, with its error; None where none had one."""
+        """The quantity that was given a tolerance, with its error; None if there is none."""
         found = self.record.get("goal")
         return None if found is None else _from_record(Quantity, found)
 
@@ -177,21 +187,21 @@ class Solution:
         return cut(self)
 
     def at(self, points: ArrayLike, of: str = "u") -> np.ndarray:
-        """Values at points, not-a-number outside the mesh (collective).
+        """Values at points; not-a-number at points outside the mesh (collective).
 
         Args:
-            points: The same on every rank: one point, or any array of points whose last axis holds their coordinates,
-                as many as the mesh has, or three, as in DOLFINx, the others being 0.
-            of: u; pressure; gap, the distance to the nearest obstacle; slope, the gradient of u; or flux, the tension
-                times the slope. On facets between cells with different values it is their mean.
+            points: One point, or an array of points whose last axis has the coordinates. Give either gdim coordinates,
+                or three as in DOLFINx, where those beyond gdim are 0. All ranks must give the same points.
+            of: "u"; "pressure"; "gap", the distance to the nearest obstacle; "slope", the gradient of u; or "flux", the
+                tension times the gradient. Where adjacent cells have different values, the result is their mean.
 
         Returns:
-            One value for each point, the same on every rank: shape (n,) for points of shape (n, gdim) or (n, 3), and
-            shape (), a number, for one point. Of slope and flux (n, gdim) and (gdim,).
+            One value for each point, the same on all ranks: shape (n,) for n points, and shape () for one point. For
+            slope and flux the shapes are (n, gdim) and (gdim,).
 
         Raises:
-            InputError: If the points have another number of coordinates, or are not on the line or plane of the mesh,
-                or there is no such quantity, or the flux is requested and the tension is not known.
+            InputError: If the points have a wrong number of coordinates or do not lie on the line or plane of the mesh;
+                if there is no such quantity; or if the flux is requested and the tension is not known.
         """
         gdim = self.level.mesh.geometry.dim
         try:
@@ -211,9 +221,12 @@ class Solution:
         """All quantities along a line, for a plot (collective).
 
         Args:
-            start: First point, as many coordinates as the mesh has.
+            start: First point, with gdim coordinates.
             end: Last point.
-            n: Number of points, at equal distances.
+            n: Number of equally spaced points.
+
+        Returns:
+            Arrays with one value for each point: s, the distance from the first point; u; pressure; gap; slope; flux.
 
         Raises:
             InputError: As `at`, or if there are fewer than two points.
@@ -259,7 +272,7 @@ class Solution:
         """A quantity as Functions of this mesh (collective)."""
         known = ("u", "pressure", "gap", "slope", "flux")
         if of not in known:
-            raise InputError(f"at() knows no '{of}'{nearest(of, known)}; it knows {', '.join(known)}")
+            raise InputError(f"at() has no quantity '{of}'" + nearest(of, known))
         if of == "gap":
             gap = fem.Function(self.level.V)
             gap.x.array[:] = np.inf
@@ -288,7 +301,7 @@ class Solution:
         if self.tension is None:
             raise InputError(
                 "at() has no flux here: the tension of a form is not known, nor that of a solution read without "
-                "a scene; 'slope' is |grad u|"
+                "a scene; 'slope' is the gradient of u"
             )
         return self.tension
 
@@ -348,6 +361,7 @@ class Solution:
             fields: Those of `functions` there.
             parents: For each owned simplex the cell it was cut from.
         """
+        fields["u"].name = self.u.name
         return replace(self, level=level, tension=None, **fields)
 
     def summary(self) -> str:
@@ -358,8 +372,8 @@ class Solution:
 
     @checked()
     def save(self, folder: str | Path) -> None:
-        """Write answer.json, history.csv, fields.xdmf and fields.h5 into a folder, and of a scene scene.toml
-        (collective).
+        """Write answer.json, history.csv, fields.xdmf and fields.h5 into a folder, for a scene also scene.toml
+        (collective). ParaView opens fields.xdmf.
 
         Raises:
             InputError: If the folder cannot be written.

@@ -10,11 +10,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Force:
-    """The resultant of the contact pressure on each obstacle, >= 0, in units of pressure times area.
+    """The contact force on each obstacle: the integral of the absolute value of the contact pressure.
 
     Attributes:
-        lower: On the lower obstacle; None where there is none.
-        upper: On the upper obstacle; None where there is none.
+        lower: Force on the lower obstacle, >= 0; None if there is no lower obstacle.
+        upper: Force on the upper obstacle, >= 0; None if there is no upper obstacle.
     """
 
     lower: float | None
@@ -26,9 +26,9 @@ class Seconds:
     """Wall-clock time.
 
     Attributes:
-        total: From the mesh to the solution; of the command `solve` all of it, its files and pictures included.
-        mesh: To make the mesh; 0 for the caller's own.
-        solve: Set-up, assembly and iteration.
+        total: Time in s from making the mesh to the solution. For the command `solve` it includes files and pictures.
+        mesh: Time in s to make the mesh; 0 for a mesh of your own.
+        solve: Time in s of set-up, assembly and iteration.
     """
 
     total: float
@@ -60,13 +60,13 @@ class AdaptiveMesh:
     """One mesh of an adaptive solve.
 
     Attributes:
-        dofs: Unknowns.
+        dofs: Number of unknowns.
         total: Bound of the energy error.
-        relative: The bound over the energy norm of u; None where that is 0.
+        relative: The bound divided by the energy norm of u; None if this norm is 0.
         eps: Penalty parameter, in units of u/p; None for the variational inequality.
         seconds: Wall-clock time from the start of the solve.
         memory_mb: Peak memory of all ranks until then, in MB.
-        sampled: Whether total is an estimate from samples of the obstacles, as far from the tolerance no bound is
+        sampled: Whether `total` is only an estimate from samples of the obstacles. Far from the tolerance no bound is
             needed.
     """
 
@@ -81,17 +81,17 @@ class AdaptiveMesh:
 
 @dataclass(frozen=True)
 class Quantity:
-    """An output quantity that had a tolerance.
+    """An output quantity for which a tolerance was given.
 
     Attributes:
         name: energy, force, force.lower, force.upper, or a name of [report].
-        value: In its own unit; of the energy with a guaranteed error the middle of its bounds.
+        value: Its value, in its own unit. If the error of the energy is guaranteed, the middle of its bounds.
         error: Guaranteed or estimated error of the value.
-        relative: The same over the absolute value; None where that is 0.
-        words: 'estimated'; or 'guaranteed', as far as the words of the bound say.
-        mesh: Part of the error due to the mesh, which is all of a guaranteed one.
-        penalty: Part due to eps.
-        dofs: Unknowns of the finest mesh that was solved for the estimate.
+        relative: The error divided by the absolute value; None if the value is 0.
+        words: 'estimated', or 'guaranteed' under the assumptions that the words of the bound state.
+        mesh: Part of the error due to the mesh. A guaranteed error consists of this part only.
+        penalty: Part of the error due to eps.
+        dofs: Number of unknowns of the finest mesh that was solved for the estimate.
     """
 
     name: str
@@ -109,10 +109,10 @@ class Adaptive:
     """How a tolerance was reached, or why it was not.
 
     Attributes:
-        tolerance: Of the energy error, or of the error of a quantity.
+        tolerance: The tolerance of the energy error, or of the error of a quantity.
         relative: Whether the tolerance is relative to the energy norm of u, or to the quantity.
         reached: Whether the bound, or the estimate, of the error is below the tolerance.
-        stopped: What ended the refinement otherwise; "" if the tolerance is reached.
+        stopped: Why the refinement stopped without reaching the tolerance; "" if the tolerance is reached.
         path: The meshes, the coarsest first.
         of: The quantity; "" for the energy error.
     """
@@ -127,18 +127,21 @@ class Adaptive:
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Values along a line; not-a-number outside the mesh, and gaps outside the contact boundary.
+    """Values at the points of a line or curve; not-a-number at points outside the mesh.
+
+    If contact is possible on a part of the boundary only, the gap is not-a-number at points off this part.
 
     Attributes:
         points: Shape (n, gdim).
         s: Distance from the first point, along the points, shape (n,).
         u: Solution, shape (n,), or displacement, shape (n, gdim).
         pressure: Contact pressure, shape (n,).
-        gap: Distance to the nearest obstacle, negative where u penetrates it, shape (n,); infinite without one.
+        gap: Distance to the nearest obstacle, shape (n,); negative where u penetrates it, infinite without an obstacle.
         slope: Gradient of u, shape (n, gdim); None if u is vector-valued.
-        flux: Tension times slope, in force per length, shape (n, gdim); None where the tension is not known.
+        flux: Tension times gradient of u, in force per length, shape (n, gdim); None if the tension is not known, as
+            for an ObstacleProblem with a form.
         von_mises: Von Mises stress of the cell, shape (n,); None if no stress was given.
-        formulas: Values of formulas of comparison, shape (n,) each, by the column over which they are drawn.
+        formulas: Values of formulas given for comparison, each of shape (n,), by the name of the quantity.
     """
 
     points: np.ndarray

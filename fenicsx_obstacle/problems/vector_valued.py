@@ -33,14 +33,14 @@ ROUND_OFF = 1e-9  # of a partition of unity
 
 @dataclass(frozen=True, eq=False)
 class ContactTable:
-    """The contact nodes in the order of their coordinates, the same on every rank.
+    """The contact nodes of all ranks, in the order of their coordinates; the same arrays on every rank.
 
     Attributes:
         points: Coordinates, shape (n, gdim).
         normals: Unit normals N_i, shape (n, gdim).
         areas: D_i, the area (in the plane the length) that belongs to a node, with the factor of the measure.
-        pressure: p_i, <= 0 against the upper obstacle.
-        gap: Distance to the nearest obstacle along N_i; negative by eps |p_i| in contact.
+        pressure: Contact pressure p_i: >= 0 at the lower obstacle, <= 0 at the upper obstacle.
+        gap: Distance to the nearest obstacle along N_i. In contact it is -eps |p_i|.
     """
 
     points: np.ndarray
@@ -56,11 +56,11 @@ class ContactTable:
 
     @property
     def resultant(self) -> np.ndarray:
-        """Their sum, shape (gdim,)."""
+        """Sum of the forces, shape (gdim,)."""
         return self.forces.sum(axis=0)
 
     def moment(self, about: Any = None) -> np.ndarray | float:
-        """Their moment, in the plane a number.
+        """Moment of the forces about a point, in the plane a number.
 
         Args:
             about: Point, shape (gdim,); by default the origin.
@@ -71,13 +71,13 @@ class ContactTable:
         return float(np.sum(arms[:, 0] * self.forces[:, 1] - arms[:, 1] * self.forces[:, 0]))
 
     def radius_of_gyration(self, about: Any = None) -> float:
-        """The root of sum |p_i| D_i |x_i - c|^2 / sum |p_i| D_i, a length; not-a-number without contact.
+        """The square root of sum |p_i| D_i |x_i - c|^2 / sum |p_i| D_i, a length; not-a-number without contact.
 
-        Half the width of a Hertzian contact is 2 of these for a cylinder and sqrt(5/2) for a ball: the error is O(h^2),
-        where counting nodes leaves O(h).
+        The half-width of a Hertzian contact is this length times 2 for a cylinder, and times sqrt(5/2) for a ball. The
+        error of this half-width is O(h^2); a half-width from counting nodes in contact has an error of O(h).
 
         Args:
-            about: The middle c, shape (gdim,); by default the mean of the points of action.
+            about: The middle c, shape (gdim,); by default the mean of the contact points, weighted by their forces.
         """
         size = np.abs(self.pressure * self.areas)
         if size.sum() == 0:
@@ -86,14 +86,15 @@ class ContactTable:
         return float(np.sqrt(size @ ((self.points - middle) ** 2).sum(axis=1) / size.sum()))
 
     def ends(self) -> np.ndarray:
-        """Where each piece of the contact set begins and ends on a plane contact boundary, shape (pieces, 2, 2).
+        """The two ends of each piece of the contact set, for plane and axially symmetric bodies; shape (pieces, 2, 2).
 
-        Beside the contact of smooth surfaces the gap grows like d^(3/2) with the distance d. So gap^(2/3) is linear,
-        and is continued to 0 from the second to the fourth open node; the error is well below the distance of nodes.
-        Where contact reaches the last node of the boundary it is that node; with fewer open nodes, not-a-number.
+        Near the contact of smooth surfaces the gap grows like d^(3/2) with the distance d from the contact. Therefore
+        gap^(2/3) is linear. It is extrapolated to 0 from the second to the fourth node without contact. The error is
+        much smaller than the distance between nodes. If contact reaches the last node of the boundary, the end is this
+        node. If one of the three nodes does not exist or is in contact, the end is not-a-number.
 
         Raises:
-            InputError: If u is not plane.
+            InputError: If the body is not plane.
         """
         if self.points.shape[1] != 2:
             raise InputError("ends() is for plane and axially symmetric bodies; radius_of_gyration() also for others")
@@ -124,11 +125,12 @@ def _zero(s: np.ndarray, gap: np.ndarray, closed: np.ndarray, last: int, step: i
 
 @dataclass(frozen=True)
 class VectorForce(Force):
-    """The forces of contact on the body, in units of pressure times area.
+    """The contact forces of a body; the resultant and the moment are those of the forces on the body.
 
     Attributes:
-        resultant: Their sum, shape (gdim,).
-        moment: Their moment about the origin, shape (3,), in the plane a number; `nodes.moment(about)` takes a point.
+        resultant: Sum of the forces, shape (gdim,).
+        moment: Moment of the forces about the origin, shape (3,), in the plane a number. `nodes.moment(about)` is the
+            moment about another point.
     """
 
     resultant: np.ndarray
@@ -140,8 +142,8 @@ class VectorSolution(Solution):
     """A converged vector-valued solution.
 
     Attributes:
-        nodes: Pressures, gaps and normals at the contact nodes; their resultant.
-        gap: Distance to the nearest obstacle in Q_h, not-a-number off the contact boundary.
+        nodes: Coordinates, normals, areas, pressures and gaps of the contact nodes.
+        gap: Distance to the nearest obstacle, a Function; not-a-number at nodes that are not on the contact boundary.
         von_mises: Von Mises stress in the middle of each cell, piecewise constant; None if no stress was given.
     """
 
@@ -152,7 +154,7 @@ class VectorSolution(Solution):
 
     @property
     def force(self) -> VectorForce:
-        """The resultants of the contact pressure, and their moment."""
+        """The contact forces: `lower` and `upper`, both >= 0, the `resultant` on the body and its `moment`."""
         sides = super().force
         return VectorForce(sides.lower, sides.upper, self.nodes.resultant, self.nodes.moment())
 
@@ -188,7 +190,7 @@ class VectorSolution(Solution):
         known = ("u", "pressure", "gap", "von_mises")
         if of not in known:
             raise InputError(
-                f"at() of a vector-valued solution knows no '{of}'{nearest(of, known)}; it knows {', '.join(known)}; "
+                f"at() of a vector-valued solution has no quantity '{of}'{nearest(of, known)}; "
                 "normals and forces are in solution.nodes"
             )
         if of == "u":

@@ -183,7 +183,12 @@ def _check(formula: Formula, node: ast.expr, depth: int, functions: Mapping[str,
                         raise InputError(formula.pointing(part, "expected the name of a part of the mesh, in quotes"))
                 children = args[:1]
         case _:
-            raise InputError(formula.pointing(node, "not allowed in a formula"))
+            hint = ""
+            if isinstance(node, ast.Subscript):
+                hint = "; the coordinates are x, y and z"
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                hint = f"; functions have no prefix: {node.func.attr}(...)"
+            raise InputError(formula.pointing(node, "not allowed in a formula" + hint))
     for child in children:
         _check(formula, child, depth + 1, functions)
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,11 +55,26 @@ RESERVED = {
 }
 
 
+def _check_effects(effects: Mapping[str, Any]) -> None:
+    """Reject a keyword of a Scene that is neither an argument nor an effect.
+
+    Raises:
+        InputError: With the similar name of an argument or of an effect, if there is one.
+    """
+    arguments = [name for name, one in signature(Scene).parameters.items() if one.kind == one.KEYWORD_ONLY]
+    for key in effects:
+        if key not in known():
+            hint = "; u on the boundary is given by boundary=" if key in ("bc", "bcs") else None
+            raise InputError(
+                f"scene: [effects] unknown effect '{key}'" + (hint or nearest(key, [*known(), *arguments]))
+            )
+
+
 @dataclass(frozen=True, init=False)
 class Scene(Vocabulary):
-    """An obstacle problem, checked as far as it can be without a mesh.
+    """The description of an obstacle problem: mesh, data, output quantities and solver options.
 
-    `Scene(mesh=..., tension=1, lower="0.3 - x^2")` or `Scene.read("ball.toml")`.
+    Make it by `Scene(mesh=..., tension=1, lower="0.3 - x^2")` or `Scene.read("ball.toml")`, and solve it by `solve`.
 
     Attributes:
         name: Short name, for files.
@@ -106,43 +122,54 @@ class Scene(Vocabulary):
         u: str = "u",
         **effects: Any,
     ):
-        """Scene from Python; with tags collective.
+        """Make a scene in Python; collective if the mesh has tags.
 
-        A datum (obstacle, value on the boundary, effect) is a number; a formula in x, y, z, such as "0.3 - r^2"; a
-        Constant, whose value is taken when a mesh is made; a Function, of this mesh or of another one that covers it; a
-        UFL expression on this mesh; or a callable of x, shape (3, n), or of x and t.
+        A datum (an obstacle, a value on the boundary, an effect) may be
+
+        - a number, or a formula in x, y, z (and t), such as "0.3 - r^2";
+        - a callable of x, an array of shape (3, n), or of x and t;
+        - a Constant; a Function on this mesh, or on another mesh that covers it; a UFL expression on this mesh. These
+          keep the values that they have when `solve` is called: they do not depend on the time t.
 
         Args:
-            mesh: A DOLFINx mesh, or a table such as {"shape": "rectangle", "cells": 32}.
+            mesh: A DOLFINx mesh, or a table such as {"shape": "rectangle", "cells": 32} or {"file": "plate.msh"}.
             facet_tags: MeshTags of facets of the mesh.
-            cell_tags: MeshTags of its cells.
-            facet_names: Names of parts of the boundary, and of curves inside, with their tag or a list of tags:
-                {"rim": 1}. By default the tags themselves: "1".
-            cell_names: Names of materials, in the same way.
+            cell_tags: MeshTags of cells of the mesh.
+            facet_names: A dict with names of boundary parts, and of curves inside the domain, and for each name its tag
+                or a list of tags: {"rim": 1}. By default the name of a tag is its number: "1".
+            cell_names: A dict with names of materials and their tags, of the same form.
             lower: Lower obstacle, a datum.
             upper: Upper obstacle, a datum.
-            boundary: List of tables as in [[boundary]]; by default u = 0 on the whole boundary.
+            boundary: A table as in [[boundary]], or a list of them: boundary=[{"on": "rim", "value": 0}]. By default
+                u = 0 on the whole boundary.
             exact: Exact solution, not a callable; or a table as in [exact]: exact={"u": "x", "pressure": 0}.
-            define: Named numbers and formulas.
-            report: Named output quantities: report={"force": "integral(p)"}.
-            time: The table [time]: time={"end": 1, "steps": 100, "start": 0}.
-            profile: Lines along which the solution is written, as [profile]: {"middle": {"from": [0, 0.5], "to": [1,
+            define: Names for numbers and formulas, as in [define].
+            report: Output quantities by name, as in [report]: report={"force": "integral(p)"}.
+            time: Time steps, as in [time]: time={"end": 1, "steps": 100, "start": 0}.
+            profile: Lines along which the solution is written, as in [profile]: {"middle": {"from": [0, 0.5], "to": [1,
                 0.5]}}.
-            title: Title.
-            u: Name of the unknown on axes.
-            **effects: One datum per effect: tension=1, load=-2; or one per material: tension={"steel": 1, "tin": 2}.
+            title: Title of pictures and reports.
+            u: Label of the unknown on axes.
+            **effects: One datum for each effect: tension=1, load=-2. A dict has one datum for each material:
+                tension={"steel": 1, "tin": 2}.
 
         Raises:
-            InputError: If the data are invalid; checks that need a mesh come later.
+            InputError: If the data are invalid. Data that need a mesh are checked when the scene is solved.
         """
         if not isinstance(mesh, dict) and not hasattr(mesh, "topology"):
-            wanted = "expected a DOLFINx mesh or a table such as {'shape': 'disk'}"
+            wanted = "expected a DOLFINx mesh or a table such as {'shape': 'disk'} or {'file': 'plate.msh'}"
             raise InputError(f"scene: mesh = {shown(mesh)}: {wanted}")
+        _check_effects(effects)
+        parts = [boundary] if isinstance(boundary, Mapping) else [] if boundary is None else boundary
+        given = parts if isinstance(parts, list | tuple) else [parts]
+        if any(hasattr(part, "dof_indices") for part in given):
+            wanted = "expected tables such as {'on': 'left', 'value': 0}; conditions of DOLFINx are for ObstacleProblem"
+            raise InputError(f"scene: boundary: {wanted}")
         raw = {
             "title": title, "u": u, "define": {} if define is None else define, "effects": effects,
             "mesh": mesh if isinstance(mesh, dict) else {},
             "obstacle": {key: value for key, value in (("lower", lower), ("upper", upper)) if value is not None},
-            "boundary": [] if boundary is None else boundary, "report": {} if report is None else report,
+            "boundary": parts, "report": {} if report is None else report,
             "profile": {} if profile is None else profile, "time": time,
             "exact": exact if exact is None or isinstance(exact, Mapping) else {"u": exact},
         }  # fmt: skip

@@ -21,6 +21,7 @@ Value = float | str  # a number or a formula
 Numbers = tuple[Value, ...]
 MAX_BYTES = 1_000_000  # of a scene file
 MAX_PARTS = 1000  # of the boundary
+MESHES = (".msh", ".geo", ".xdmf", ".step", ".stp")
 MAX_DEPTH = 8  # of tables and lists within each other
 Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
@@ -227,6 +228,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises:
         InputError: If the file is missing or is not TOML.
     """
+    if path.suffix in MESHES and path.is_file():
+        raise InputError(f"{path}: a mesh, not a scene: write a scene that has mesh = {{file = '{path.name}'}}")
     try:
         if path.exists() and not path.is_file():  # a pipe, which might wait for ever; a device, which might never end
             raise InputError(f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a scene file")

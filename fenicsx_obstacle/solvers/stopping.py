@@ -46,14 +46,14 @@ CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
 
 @dataclass(frozen=True)
 class Step:
-    """One line of a solver's history.
+    """One Newton step, as in history.csv.
 
     Attributes:
-        active: Nodes in contact.
-        changed: Nodes that entered or left since the last step.
-        unbalanced: Sum of |residual| over free nodes, a force.
-        forces: Sum of the acting forces.
-        krylov: Linear iterations of the step that led here.
+        active: Number of nodes in contact.
+        changed: Number of nodes that entered or left contact in this step.
+        unbalanced: Sum of the absolute values of the residual forces at the nodes where u is not given.
+        forces: Sum of the absolute values of the acting forces: loads, contact forces and reactions.
+        krylov: Number of steps of the linear solver for this Newton step.
     """
 
     active: int
