@@ -593,6 +593,27 @@ def test_meshes_that_are_none():
         ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)
 
 
+@pytest.mark.parametrize(("cell", "degree"), [(TRIANGLE, 1), (QUADRILATERAL, 2)])
+def test_obstacles_with_several_values_at_a_node(cell, degree):
+    """The derivative of a Function, or a size of cells, is an obstacle where it has one value at each node; otherwise
+    the last cell would decide, and with it the number of ranks. Facets have no value at nodes."""
+    own = Membrane(8, cell, degree)
+    bent, straight = fem.Function(own.V), fem.Function(own.V)
+    bent.interpolate(lambda x: 0.1 * np.abs(x[0] - 0.5))
+    straight.interpolate(lambda x: 0.3 * x[0] - x[1])
+    for wrong in (bent.dx(0) + 0.3, 0.3 + ufl.inner(ufl.grad(bent), ufl.as_vector([1, 2]))):
+        with pytest.raises(InputError, match=r"upper is a UFL expression that is not continuous: at \(.*\) it is"):
+            own.problem(upper=wrong)
+    for wrong, word in ((ufl.FacetNormal(own.mesh)[0], "FacetNormal"), (ufl.avg(bent), "a restriction to one side")):
+        with pytest.raises(InputError, match=f"upper holds {word}.*, which has no value at nodes"):
+            own.problem(upper=wrong)
+    exact = own.problem().solve(method="vi")
+    size = ufl.CellDiameter(own.mesh) * 8 / 2**0.5
+    for same_one in (straight.dx(0), 0.3 * size):
+        found = own.problem(upper=same_one).solve(method="vi")
+        assert largest(COMM, np.abs(found.u.x.array - exact.u.x.array)) < 1e-9
+
+
 def test_a_solution_stays_what_it_was():
     """The next solve changes the caller's u, not the u of a solution that is kept."""
     own = Membrane()

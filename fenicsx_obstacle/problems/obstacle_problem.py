@@ -134,8 +134,8 @@ class ObstacleProblem:
                 starts from contact instead.
             bcs: Dirichlet conditions, a list or a single one.
             lower: Obstacle below, taken at the nodes: a number; a Constant; a Function, also of another space, or on
-                another mesh that covers this one; UFL without u; or a callable of x, shape (3, n), as
-                Function.interpolate takes it. In units of u.
+                another mesh that covers this one; UFL without u that has one value at each node; or a callable of x,
+                shape (3, n), as Function.interpolate takes it. In units of u.
             upper: Obstacle above, in the same way.
             energy: The functional whose derivative F is; with it a line search safeguards the iteration. Needed where F
                 is not linear only.
