@@ -65,7 +65,6 @@ class Problem:
     preconditioner: Mapping[str, str] = {}  # options in place of those for scalar problems
     keeps_solver = False  # for the caller to look at; it holds memory
     solver: PETSc.SNES | None = None
-    balanced: np.ndarray | None = None
     eps_share = 0.01  # of the median of D_i/A_ii: eps = "auto" where no effect says how stiff it is
 
     def __init__(self, data: Data, prefix: str = ""):
