@@ -656,6 +656,42 @@ def test_common_mistakes():
             penalty(own.u, own.v, **{"eps": 1e-3, **wrong})
 
 
+HOW = [{}, {"method": "vi"}, {"eps": 1e-4}]
+
+
+@pytest.mark.parametrize("how", HOW)
+def test_a_wrong_sign_is_found_by_every_method(how):
+    """Also a coefficient that changes: a negative and an infinite one, and one that is negative in some cells."""
+    own = Membrane(8)
+    problem = own.problem()
+    for value, words in ((-1, "F has the wrong sign"), (np.nan, "is not a finite number"), (np.inf, "is not a finite")):
+        own.mu.value = value
+        with pytest.raises(InputError, match=words):
+            problem.solve(**how)
+    own.mu.value = 1.0
+    assert problem.solve(**how).area > 0
+    x = ufl.SpatialCoordinate(own.mesh)
+    partly = ufl.conditional(ufl.lt(x[0], 0.5), 1, -2) * ufl.inner(ufl.grad(own.u), ufl.grad(own.v)) * ufl.dx
+    own.u.x.array[:] = 0.0
+    with pytest.raises(InputError, match=r"negative entries on its diagonal, at 28 of 81 nodes, such as \("):
+        ObstacleProblem(partly - own.f * own.v * ufl.dx, own.u, bcs=own.bc, upper=own.g).solve(**how)
+    drift = own.u.dx(0) * own.v * ufl.dx - own.v * ufl.dx
+    with pytest.raises(InputError, match="the diagonal of the derivative of F is zero: add a term"):
+        ObstacleProblem(drift, own.u, bcs=own.bc, upper=own.g).solve(**how)
+
+
+def test_forms_that_are_nonlinear_may_be_concave_at_the_start():
+    """The sign of the derivative at the start does not condemn F; where F is not finite, that is said."""
+    own = Membrane(8)
+    u, v = own.u, own.v
+    small = 1e-3 * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    problem = ObstacleProblem(small + (u**3 - u + 0.1) * v * ufl.dx, u, bcs=own.bc, upper=0.8, lower=-0.8)
+    with pytest.raises(InputError, match="derivative of F is negative at the start: if no sign in it is wrong, give"):
+        problem.solve()
+    with pytest.raises(InputError, match="is not a finite number: it is inf at"):
+        ObstacleProblem(small + v / u * ufl.dx, u, bcs=own.bc, upper=0.8).solve()
+
+
 def test_an_infinite_obstacle_gets_a_remedy():
     """PETSc's -inf for 'no obstacle here' is a large number here."""
     own = Membrane(cells=4)

@@ -184,18 +184,53 @@ def _some_of(lost: np.ndarray, V: fem.FunctionSpace) -> str:
     return f"{count:.0f} of {every} nodes, such as ({', '.join(f'{x:.4g}' for x in first)})"
 
 
-def check_stiffness(problem: Problem, place: str) -> None:
-    """Reject an affine F whose derivative is zero: its terms cancel, or a coefficient is zero (collective).
+def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> None:
+    """Reject an affine F whose derivative is not finite, is zero, or has negative entries on its diagonal (collective).
+
+    It is zero if its terms cancel, or a coefficient is zero. Where it is symmetric, a negative diagonal entry means
+    that the energy has no minimum.
+
+    Args:
+        problem: With the matrix of F.
+        form: The form of the caller, or None.
+        place: What messages call the problem.
 
     Raises:
         InputError: With the remedy.
     """
-    if problem.affine and problem.nodal.stiffness.norm(PETSc.NormType.INFINITY) == 0:
+    if not problem.affine or form is None:
+        return
+    comm, diagonal = problem.level.comm, problem.nodal.diagonal
+    if total(comm, np.count_nonzero(~np.isfinite(diagonal))) > 0:
+        refuse_not_finite(problem, form, place)
+        raise InputError(f"{place}: the derivative of F is not finite, through a coefficient in it")
+    size, free = problem.nodal.stiffness.norm(PETSc.NormType.INFINITY), ~problem.fixed
+    if size == 0:
         raise _zero(f"{place}: the derivative of F")
+    if 0 <= largest(comm, np.abs(diagonal[free])) <= ROUND_OFF * size:
+        raise InputError(
+            f"{place}: the diagonal of the derivative of F is zero: add a term with a(v, v) > 0, such as "
+            "inner(grad(u), grad(v))*dx"
+        )
+    negative = free & (diagonal < -ROUND_OFF * size)
+    count, every = total(comm, negative), total(comm, free)
+    if 0 < count == every:
+        raise _wrong_sign(f"{place}: every diagonal entry of the derivative of F is negative")
+    if count > 0 and problem.symmetric:
+        nodes = negative.reshape(-1, form.u.function_space.dofmap.index_map_bs).any(axis=1)
+        raise InputError(
+            f"{place}: the derivative of F has negative entries on its diagonal, at "
+            f"{_some_of(nodes, form.u.function_space)}: has a term or a coefficient the wrong sign there? "
+            "a(v, v) must be positive"
+        )
 
 
 def _zero(place: str) -> InputError:
     return InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
+
+
+def _wrong_sign(what: str) -> InputError:
+    return InputError(f"{what}: F has the wrong sign; write F = a(u, v) - f(v) with a(v, v) > 0")
 
 
 @contextmanager
@@ -396,19 +431,23 @@ def refuse_no_positive_diagonal(problem: Problem, diagonal: np.ndarray, form: Re
     free, negative = (total(comm, number) for number in (len(weights), np.sum(diagonal < 0)))
     if not free:
         raise InputError(f"{place}: u is given at every node: there are no unknowns")
-    if negative == free:
-        raise InputError(
-            f"{place}: every diagonal entry of the derivative of F is negative: F has the wrong sign; "
-            "write F = a(u, v) - f(v) with a(v, v) > 0"
-        )
     if form is not None:
         refuse_not_finite(problem, form, place)
+    given = form is not None and form.J is not None and not problem.affine
+    slope = "J" if given else "the derivative of F"
+    if negative == free and problem.affine:
+        raise _wrong_sign(f"{place}: every diagonal entry of {slope} is negative")
+    if negative == free:
+        raise InputError(
+            f"{place}: eps = 'auto': every diagonal entry of {slope} is negative at the start: if no sign in it is "
+            "wrong, give a number, or start from another u"
+        )
     if not total(comm, np.count_nonzero(weights > 0)):
         raise InputError(
             f"{place}: u is given at every node where the obstacle acts, so that the obstacle has no "
             "effect; leave it out, or give u on a smaller part of the boundary"
         )
-    raise InputError(f"{place}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number")
+    raise InputError(f"{place}: eps = 'auto': {slope} has no positive diagonal entry; give a number")
 
 
 def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, place: str) -> None:

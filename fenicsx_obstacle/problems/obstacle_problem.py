@@ -464,7 +464,7 @@ class ObstacleProblem:
             self._in_matrix = values
             if stiffness and self._form.affine:
                 self._form.look_again(problem.nodal.stiffness)
-            check_stiffness(problem, self.name)
+            check_stiffness(problem, self._form, self.name)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())
