@@ -350,7 +350,7 @@ def test_forms_on_a_part_of_the_mesh(degree, nonlinear):
         words = rf"the derivative of F has no integral over the cells at {lost or '.*'} of {nodes} nodes, such as \("
         with pytest.raises(InputError, match=words):
             ObstacleProblem(on_a_part(own, tags, factor), own.u, bcs=own.bc, upper=own.g)
-    with pytest.raises(InputError, match="the derivative of F has integrals over no cell: does a measure have a tag"):
+    with pytest.raises(InputError, match="F: no cell has the tag 3, so that a term is zero"):
         ObstacleProblem(on_a_part(own, nothing, factor), own.u, bcs=own.bc, upper=own.g)
     mass = factor * own.u * own.v * ufl.ds - own.f * own.v * ufl.dx
     inside = 1 if degree == 1 else 17
@@ -376,6 +376,32 @@ def test_forms_on_facets_do_not_reach_the_inside(cell, degree, cells, eps):
     for F, bcs in ((u * v * ufl.ds - load, given), (ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.ds - load, [])):
         u.x.array[:] = 0.0
         assert ObstacleProblem(F, u, bcs=bcs, upper=0.1).solve(eps=eps).force.upper > 0
+
+
+def test_terms_over_tags_that_nothing_has():
+    """A load whose tag is misspelt, or ds in place of dS, would be left out without a word; of several tags some may
+    be missing."""
+    own = Membrane(8)
+    inside = dmesh.locate_entities(own.mesh, 1, lambda x: np.isclose(x[0], 0.5))
+    tagged = {
+        "dx": (2, dmesh.locate_entities(own.mesh, 2, lambda x: x[0] < 0.5 + 1e-9)),
+        "ds": (1, inside),
+        "dS": (1, dmesh.locate_entities_boundary(own.mesh, 1, lambda x: np.isclose(x[0], 0))),
+    }
+    for kind, number, words in (
+        ("dx", 5, "no cell has the tag 5"),
+        ("dx", (5, 6), "no cell has the tag 5 or 6"),
+        ("ds", 3, "no facet of the boundary has the tag 3, .*; ds is for facets of the boundary"),
+        ("dS", 3, "no facet inside the domain has the tag 3"),
+    ):
+        dim, entities = tagged[kind]
+        tags = dmesh.meshtags(own.mesh, dim, np.sort(entities), np.full(len(entities), 3, dtype=np.int32))
+        measure = ufl.Measure(kind, domain=own.mesh, subdomain_data=tags)
+        v = ufl.avg(own.v) if kind == "dS" else own.v
+        with pytest.raises(InputError, match=f"F: {words}"):
+            ObstacleProblem(own.F - own.f * v * measure(number), own.u, bcs=own.bc, upper=own.g)
+        if kind == "dx":
+            ObstacleProblem(own.F - own.f * v * measure((3, 5)), own.u, bcs=own.bc, upper=own.g)
 
 
 def test_forms_on_all_parts_of_the_mesh():

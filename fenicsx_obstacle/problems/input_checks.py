@@ -355,6 +355,36 @@ def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: 
         check_tags(tags, mesh, mesh.topology.dim - codim, f"{place}: subdomain_data")
 
 
+def check_tagged(form: ufl.Form, mesh: dmesh.Mesh, place: str) -> None:
+    """Reject a term over tags that no cell has, or no facet of its kind: it is zero (collective).
+
+    Args:
+        form: With measures of this mesh.
+        mesh: Mesh of u.
+        place: What messages call the form.
+
+    Raises:
+        InputError: With the tags.
+    """
+    terms: dict[Any, list[ufl.Integral]] = {}
+    for one in form.integrals():  # UFL makes an integral for each of several tags
+        if hasattr(one.subdomain_data(), "find") and all(isinstance(tag, numbers.Integral) for tag in _ids(one)):
+            terms.setdefault((one.integral_type(), one.integrand()), []).append(one)
+    for (kind, _), integrals in terms.items():
+        found = np.concatenate([one.subdomain_data().find(int(tag)) for one in integrals for tag in _ids(one)])
+        name, remedy = "cell", ""
+        if kind != "cell":
+            dim = mesh.topology.dim
+            mesh.topology.create_connectivity(dim - 1, dim)
+            outer = np.isin(found, np.asarray(dmesh.exterior_facet_indices(mesh.topology)))
+            found = found[outer if kind == "exterior_facet" else ~outer]
+            name = "facet of the boundary" if kind == "exterior_facet" else "facet inside the domain"
+            remedy = "; ds is for facets of the boundary, and dS for those inside"
+        if total(mesh.comm, len(found)) == 0:
+            tags = " or ".join(str(tag) for one in integrals for tag in _ids(one))
+            raise InputError(f"{place}: no {name} has the tag {tags}, so that a term is zero{remedy}")
+
+
 def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
     """Local facets of a measure (collective).
 

@@ -31,6 +31,7 @@ from fenicsx_obstacle.problems.input_checks import (
     check_measure,
     check_not_moved,
     check_stiffness,
+    check_tagged,
     check_unknown,
     checked_options,
     conditions,
@@ -178,6 +179,8 @@ class ObstacleProblem:
         for name, given in (("F", F), ("energy", energy), ("J", J)):
             for integral in () if given is None else given.integrals():
                 check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
+            if given is not None:
+                check_tagged(given, V.mesh, f"{self.name}: {name}")
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
         compiled = (form_compiler_options, jit_options)
         with releases.compiled_with(*compiled):
