@@ -359,6 +359,16 @@ def test_points_of_another_kind():
         with pytest.raises(InputError, match=rf"at\(\) takes points, shape \(n, 2\), .*{got}"):
             answer.at(points)
     assert np.isnan(answer.at([0.5, np.nan])) and np.isfinite(answer.at(np.array([0.5, 0.5])))
+    for of in (None, 3, ["u"]):
+        with pytest.raises(InputError, match=r"at\(\) takes the name of a quantity, such as of='pressure', not of="):
+            answer.at([0.5, 0.5], of)
+    for ends, n in ((((0, 0), (1, 1)), 2.5), ((("a", 0), (1, 1)), 3), ((None, (1, 1)), 3), (((0, 0), (1, 1)), 1)):
+        with pytest.raises(
+            InputError, match=r"along\(\) takes two points with 2 coordinates each, and a whole number n"
+        ):
+            answer.along(*ends, n=n)
+    with pytest.raises(InputError, match="save: folder = '': an empty name"):
+        answer.save("")
     with pytest.raises(InputError, match=r"Solution\.save: folder = None: expected a text or a path"):
         answer.save(None)
     with pytest.raises(InputError, match=r"Solution\.plot: path = 3: expected a text or a path"):

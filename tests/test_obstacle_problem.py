@@ -598,6 +598,8 @@ def test_mistakes(given, words):
         ({"eps": "h"}, "eps = 'h': expected a number, a Constant or 'auto'"),
         ({"method": "newton"}, "method = 'newton': expected penalty, successive or vi"),
         ({"rtol": 2.0}, "rtol = 2: expected a number between 0 and 1"),
+        ({"rtol": "1e-9"}, "rtol = '1e-9': expected a number between 0 and 1"),
+        ({"rtol": None}, "rtol = None: expected a number between 0 and 1"),
         ({"eps": 1e-40}, "below the limit of round-off"),
     ],
 )
@@ -675,9 +677,22 @@ def test_common_mistakes():
         ObstacleProblem(own.F, own.u, bcs=own.bc, upper=1.0, measure=ufl.ds).solve()
     with pytest.raises(InputError, match="petsc_options = '-ksp_type cg': expected a dict"):
         own.problem(petsc_options="-ksp_type cg")
+    for given, words in (
+        ({"petsc_options": {3: "cg"}}, "petsc_options = {3: 'cg'}: expected a dict"),
+        ({"petsc_options_prefix": 3}, "petsc_options_prefix = 3: expected a text"),
+        ({"form_compiler_options": "-O2"}, "form_compiler_options = '-O2': expected a dict"),
+        ({"jit_options": 3}, "jit_options = 3: expected a dict"),
+    ):
+        with pytest.raises(InputError, match=words):
+            own.problem(**given)
     with pytest.raises(InputError, match="monitor = 3: expected a function"):
         own.problem().solve(monitor=3)
-    for wrong, message in (({"lower": lambda x: 0 * x[0]}, "the obstacle = "), ({"lower": 0, "eps": "auto"}, "eps = ")):
+    for wrong, message in (
+        ({"lower": lambda x: 0 * x[0]}, "the obstacle = "),
+        ({"lower": np.zeros(3)}, "the obstacle = array"),
+        ({"lower": 0, "eps": "auto"}, "eps = "),
+        ({"lower": 0, "eps": np.ones(2)}, "eps = array"),
+    ):
         with pytest.raises(InputError, match=f"penalty: {message}.*expected a number"):
             penalty(own.u, own.v, **{"eps": 1e-3, **wrong})
 

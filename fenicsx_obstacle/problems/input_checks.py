@@ -51,15 +51,14 @@ def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress
         raise InputError(f"{place}: stress= is for vector-valued u")
 
 
-def checked_options(options: Any, place: str) -> dict[str, Any]:
-    """A copy of PETSc options, empty for None.
+def checked_options(options: Any, place: str, example: str = "{'ksp_type': 'cg'}") -> dict[str, Any]:
+    """A copy of options of PETSc or of a compiler, empty for None.
 
     Raises:
-        InputError: If they are no dict.
+        InputError: If they are no dict with texts as keys.
     """
-    if options is not None and not isinstance(options, Mapping):
-        wanted = "expected a dict, such as {'ksp_type': 'cg'}"
-        raise InputError(f"{place}: petsc_options = {shown(options)}: {wanted}")
+    if options is not None and not (isinstance(options, Mapping) and all(isinstance(key, str) for key in options)):
+        raise InputError(f"{place} = {shown(options)}: expected a dict, such as {example}")
     return {} if options is None else dict(options)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -182,6 +183,10 @@ class ObstacleProblem:
             if given is not None:
                 check_tagged(given, V.mesh, f"{self.name}: {name}")
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
+        if not isinstance(petsc_options_prefix, str):
+            raise InputError(f"{self.name}: petsc_options_prefix = {shown(petsc_options_prefix)}: expected a text")
+        checked_options(form_compiler_options, f"{self.name}: form_compiler_options", "{'scalar_type': 'float64'}")
+        checked_options(jit_options, f"{self.name}: jit_options", "{'cffi_extra_compile_args': ['-O2']}")
         compiled = (form_compiler_options, jit_options)
         with releases.compiled_with(*compiled):
             check_integrals(form, held, self.name)
@@ -270,7 +275,7 @@ class ObstacleProblem:
         """Assemble what stays (collective)."""
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
         self._vertices = vertex_digests(data.level)
-        self._options = checked_options(options, self.name)
+        self._options = checked_options(options, f"{self.name}: petsc_options")
         self._estimator: Estimator | None = None
         started = time.perf_counter()
         with releases.compiled_with(*compiled):
@@ -369,8 +374,9 @@ class ObstacleProblem:
         """Solve, into u (collective)."""
         check_not_moved(self.level, self._vertices, self.name)
         options = SolverOptions(method, source=f"{self.name}:")
-        if not 0 < rtol < 1:
-            raise InputError(f"{self.name}: rtol = {rtol:g}: expected a number between 0 and 1")
+        if not isinstance(rtol, numbers.Real) or isinstance(rtol, bool) or not 0 < rtol < 1:
+            given = f"{rtol:g}" if isinstance(rtol, numbers.Real) else shown(rtol)
+            raise InputError(f"{self.name}: rtol = {given}: expected a number between 0 and 1")
         value = number_of(eps, self.name)
         if monitor is not None and not callable(monitor):
             raise InputError(f"{self.name}: monitor = {shown(monitor)}: expected a function of a number and a Step")
