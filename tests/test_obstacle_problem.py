@@ -716,6 +716,12 @@ def test_a_wrong_sign_is_found_by_every_method(how):
     own.u.x.array[:] = 0.0
     with pytest.raises(InputError, match=r"negative entries on its diagonal, at 28 of 81 nodes, such as \("):
         ObstacleProblem(partly - own.f * own.v * ufl.dx, own.u, bcs=own.bc, upper=own.g).solve(**how)
+    inflow = own.F + 300 * own.u.dx(0) * own.v * ufl.dx  # with cells of 1/8, and u given at the other end alone
+    end = fem.dirichletbc(PETSc.ScalarType(0), fem.locate_dofs_geometrical(own.V, lambda x: np.isclose(x[0], 1)), own.V)
+    with pytest.raises(
+        InputError, match=r"negative entries on its diagonal, at 9 .* Where drift enters at a free side"
+    ):
+        ObstacleProblem(inflow, own.u, bcs=end, upper=own.g).solve(**how)
     drift = own.u.dx(0) * own.v * ufl.dx - own.v * ufl.dx
     with pytest.raises(InputError, match="the diagonal of the derivative of F is zero: add a term"):
         ObstacleProblem(drift, own.u, bcs=own.bc, upper=own.g).solve(**how)

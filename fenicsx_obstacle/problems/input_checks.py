@@ -186,8 +186,8 @@ def _some_of(lost: np.ndarray, V: fem.FunctionSpace) -> str:
 def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> None:
     """Reject an affine F whose derivative is not finite, is zero, or has negative entries on its diagonal (collective).
 
-    It is zero if its terms cancel, or a coefficient is zero. Where it is symmetric, a negative diagonal entry means
-    that the energy has no minimum.
+    It is zero if its terms cancel, or a coefficient is zero. With a negative diagonal entry the energy has no minimum,
+    and where there is none, the obstacle problem may have several solutions.
 
     Args:
         problem: With the matrix of F.
@@ -215,12 +215,13 @@ def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> 
     count, every = total(comm, negative), total(comm, free)
     if 0 < count == every:
         raise _wrong_sign(f"{place}: every diagonal entry of the derivative of F is negative")
-    if count > 0 and problem.symmetric:
+    if count > 0:
+        drift = "" if problem.symmetric else " Where drift enters at a free side, give u there or take smaller cells."
         nodes = negative.reshape(-1, form.u.function_space.dofmap.index_map_bs).any(axis=1)
         raise InputError(
             f"{place}: the derivative of F has negative entries on its diagonal, at "
             f"{_some_of(nodes, form.u.function_space)}: has a term or a coefficient the wrong sign there? "
-            "a(v, v) must be positive"
+            f"a(v, v) must be positive.{drift}"
         )
 
 
