@@ -55,6 +55,7 @@ class Problem:
         floating: Whether only contact holds some part of the mesh.
         borne: For each connected part of the mesh whether contact alone bears its load; None where there are none.
         balanced: For each of these parts whether only contact forces determine a constant that may be added to u.
+        loose: Of bodies, the rigid motions that only contact resists, at owned dofs; None where there are none.
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
@@ -65,6 +66,7 @@ class Problem:
     preconditioner: Mapping[str, str] = {}  # options in place of those for scalar problems
     keeps_solver = False  # for the caller to look at; it holds memory
     solver: PETSc.SNES | None = None
+    loose: np.ndarray | None = None
     eps_share = 0.01  # of the median of D_i/A_ii: eps = "auto" where no effect says how stiff it is
 
     def __init__(self, data: Data, prefix: str = ""):

@@ -120,7 +120,8 @@ class VectorProblem(RigidMotions):
         return [(bound.x.array, sign) for bound, sign in sides if bound is not None]
 
     def _check_support(self) -> Support:
-        return Support(floating=check_held(self))
+        self.loose = check_held(self)
+        return Support(floating=self.loose is not None)
 
     def cold_start(self) -> np.ndarray:
         """u = 0 but for given values; beyond the obstacle at all contact nodes, where contact alone holds the body."""

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.rigid import moves
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError
@@ -76,22 +77,30 @@ def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _shifts(problem: Problem, active: np.ndarray) -> str | None:
-    """Parts of the mesh that nothing holds, whose load adds up to 0, and on which no contact force acts.
+    """Parts of the mesh that nothing holds, whose load adds up to 0, and on which no contact force acts; bodies that
+    contact forces do not hold.
 
     A constant may be added to u there until u reaches an obstacle. With contact forces, or where the obstacles leave no
     room, the constant is determined.
     """
-    if problem.balanced is None or not problem.level.pair.nodal:
+    if problem.loose is None and (problem.balanced is None or not problem.level.pair.nodal):
         return None
     comm, own = problem.level.comm, problem.level.owned
+    u = (problem.w.x.array + problem.reference.x.array)[:own]
+    round_off = ROUNDOFF_MARGIN * EPSILON * stiffness_of(problem, exact_bounds=True) * np.abs(u)
+    problem.forms.elastic(problem.elastic)
+    if problem.loose is not None:
+        if not moves(problem, active, total(comm, round_off)):
+            return None
+        return (
+            "only contact supports the body, and a rigid body motion is resisted by no contact force, so that u is "
+            "determined only up to this motion; prescribe more components of u"
+        )
     count, component = problem.level.parts
     component = component[:own]
-    problem.forms.elastic(problem.elastic)
     contact = np.where(problem.active_dofs(active != 0), np.abs(problem.elastic.array_r), 0.0)
-    stiffness = stiffness_of(problem, exact_bounds=True)
-    at_zero, u = problem.forms.forces_at(0.0), (problem.w.x.array + problem.reference.x.array)[:own]
     # a force that a solver with its default tolerance may leave, or round-off of exact balance
-    noise = NEAR * np.abs(at_zero) + ROUNDOFF_MARGIN * EPSILON * stiffness * np.abs(u)
+    noise = NEAR * np.abs(problem.forms.forces_at(0.0)) + round_off
     columns = np.array([np.bincount(component, values, count) for values in (contact, noise)])
     forces, negligible = comm.allreduce(columns)
     room = np.full((2, count), np.inf)
