@@ -29,7 +29,7 @@ class Support(NamedTuple):
         floating: Whether on one of them nothing but contact holds u.
         borne: For each part of the mesh whether contact alone bears its load; None where there are none.
         balanced: For each part of the mesh whether only contact forces determine a constant that may be added to u:
-            its load adds up to 0, and nothing else holds it; None where there are none.
+            its load adds up to 0, or A is not symmetric, and nothing else holds it; None where there are none.
     """
 
     start: np.ndarray | None = None
@@ -69,7 +69,8 @@ def check_support(problem: Problem) -> Support:
     rest, shift = _between(comm, soft)
     at_rest = _forces(problem, rest)
     scale = sums(_diagonal(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
-    held = sums(_forces(problem, rest + shift) - at_rest) / shift
+    moved = _forces(problem, rest + shift) - at_rest
+    held = sums(moved) / shift
     holds = held > scale
     net = -sums(at_rest)  # the load, and what supports answer to `rest`
     size = ROUND_OFF * sums(np.abs(at_rest)) + scale * abs(rest)
@@ -110,7 +111,9 @@ def check_support(problem: Problem) -> Support:
             _refuse(problem, int(np.flatnonzero(undecided)[0]), nowhere, nowhere, net, held, count)
     alone = loose & ~holds
     by_contact = alone & all(one is None for one in soft)
-    borne, balanced = by_contact & (np.abs(net) > size), by_contact & (np.abs(net) <= size) & problem.symmetric
+    borne = by_contact & (np.abs(net) > size)
+    # where A is not symmetric, its rows have to be without sum, and the load may be any
+    balanced = by_contact & ~borne if problem.symmetric else by_contact & (sums(np.abs(moved)) <= scale * abs(shift))
     return Support(start, bool(alone.any()), borne if borne.any() else None, balanced if balanced.any() else None)
 
 

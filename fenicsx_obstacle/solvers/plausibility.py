@@ -77,13 +77,12 @@ def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
 
 
 def _shifts(problem: Problem, active: np.ndarray) -> str | None:
-    """Parts of the mesh that nothing holds, whose load adds up to 0, and on which no contact force acts; bodies that
-    contact forces do not hold.
+    """Parts of the mesh that nothing holds, and on which no contact force acts; bodies that contact forces do not hold.
 
     A constant may be added to u there until u reaches an obstacle. With contact forces, or where the obstacles leave no
     room, the constant is determined.
     """
-    if problem.loose is None and (problem.balanced is None or not problem.level.pair.nodal):
+    if problem.loose is None and problem.balanced is None:
         return None
     comm, own = problem.level.comm, problem.level.owned
     u = (problem.w.x.array + problem.reference.x.array)[:own]
@@ -104,15 +103,19 @@ def _shifts(problem: Problem, active: np.ndarray) -> str | None:
     columns = np.array([np.bincount(component, values, count) for values in (contact, noise)])
     forces, negligible = comm.allreduce(columns)
     room = np.full((2, count), np.inf)
-    for row, gap in zip(room, problem.gaps(), strict=True):
+    gaps = problem.gaps()
+    if not problem.level.pair.nodal:
+        lower, upper = (np.broadcast_to(one, len(problem.w.x.array))[:own] for one in problem.obstacles())
+        gaps = u - lower, upper - u
+    for row, gap in zip(room, gaps, strict=True):
         np.minimum.at(row, component, gap)
     comm.Allreduce(MPI.IN_PLACE, room, op=MPI.MIN)
     size = largest(comm, np.abs(u))
     if not (problem.balanced & (forces <= negligible) & (room.sum(axis=0) > NEAR * size)).any():
         return None
     return (
-        "u is given nowhere, the load adds up to 0, and no contact force acts, so that u is determined only up to a "
-        "constant; prescribe u on a part of the boundary"
+        "u is given nowhere, and no contact force acts, so that u is determined only up to a constant; prescribe u on "
+        "a part of the boundary"
     )
 
 
