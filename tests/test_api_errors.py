@@ -256,7 +256,8 @@ def test_names_of_arguments():
 
 
 def test_warnings_of_tags_and_conditions_without_effect():
-    """A tag in F that no facet or cell has, and a condition without dofs: a warning names each, on rank 0."""
+    """Some of the tags of a term that no facet of the boundary has, and a condition without dofs: a warning names each,
+    on rank 0."""
     own = Own()
     mesh, v = own.V.mesh, ufl.TestFunction(own.V)
     left, middle = (dmesh.locate_entities(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 0.5))
@@ -273,9 +274,8 @@ def test_warnings_of_tags_and_conditions_without_effect():
         ObstacleProblem(own.F + v * ds(3) + v * ds(5) + v * ds(7), own.u, bcs=[own.bc, none], upper=0.3)
     found = [one for one in caught if "ObstacleProblem:" in str(one.message)]
     assert [str(one.message) for one in found] == ([] if COMM.rank else [
-        "ObstacleProblem: F has an integral ds over the tag 5, but no facet with this tag is on the boundary; "
-        "inside the domain take dS",
-        "ObstacleProblem: F has an integral over the tag 7, but no facet has this tag",
+        "ObstacleProblem: F: no facet of the boundary has the tag 5 or 7; ds is for facets of the boundary, and dS for "
+        "those inside",
         "ObstacleProblem: bcs[1] has no dofs, so that it has no effect",
     ])  # fmt: skip
     assert all(one.filename == __file__ for one in found)
@@ -447,6 +447,16 @@ def test_points_of_another_kind():
         with pytest.raises(InputError, match=rf"at\(\) takes points, shape \(n, 2\), .*{got}"):
             answer.at(points)
     assert np.isnan(answer.at([0.5, np.nan])) and np.isfinite(answer.at(np.array([0.5, 0.5])))
+    for of in (None, 3, ["u"]):
+        with pytest.raises(InputError, match=r"at\(\) takes the name of a quantity, such as of='pressure', not of="):
+            answer.at([0.5, 0.5], of)
+    for ends, n in ((((0, 0), (1, 1)), 2.5), ((("a", 0), (1, 1)), 3), ((None, (1, 1)), 3), (((0, 0), (1, 1)), 1)):
+        with pytest.raises(
+            InputError, match=r"along\(\) takes two points with 2 coordinates each, and a whole number n"
+        ):
+            answer.along(*ends, n=n)
+    with pytest.raises(InputError, match="save: folder = '': an empty name"):
+        answer.save("")
     with pytest.raises(InputError, match=r"Solution\.save: folder = None: expected a text or a path"):
         answer.save(None)
     with pytest.raises(InputError, match=r"Solution\.plot: path = 3: expected a text or a path"):

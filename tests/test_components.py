@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import ufl
@@ -165,6 +167,7 @@ def test_cells_of_the_callers_own_mesh():
     for cells, words in (
         ([[0, 1, 2], [0, 2, 3]], r"a triangle at \(0.5, 0.5, 0\) has no area"),
         ([[0, 1, 2], [0, 2, 4], [0, 2, 5]], "cells lie on each other"),
+        ([[0, 1, 2], [0, 2, 5]], "cells lie on each other"),
     ):
         mesh = union((points, np.array(cells)))
         with pytest.raises(InputError, match="scene: .*" + words):
@@ -173,6 +176,17 @@ def test_cells_of_the_callers_own_mesh():
         u, v = fem.Function(V), ufl.TestFunction(V)
         with pytest.raises(InputError, match="solve_form: .*" + words):
             solve_form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, lower=-1)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_a_vertex_that_was_moved_too_far(dim):
+    """A vertex beyond a neighbour turns cells inside out, so that they lie on others; a smaller move is allowed."""
+    create = (dmesh.create_unit_interval, dmesh.create_unit_square, dmesh.create_unit_cube)[dim - 1]
+    for shift, expected in ((0.7, nullcontext()), (1.5, pytest.raises(InputError, match="cells lie on each other"))):
+        mesh = create(COMM, *[4] * dim)
+        mesh.geometry.x[np.abs(mesh.geometry.x[:, :dim] - 0.5).max(axis=1) < 1e-9, 0] += shift / 4
+        with expected:
+            level(releases.settle(mesh))
 
 
 def test_networks_and_surfaces_in_space():

@@ -8,7 +8,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, ObstacleProblem, Solution, compare, releases
+from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, compare, releases
 
 Cell = dmesh.CellType
 ELEMENTS = [(cell, degree) for cell in (Cell.triangle, Cell.quadrilateral, Cell.tetrahedron, Cell.hexahedron)
@@ -509,3 +509,24 @@ def test_a_load_that_pulls():
     bcs = [body.held(lambda x: np.isclose(x[0], 0), 0)]
     with pytest.raises(InputError, match="does not press it against the obstacles"):
         body.problem(bcs=bcs)
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral])
+def test_a_body_between_two_stops(cell, method):
+    """A body on rollers between stops on both sides. Where no contact force acts, the body may be anywhere between
+    them, and nothing is returned; stops that press it without any load hold it."""
+    body = Body(cell, 1, [6, 6])
+    ds, n = body.tagged(sides=lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)), ufl.FacetNormal(body.mesh)
+    left = ufl.conditional(ufl.lt(body.x[0], 0.5), 1.0, -1.0) * body.v[0] * ufl.dx
+    F = ufl.inner(stress(strain_of(body.u), 0.3), strain_of(body.v)) * ufl.dx
+    given = {"of": ufl.dot(body.u, n), "measure": ds(3), "bcs": [body.held(lambda x: np.isclose(x[1], 0), 1)]}
+    for load, gap, force in ((1, 5.0, None), (-1, 0.01, None), (0, 5.0, None), (1, 0.01, 0.4), (0, -0.01, 0.02 * 0.91)):
+        body.u.x.array[:] = 0.0
+        problem = ObstacleProblem(F + load * left, body.u, upper=gap, **given)
+        if force is None:
+            with pytest.raises(NotConverged, match="a rigid body motion is resisted by no contact force"):
+                problem.solve(method=method)
+        else:
+            solution = problem.solve(method=method)
+            assert abs(solution.force.resultant[0]) < 1e-9 and solution.force.upper > 0.5 * force

@@ -150,6 +150,33 @@ def test_each_part_of_a_mesh_is_held():
     assert (low, high) == pytest.approx((-3.1, 0), abs=1e-9)
 
 
+@pytest.mark.parametrize("method", ["vi", "penalty"])
+@pytest.mark.parametrize("load", ["0", "where(x < 0.5, -1, 1)"])
+def test_a_load_without_sum_needs_contact_forces(load, method):
+    """u is given nowhere, and the load adds up to 0: with room between the obstacles any constant may be added to u,
+    so that there is no answer. Obstacles that deform u, or that leave no room, determine the constant."""
+    with pytest.raises(NotConverged, match="no contact force acts, so that u is determined only up to a constant"):
+        solve(loose(load=load, lower=-9, upper=9), method=method)
+    with pytest.raises(NotConverged, match="no contact force acts, so that u is determined only up to a constant"):
+        solve(loose({**SQUARE, "cell": "quadrilateral"}, load=load, lower=-9, upper=9), element="Q1-gauss")
+    with pytest.raises(InputError, match=r"0 in all, does not press .* u is determined only up to a constant"):
+        solve(loose(load=load, lower=-9), method=method)
+    answer = solve(loose(load=load, lower="x - 0.3", upper="x - 0.2"), method=method, eps=1e-8)
+    assert answer.force.lower == pytest.approx(answer.force.upper, rel=1e-6) and answer.force.lower > 0.1
+    assert extremes(solve(loose(load=load, lower=0.2, upper=0.2), method=method, eps=1e-8)) == pytest.approx(
+        (0.2, 0.2), abs=1e-7
+    )
+
+
+@pytest.mark.parametrize("method", ["vi", "penalty"])
+def test_drift_needs_contact_forces(method):
+    """Drift does not answer to u = 1: without contact forces any constant may be added to u."""
+    drift = {"drift": [1, 0], "load": 0}
+    with pytest.raises(NotConverged, match="no contact force acts, so that u is determined only up to a constant"):
+        solve(loose(**drift, lower=-9, upper=9), method=method)
+    assert solve(loose(**drift, lower="0.3*x", upper="0.3*x + 0.1"), method=method, eps=1e-8).force.lower > 0.01
+
+
 def far_above(load, method, foundation=0.0, start=1.0):
     """solve_form on a square without boundary values, a start above the obstacle at 0, and a load."""
     mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [8, 8])

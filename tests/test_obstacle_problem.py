@@ -3,6 +3,7 @@
 import gc
 import subprocess
 import sys
+import warnings
 import weakref
 from contextlib import nullcontext
 
@@ -350,7 +351,7 @@ def test_forms_on_a_part_of_the_mesh(degree, nonlinear):
         words = rf"the derivative of F has no integral over the cells at {lost or '.*'} of {nodes} nodes, such as \("
         with pytest.raises(InputError, match=words):
             ObstacleProblem(on_a_part(own, tags, factor), own.u, bcs=own.bc, upper=own.g)
-    with pytest.raises(InputError, match="the derivative of F has integrals over no cell: does a measure have a tag"):
+    with pytest.raises(InputError, match="F: no cell has the tag 3, so that a term is zero"):
         ObstacleProblem(on_a_part(own, nothing, factor), own.u, bcs=own.bc, upper=own.g)
     mass = factor * own.u * own.v * ufl.ds - own.f * own.v * ufl.dx
     inside = 1 if degree == 1 else 17
@@ -376,6 +377,33 @@ def test_forms_on_facets_do_not_reach_the_inside(cell, degree, cells, eps):
     for F, bcs in ((u * v * ufl.ds - load, given), (ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.ds - load, [])):
         u.x.array[:] = 0.0
         assert ObstacleProblem(F, u, bcs=bcs, upper=0.1).solve(eps=eps).force.upper > 0
+
+
+def test_terms_over_tags_that_nothing_has():
+    """A load whose tag is misspelt, or ds in place of dS, would be left out without a word; of several tags some may
+    be missing."""
+    own = Membrane(8)
+    inside = dmesh.locate_entities(own.mesh, 1, lambda x: np.isclose(x[0], 0.5))
+    tagged = {
+        "dx": (2, dmesh.locate_entities(own.mesh, 2, lambda x: x[0] < 0.5 + 1e-9)),
+        "ds": (1, inside),
+        "dS": (1, dmesh.locate_entities_boundary(own.mesh, 1, lambda x: np.isclose(x[0], 0))),
+    }
+    for kind, number, words in (
+        ("dx", 5, "no cell has the tag 5"),
+        ("dx", (5, 6), "no cell has the tag 5 or 6"),
+        ("ds", 3, "no facet of the boundary has the tag 3, .*; ds is for facets of the boundary"),
+        ("dS", 3, "no facet inside the domain has the tag 3"),
+    ):
+        dim, entities = tagged[kind]
+        tags = dmesh.meshtags(own.mesh, dim, np.sort(entities), np.full(len(entities), 3, dtype=np.int32))
+        measure = ufl.Measure(kind, domain=own.mesh, subdomain_data=tags)
+        v = ufl.avg(own.v) if kind == "dS" else own.v
+        with pytest.raises(InputError, match=f"F: {words}"):
+            ObstacleProblem(own.F - own.f * v * measure(number), own.u, bcs=own.bc, upper=own.g)
+        if kind == "dx":
+            with warnings.catch_warnings(record=True):  # of the tag 5
+                ObstacleProblem(own.F - own.f * v * measure((3, 5)), own.u, bcs=own.bc, upper=own.g)
 
 
 def test_forms_on_all_parts_of_the_mesh():
@@ -572,6 +600,8 @@ def test_mistakes(given, words):
         ({"eps": "h"}, "eps = 'h': expected a number, a Constant or 'auto'"),
         ({"method": "newton"}, "method = 'newton': expected penalty, successive or vi"),
         ({"rtol": 2.0}, "rtol = 2: expected a number between 0 and 1"),
+        ({"rtol": "1e-9"}, "rtol = '1e-9': expected a number between 0 and 1"),
+        ({"rtol": None}, "rtol = None: expected a number between 0 and 1"),
         ({"eps": 1e-40}, "below the limit of round-off"),
     ],
 )
@@ -591,6 +621,27 @@ def test_meshes_that_are_none():
         InputError, match=r"a quadrilateral at \(0.3, 0.3, 0\) has no area at a corner, or is not convex"
     ):
         ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)
+
+
+@pytest.mark.parametrize(("cell", "degree"), [(TRIANGLE, 1), (QUADRILATERAL, 2)])
+def test_obstacles_with_several_values_at_a_node(cell, degree):
+    """The derivative of a Function, or a size of cells, is an obstacle where it has one value at each node; otherwise
+    the last cell would decide, and with it the number of ranks. Facets have no value at nodes."""
+    own = Membrane(8, cell, degree)
+    bent, straight = fem.Function(own.V), fem.Function(own.V)
+    bent.interpolate(lambda x: 0.1 * np.abs(x[0] - 0.5))
+    straight.interpolate(lambda x: 0.3 * x[0] - x[1])
+    for wrong in (bent.dx(0) + 0.3, 0.3 + ufl.inner(ufl.grad(bent), ufl.as_vector([1, 2]))):
+        with pytest.raises(InputError, match=r"upper is a UFL expression that is not continuous: at \(.*\) it is"):
+            own.problem(upper=wrong)
+    for wrong, word in ((ufl.FacetNormal(own.mesh)[0], "FacetNormal"), (ufl.avg(bent), "a restriction to one side")):
+        with pytest.raises(InputError, match=f"upper holds {word}.*, which has no value at nodes"):
+            own.problem(upper=wrong)
+    exact = own.problem().solve(method="vi")
+    size = ufl.CellDiameter(own.mesh) * 8 / 2**0.5
+    for same_one in (straight.dx(0), 0.3 * size):
+        found = own.problem(upper=same_one).solve(method="vi")
+        assert largest(COMM, np.abs(found.u.x.array - exact.u.x.array)) < 1e-9
 
 
 def test_a_solution_stays_what_it_was():
@@ -628,11 +679,66 @@ def test_common_mistakes():
         ObstacleProblem(own.F, own.u, bcs=own.bc, upper=1.0, measure=ufl.ds).solve()
     with pytest.raises(InputError, match="petsc_options = '-ksp_type cg': expected a dict"):
         own.problem(petsc_options="-ksp_type cg")
+    for given, words in (
+        ({"petsc_options": {3: "cg"}}, "petsc_options = {3: 'cg'}: expected a dict"),
+        ({"petsc_options_prefix": 3}, "petsc_options_prefix = 3: expected a text"),
+        ({"form_compiler_options": "-O2"}, "form_compiler_options = '-O2': expected a dict"),
+        ({"jit_options": 3}, "jit_options = 3: expected a dict"),
+    ):
+        with pytest.raises(InputError, match=words):
+            own.problem(**given)
     with pytest.raises(InputError, match="monitor = 3: expected a function"):
         own.problem().solve(monitor=3)
-    for wrong, message in (({"lower": lambda x: 0 * x[0]}, "the obstacle = "), ({"lower": 0, "eps": "auto"}, "eps = ")):
+    for wrong, message in (
+        ({"lower": lambda x: 0 * x[0]}, "the obstacle = "),
+        ({"lower": np.zeros(3)}, "the obstacle = array"),
+        ({"lower": 0, "eps": "auto"}, "eps = "),
+        ({"lower": 0, "eps": np.ones(2)}, "eps = array"),
+    ):
         with pytest.raises(InputError, match=f"penalty: {message}.*expected a number"):
             penalty(own.u, own.v, **{"eps": 1e-3, **wrong})
+
+
+HOW = [{}, {"method": "vi"}, {"eps": 1e-4}]
+
+
+@pytest.mark.parametrize("how", HOW)
+def test_a_wrong_sign_is_found_by_every_method(how):
+    """Also a coefficient that changes: a negative and an infinite one, and one that is negative in some cells."""
+    own = Membrane(8)
+    problem = own.problem()
+    for value, words in ((-1, "F has the wrong sign"), (np.nan, "is not a finite number"), (np.inf, "is not a finite")):
+        own.mu.value = value
+        with pytest.raises(InputError, match=words):
+            problem.solve(**how)
+    own.mu.value = 1.0
+    assert problem.solve(**how).area > 0
+    x = ufl.SpatialCoordinate(own.mesh)
+    partly = ufl.conditional(ufl.lt(x[0], 0.5), 1, -2) * ufl.inner(ufl.grad(own.u), ufl.grad(own.v)) * ufl.dx
+    own.u.x.array[:] = 0.0
+    with pytest.raises(InputError, match=r"negative entries on its diagonal, at 28 of 81 nodes, such as \("):
+        ObstacleProblem(partly - own.f * own.v * ufl.dx, own.u, bcs=own.bc, upper=own.g).solve(**how)
+    inflow = own.F + 300 * own.u.dx(0) * own.v * ufl.dx  # with cells of 1/8, and u given at the other end alone
+    end = fem.dirichletbc(PETSc.ScalarType(0), fem.locate_dofs_geometrical(own.V, lambda x: np.isclose(x[0], 1)), own.V)
+    with pytest.raises(
+        InputError, match=r"negative entries on its diagonal, at 9 .* Where drift enters at a free side"
+    ):
+        ObstacleProblem(inflow, own.u, bcs=end, upper=own.g).solve(**how)
+    drift = own.u.dx(0) * own.v * ufl.dx - own.v * ufl.dx
+    with pytest.raises(InputError, match="the diagonal of the derivative of F is zero: add a term"):
+        ObstacleProblem(drift, own.u, bcs=own.bc, upper=own.g).solve(**how)
+
+
+def test_forms_that_are_nonlinear_may_be_concave_at_the_start():
+    """The sign of the derivative at the start does not condemn F; where F is not finite, that is said."""
+    own = Membrane(8)
+    u, v = own.u, own.v
+    small = 1e-3 * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    problem = ObstacleProblem(small + (u**3 - u + 0.1) * v * ufl.dx, u, bcs=own.bc, upper=0.8, lower=-0.8)
+    with pytest.raises(InputError, match="derivative of F is negative at the start: if no sign in it is wrong, give"):
+        problem.solve()
+    with pytest.raises(InputError, match="is not a finite number: it is inf at"):
+        ObstacleProblem(small + v / u * ufl.dx, u, bcs=own.bc, upper=0.8).solve()
 
 
 def test_an_infinite_obstacle_gets_a_remedy():

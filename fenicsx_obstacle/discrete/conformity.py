@@ -17,6 +17,7 @@ from fenicsx_obstacle.discrete.cells import (
     cell_facets,
     corner_simplices,
     corners,
+    facet_corners,
     facet_vertices,
     own_cells,
 )
@@ -93,9 +94,40 @@ def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
     elif dim == mesh.geometry.dim:
         beside = np.diff(mesh.topology.connectivity(dim - 1, dim).offsets)
         if beside.max(initial=0) > 2:
-            cell = mesh.topology.connectivity(dim - 1, dim).links(int(np.argmax(beside)))[0]
+            cell = int(mesh.topology.connectivity(dim - 1, dim).links(int(np.argmax(beside)))[0])
+        else:
+            cell = _folded(mesh)
+        if cell >= 0:
             mine = f"at {place(corners(mesh, slice(cell, cell + 1))[0].mean(axis=0))} cells lie on each other"
     return first_given(mesh.comm, mine)
+
+
+def _folded(mesh: dmesh.Mesh) -> int:
+    """A local cell that lies on the same side of a facet as its neighbour, as after a vertex was moved too far; -1 if
+    there is none. Hexahedra are not checked (local)."""
+    dim, rows, vertices = mesh.topology.dim, releases.geometry_dofs(mesh), corners(mesh)
+    edges = (vertices[:, 1 : dim + 1] - vertices[:, :1])[:, :, :dim]
+    if dim == 1:
+        turn = edges[:, 0, 0]
+    elif dim == 2:
+        turn = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    else:
+        turn = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), edges[:, 2])
+    # the orientation of each facet, vertices by their numbers, as seen from its cell: two neighbours must differ
+    facets, table = facet_corners(mesh), cell_facets(mesh)
+    if releases.cell_name(mesh) in TENSORS:
+        if dim > 2:
+            return -1
+        along = [1, -1, 1, -1]  # of the edges 01, 02, 13, 23, where the vertices go round as 0, 1, 3, 2
+    else:
+        along = [(-1) ** (dim - next(i for i in range(dim + 1) if i not in facet)) for facet in facets]
+    seen = np.empty(table.shape)
+    for number, facet in enumerate(facets):
+        swaps = sum((rows[:, j] > rows[:, k]).astype(int) for j, k in combinations(facet, 2))
+        seen[:, number] = np.sign(turn) * along[number] * (-1) ** swaps
+    sums = np.bincount(table.ravel(), seen.ravel())
+    folded = np.flatnonzero((np.abs(sums[table]) > 1) & (np.bincount(table.ravel())[table] == 2))
+    return int(folded[0]) // table.shape[1] if len(folded) else -1
 
 
 def _check_contact(mesh: dmesh.Mesh, found: Components) -> list[str]:

@@ -13,21 +13,34 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from ufl.algorithms import extract_arguments, extract_coefficients
-from ufl.classes import ComplexValue, Imag
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.classes import (
+    ComplexValue,
+    Derivative,
+    GeometricFacetQuantity,
+    GeometricQuantity,
+    Imag,
+    Restricted,
+    SpatialCoordinate,
+)
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.effects.field import ByCells, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
-from fenicsx_obstacle.parallel import agree
-from fenicsx_obstacle.text import plain, shown
+from fenicsx_obstacle.parallel import agree, first_given, largest
+from fenicsx_obstacle.text import one_line, plain, shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.levels import Level
 
 EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x as Function.interpolate takes it, a \
 Table, or a dict of these by the names of cells"
+
+
+SAME = 1e-8  # of the largest value: what values of cells at a common node may differ by
 
 
 Cellwise: TypeAlias = fem.Function | fem.Constant  # a datum in cells, as forms take it
@@ -297,6 +310,10 @@ class OfExpression(Field):
             raise InputError(f"{source} is an expression of shape {expression.ufl_shape}: expected a scalar expression")
         if extract_arguments(expression):
             raise InputError(f"{source} holds a test or trial function: expected {EXPECTED}")
+        for node in unique_pre_traversal(expression):
+            if isinstance(node, GeometricFacetQuantity | Restricted):
+                what = "a restriction to one side of facets" if isinstance(node, Restricted) else type(node).__name__
+                raise InputError(f"{source} holds {what}, which has no value at nodes: expected {EXPECTED}")
         self._sampled: OfFunction | None = None
 
     def on(self, level: Level) -> Field:
@@ -308,7 +325,7 @@ class OfExpression(Field):
             )
         here = OfExpression(self.ufl, self.source)
         sampled = fem.Function(releases.functionspace(level.mesh, "DG", 2))
-        sampled.interpolate(releases.expression(here._on(level.mesh), sampled.function_space))
+        sampled.interpolate(here._compiled(sampled.function_space))
         here._sampled = OfFunction(sampled, self.source, interpolated=True)
         return here
 
@@ -324,11 +341,57 @@ class OfExpression(Field):
                 "interpolate it into a continuous space"
             )
         taken = fem.Function(V)
-        taken.interpolate(releases.expression(self._on(V.mesh), V))
+        taken.interpolate(self._compiled(V))
+        if _continuous(V) and _varies_by_cell(self.ufl):
+            self._check_continuous(taken)
         return taken.x.array
+
+    def _check_continuous(self, taken: fem.Function) -> None:
+        """Reject an expression whose values at a node differ from cell to cell (collective).
+
+        Args:
+            taken: Its interpolant, which has the value of one of these cells.
+
+        Raises:
+            InputError: Naming a node, and two of the values there.
+        """
+        V = taken.function_space
+        degree = 2 if V.dofmap.dof_layout.entity_dofs(1, 0) else 1
+        by_cell = fem.Function(releases.functionspace(V.mesh, "DG", degree))
+        by_cell.interpolate(self._compiled(by_cell.function_space))
+        taken.x.scatter_forward()
+        nodes = releases.cell_dofs(V)
+        values, others = taken.x.array[nodes], by_cell.x.array[releases.cell_dofs(by_cell.function_space)]
+        comm = V.mesh.comm
+        size = largest(comm, np.abs(np.where(np.isfinite(values), values, 0.0)))
+        bad = np.argwhere(np.abs(values - others) > SAME * size)[:1]
+        points = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
+        found = [(points[nodes[i, j]].tolist(), values[i, j], others[i, j]) for i, j in bad]
+        places = [one for part in comm.allgather(found) for one in part]
+        if places:
+            point, value, other = min(places)
+            where = ", ".join(f"{x:.4g}" for x in point)
+            raise InputError(
+                f"{self.source} is a UFL expression that is not continuous: at ({where}) it is {value:.4g} and "
+                f"{other:.4g} in two cells; project it onto a continuous space"
+            )
 
     def expression(self, symbols: Symbols) -> Any:
         return self.ufl + symbols.zero
+
+    def _compiled(self, V: fem.FunctionSpace) -> fem.Expression:
+        """The expression, compiled for the nodes of a space (collective).
+
+        Raises:
+            InputError: If FFCx cannot compile it.
+        """
+        try:
+            return releases.expression(self._on(V.mesh), V)
+        except Exception as error:  # DOLFINx raises on all ranks what the compiler raises on one
+            why = first_given(V.mesh.comm, one_line(f"{type(error).__name__}: {error}"))
+            raise InputError(
+                f"{self.source}: FFCx cannot compile this UFL expression; use a callable or a Function; {why}"
+            ) from error
 
     def _on(self, mesh: Any) -> Any:
         """The expression with a domain, which one of numbers alone has not."""
@@ -403,6 +466,18 @@ def foreign(expression: Any, domain: Any) -> bool:
 
 def _continuous(V: fem.FunctionSpace) -> bool:
     return bool(V.dofmap.dof_layout.entity_dofs(0, 0))
+
+
+def _varies_by_cell(expression: Any) -> bool:
+    """Whether an expression has derivatives of Functions, or geometric quantities of cells, so that its values at a
+    node may differ from cell to cell."""
+    plain = apply_derivatives(apply_algebra_lowering(expression))
+    kinds = (
+        isinstance(node, Derivative)
+        or (isinstance(node, GeometricQuantity) and not isinstance(node, SpatialCoordinate))
+        for node in unique_pre_traversal(plain)
+    )
+    return any(kinds)
 
 
 def _arguments(function: Callable[..., Any]) -> int:

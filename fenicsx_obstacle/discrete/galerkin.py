@@ -168,7 +168,7 @@ class GalerkinProblem(Problem):
             if ours is not None:
                 ours.x.array[:] = inject(theirs.x.array[:own])
         self._start = None if finer._start is None else inject(finer._start[:own])
-        self.floating, self.borne = finer.floating, None
+        self.floating, self.borne, self.balanced = finer.floating, None, None
         self.load = self._load_sum()
 
     def _take_data(self, *, stiffness: bool) -> bool:

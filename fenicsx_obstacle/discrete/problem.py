@@ -22,7 +22,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import in_q, point_cells
 from fenicsx_obstacle.discrete.limit_load import check_limit_load
 from fenicsx_obstacle.discrete.m_matrix import is_m_matrix
-from fenicsx_obstacle.discrete.solvability import check_support, forces_at_work
+from fenicsx_obstacle.discrete.solvability import Support, check_support, forces_at_work
 from fenicsx_obstacle.discrete.transfer import Transfer, to_parents
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -54,6 +54,8 @@ class Problem:
             per length there.
         floating: Whether only contact holds some part of the mesh.
         borne: For each connected part of the mesh whether contact alone bears its load; None where there are none.
+        balanced: For each of these parts whether only contact forces determine a constant that may be added to u.
+        loose: Of bodies, the rigid motions that only contact resists, at owned dofs; None where there are none.
         A: The Jacobian; the same matrix for life.
         elastic: a(u, .) - f at the last state, rows of fixed dofs included (their support reaction).
         reaction: (1/eps) I((u - g)^+, .) at the last state.
@@ -64,6 +66,7 @@ class Problem:
     preconditioner: Mapping[str, str] = {}  # options in place of those for scalar problems
     keeps_solver = False  # for the caller to look at; it holds memory
     solver: PETSc.SNES | None = None
+    loose: np.ndarray | None = None
     eps_share = 0.01  # of the median of D_i/A_ii: eps = "auto" where no effect says how stiff it is
 
     def __init__(self, data: Data, prefix: str = ""):
@@ -87,7 +90,7 @@ class Problem:
         self.touchable = (self.weights > 0) & ~self.fixed if nodal else np.ones(len(self.weights), dtype=bool)
         self.load = self._load_sum()
         check_limit_load(self)
-        self._start, self.floating, self.borne = self._check_support()
+        self._start, self.floating, self.borne, self.balanced = self._check_support()
         self.set_reference(self.cold_start())
 
     def _make_forms(self) -> Forms:
@@ -107,7 +110,7 @@ class Problem:
                 raise InputError(f"{model.source}: {message}")
         return (Nodal if self.affine and pair.nodal else Forms)(model.effects, self.data)
 
-    def _check_support(self) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
+    def _check_support(self) -> Support:
         """The result of `check_support`."""
         return check_support(self)
 
@@ -174,7 +177,7 @@ class Problem:
             self.__dict__.pop("drift", None)
         self.load = self._load_sum()
         check_limit_load(self)
-        self._start, self.floating, self.borne = self._check_support()
+        self._start, self.floating, self.borne, self.balanced = self._check_support()
         return changed
 
     def obstacles(self) -> tuple[np.ndarray | float, np.ndarray | float]:

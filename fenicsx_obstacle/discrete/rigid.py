@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 INDEPENDENT = 1e-8  # of the largest eigenvalue of a Gram matrix: vectors that are others' combinations
 LOOSE = 1e-11  # relative energy of a motion that nothing resists
 BALANCED = 1e-6  # of the load: what contact leaves of a force on a loose body
+ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
+FORCELESS = 1e-8  # of the forces, or of the size of the body: what is none
 
 
 def rigid_motions(x: np.ndarray, components: int) -> np.ndarray:
@@ -121,14 +123,17 @@ class RigidMotions(Problem, ABC):
             space.destroy()
 
 
-def check_held(problem: VectorProblem) -> bool:
-    """Check that supports or contact hold the body; returns whether only contact does (collective).
+def check_held(problem: VectorProblem) -> np.ndarray | None:
+    """Check that supports or contact hold the body (collective).
 
     A motion without elastic energy that supports allow does work against no force but contact's. So contact forces,
     which only push, must balance the load on all such motions: there are p_i >= 0 with sum p_i D_i N_i . z = f . z.
 
     Args:
         problem: With the residual of u = 0 in `elastic`.
+
+    Returns:
+        The motions that only contact resists, orthonormal at owned dofs; None if there are none.
 
     Raises:
         InputError: If a motion is resisted by nothing, or the load pulls the body from the obstacles.
@@ -142,7 +147,7 @@ def check_held(problem: VectorProblem) -> bool:
     values, vectors = np.linalg.eigh(comm.allreduce(resisted))
     loose = vectors[:, values < LOOSE].T @ basis
     if not len(loose):
-        return False
+        return None
     load = -comm.allreduce((loose * ~fixed) @ problem.elastic.array_r)
     at, D = problem.touchable, problem.weights
     pushes = [(loose * D * sign)[:, at & np.isfinite(bound[: len(D)])] for bound, sign in problem.bounded_sides()]
@@ -156,13 +161,39 @@ def check_held(problem: VectorProblem) -> bool:
     from scipy.optimize import nnls  # only where contact alone holds a body
 
     _, left = nnls(everywhere, load, maxiter=100 * everywhere.shape[1])
-    if left > BALANCED * np.linalg.norm(load) or not np.any(load):
+    if left > max(BALANCED * np.linalg.norm(load), ROUND_OFF * _size(problem)):
         raise InputError(
             f"{source}: only contact supports the body, and the load does not press it against the obstacles, "
             "so that no "
             "solution exists; prescribe more components of u"
         )
-    return True
+    return loose
+
+
+def moves(problem: Problem, active: np.ndarray, round_off: float) -> bool:
+    """Whether a motion that only contact resists is resisted by no contact force (collective).
+
+    A node without room between two obstacles resists motions without a force.
+
+    Args:
+        problem: With the residual of its solution in `elastic`.
+        active: Which obstacle holds each owned dof: -1 lower, 1 upper, 0 none.
+        round_off: A force that is none.
+    """
+    loose = problem.loose
+    if loose is None:
+        return False
+    forces = np.where(active != 0, np.abs(problem.elastic.array_r), 0.0)
+    resists = forces > max(FORCELESS * max(problem.load, largest(problem.level.comm, forces)), round_off)
+    resists |= np.sum(problem.gaps(), axis=0) <= FORCELESS * problem.data.extent
+    there = loose[:, resists & problem.touchable]
+    values = np.linalg.eigvalsh(problem.level.comm.allreduce(there @ there.T))
+    return bool(values[0] <= INDEPENDENT * values[-1])
+
+
+def _size(problem: VectorProblem) -> float:
+    """The sum of the loads at free dofs (collective)."""
+    return total(problem.level.comm, np.abs(problem.elastic.array_r[~problem.fixed]))
 
 
 def _energies(problem: VectorProblem, basis: np.ndarray) -> np.ndarray:

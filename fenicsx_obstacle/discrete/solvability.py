@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from mpi4py import MPI
@@ -21,7 +21,24 @@ EPSILON = float(np.finfo(float).eps)
 LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a solution meaningless
 
 
-def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
+class Support(NamedTuple):
+    """What holds u on connected parts of the mesh on which u is given nowhere.
+
+    Attributes:
+        start: Values of u at local dofs in contact on these parts, not-a-number elsewhere; None where there are none.
+        floating: Whether on one of them nothing but contact holds u.
+        borne: For each part of the mesh whether contact alone bears its load; None where there are none.
+        balanced: For each part of the mesh whether only contact forces determine a constant that may be added to u:
+            its load adds up to 0, or A is not symmetric, and nothing else holds it; None where there are none.
+    """
+
+    start: np.ndarray | None = None
+    floating: bool = False
+    borne: np.ndarray | None = None
+    balanced: np.ndarray | None = None
+
+
+def check_support(problem: Problem) -> Support:
     """Check that each connected part of the mesh is supported, and find a start for parts that only contact supports
     (collective).
 
@@ -32,17 +49,12 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray
     Args:
         problem: At u = 0; it is so again afterwards.
 
-    Returns:
-        Values of u at local dofs in contact, on components where u is given nowhere, not-a-number elsewhere; None where
-        there are none. Whether on one of these nothing but contact holds u. And for each component
-        whether contact alone bears its load; None where there are none.
-
     Raises:
         InputError: Since no u is in balance, or since round-off would decide which one is.
     """
     comm, level = problem.level.comm, problem.level
     if level.shape is not None and total(comm, np.count_nonzero(problem.fixed)) > 0:
-        return None, False, None
+        return Support()
     count, component = level.parts
     own = component[: level.owned]
 
@@ -51,13 +63,14 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray
 
     loose = sums(problem.fixed.astype(float)) == 0
     if not loose.any():
-        return None, False, None
+        return Support()
     hard = problem.obstacles()
     soft = _soft_obstacles(problem)
     rest, shift = _between(comm, soft)
     at_rest = _forces(problem, rest)
     scale = sums(_diagonal(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
-    held = sums(_forces(problem, rest + shift) - at_rest) / shift
+    moved = _forces(problem, rest + shift) - at_rest
+    held = sums(moved) / shift
     holds = held > scale
     net = -sums(at_rest)  # the load, and what supports answer to `rest`
     size = ROUND_OFF * sums(np.abs(at_rest)) + scale * abs(rest)
@@ -70,11 +83,11 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray
         rises, falls = (sums(np.maximum(sign * at_rest, 0.0)) > 0 for sign in (-1, 1))
         bad &= ~((up & falls) | (down & rises))
     if bad.any():
-        _refuse(problem, int(np.flatnonzero(bad)[0]), up, down, net, held, count)
+        _refuse(problem, int(np.flatnonzero(bad)[0]), up, down, np.where(np.abs(net) > size, net, 0.0), held, count)
     side = np.where(up & (~down | (net <= 0)), -1, 1)
     side[~(loose & (up | down) & (~holds | problem.constrained))] = 0
     if not side.any():
-        return None, False, None
+        return Support()
     start = np.full(len(component), np.nan)
     for sign, obstacle, soft_one, one in zip((-1, 1), hard, soft, stiff, strict=True):
         here, u_values = (side == sign)[component], np.broadcast_to(obstacle, len(component))
@@ -96,8 +109,12 @@ def check_support(problem: Problem) -> tuple[np.ndarray | None, bool, np.ndarray
         if undecided.any():
             nowhere = np.zeros(count, dtype=bool)
             _refuse(problem, int(np.flatnonzero(undecided)[0]), nowhere, nowhere, net, held, count)
-    by_contact = loose & ~holds & (np.abs(net) > size) & all(one is None for one in soft)
-    return start, bool((loose & ~holds).any()), by_contact if by_contact.any() else None
+    alone = loose & ~holds
+    by_contact = alone & all(one is None for one in soft)
+    borne = by_contact & (np.abs(net) > size)
+    # where A is not symmetric, its rows have to be without sum, and the load may be any
+    balanced = by_contact & ~borne if problem.symmetric else by_contact & (sums(np.abs(moved)) <= scale * abs(shift))
+    return Support(start, bool(alone.any()), borne if borne.any() else None, balanced if balanced.any() else None)
 
 
 def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
@@ -137,9 +154,10 @@ def _refuse(
     where = "u is given nowhere" if count == 1 else f"u is given nowhere on one of {count} separate parts of the mesh"
     if up[one] or down[one]:
         side = "lower" if up[one] else "upper"
+        why = "no solution exists" if net[one] else "if a solution exists, u is determined only up to a constant"
         raise InputError(
             f"{source}{where}, and the load, {net[one] + 0.0:.3g} in all, does not press against the {side} obstacle: "
-            "no solution exists; prescribe u on a part of the boundary"
+            f"{why}; prescribe u on a part of the boundary"
         )
     if any(effect.holds or effect.gives_way for effect in problem.model.effects):
         raise InputError(

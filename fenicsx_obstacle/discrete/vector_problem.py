@@ -20,6 +20,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
 from fenicsx_obstacle.discrete.rigid import RigidMotions, check_held, motions_of
+from fenicsx_obstacle.discrete.solvability import Support
 from fenicsx_obstacle.parallel import total
 
 
@@ -118,8 +119,9 @@ class VectorProblem(RigidMotions):
         sides = ((self.data.lower, -1.0), (self.data.upper, 1.0))
         return [(bound.x.array, sign) for bound, sign in sides if bound is not None]
 
-    def _check_support(self) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
-        return None, check_held(self), None
+    def _check_support(self) -> Support:
+        self.loose = check_held(self)
+        return Support(floating=self.loose is not None)
 
     def cold_start(self) -> np.ndarray:
         """u = 0 but for given values; beyond the obstacle at all contact nodes, where contact alone holds the body."""

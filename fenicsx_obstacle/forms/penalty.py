@@ -155,7 +155,7 @@ def _constant(domain: Any, eps: Any) -> Any:
 
 
 def _real(value: Any, place: str) -> float:
-    if isinstance(value, bool | str) or not hasattr(value, "__float__"):
+    if isinstance(value, bool | str) or not hasattr(value, "__float__") or np.size(value) != 1:
         raise InputError(f"{place} = {shown(value)}: expected a number, a Constant, a Function or UFL")
     return float(value)
 

@@ -52,15 +52,14 @@ def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress
         raise InputError(f"{place}: stress= is for vector-valued u")
 
 
-def checked_options(options: Any, place: str) -> dict[str, Any]:
-    """A copy of PETSc options, empty for None.
+def checked_options(options: Any, place: str, example: str = "{'ksp_type': 'cg'}") -> dict[str, Any]:
+    """A copy of options of PETSc or of a compiler, empty for None.
 
     Raises:
-        InputError: If they are no dict.
+        InputError: If they are no dict with texts as keys.
     """
-    if options is not None and not isinstance(options, Mapping):
-        wanted = "expected a dict, such as {'ksp_type': 'cg'}"
-        raise InputError(f"{place}: petsc_options = {shown(options)}: {wanted}")
+    if options is not None and not (isinstance(options, Mapping) and all(isinstance(key, str) for key in options)):
+        raise InputError(f"{place} = {shown(options)}: expected a dict, such as {example}")
     return {} if options is None else dict(options)
 
 
@@ -187,18 +186,54 @@ def _some_of(lost: np.ndarray, V: fem.FunctionSpace) -> str:
     return f"{count:.0f} of {every} nodes, such as ({', '.join(f'{x:.4g}' for x in first)})"
 
 
-def check_stiffness(problem: Problem, place: str) -> None:
-    """Reject an affine F whose derivative is zero: its terms cancel, or a coefficient is zero (collective).
+def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> None:
+    """Reject an affine F whose derivative is not finite, is zero, or has negative entries on its diagonal (collective).
+
+    It is zero if its terms cancel, or a coefficient is zero. With a negative diagonal entry the energy has no minimum,
+    and where there is none, the obstacle problem may have several solutions.
+
+    Args:
+        problem: With the matrix of F.
+        form: The form of the caller, or None.
+        place: What messages call the problem.
 
     Raises:
         InputError: With the remedy.
     """
-    if problem.affine and problem.nodal.stiffness.norm(PETSc.NormType.INFINITY) == 0:
+    if not problem.affine or form is None:
+        return
+    comm, diagonal = problem.level.comm, problem.nodal.diagonal
+    if total(comm, np.count_nonzero(~np.isfinite(diagonal))) > 0:
+        refuse_not_finite(problem, form, place)
+        raise InputError(f"{place}: the derivative of F is not finite, through a coefficient in it")
+    size, free = problem.nodal.stiffness.norm(PETSc.NormType.INFINITY), ~problem.fixed
+    if size == 0:
         raise _zero(f"{place}: the derivative of F")
+    if 0 <= largest(comm, np.abs(diagonal[free])) <= ROUND_OFF * size:
+        raise InputError(
+            f"{place}: the diagonal of the derivative of F is zero: add a term with a(v, v) > 0, such as "
+            "inner(grad(u), grad(v))*dx"
+        )
+    negative = free & (diagonal < -ROUND_OFF * size)
+    count, every = total(comm, negative), total(comm, free)
+    if 0 < count == every:
+        raise _wrong_sign(f"{place}: every diagonal entry of the derivative of F is negative")
+    if count > 0:
+        drift = "" if problem.symmetric else " Where drift enters at a free side, give u there or take smaller cells."
+        nodes = negative.reshape(-1, form.u.function_space.dofmap.index_map_bs).any(axis=1)
+        raise InputError(
+            f"{place}: the derivative of F has negative entries on its diagonal, at "
+            f"{_some_of(nodes, form.u.function_space)}: has a term or a coefficient the wrong sign there? "
+            f"a(v, v) must be positive.{drift}"
+        )
 
 
 def _zero(place: str) -> InputError:
     return InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
+
+
+def _wrong_sign(what: str) -> InputError:
+    return InputError(f"{what}: F has the wrong sign; write F = a(u, v) - f(v) with a(v, v) > 0")
 
 
 @contextmanager
@@ -323,38 +358,58 @@ def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: 
         check_tags(tags, mesh, mesh.topology.dim - codim, f"{place}: subdomain_data")
 
 
-def warn_of_empty(F: ufl.Form, bcs: Sequence[Any], mesh: dmesh.Mesh, place: str) -> None:
-    """Warn of integrals in F over no cell or facet, and of Dirichlet conditions without dofs (collective).
+def warn_of_conditions(bcs: Sequence[Any], comm: MPI.Comm, place: str) -> None:
+    """Warn of Dirichlet conditions without dofs (collective).
 
     Args:
-        F: The residual.
-        bcs: Dirichlet conditions.
-        mesh: Mesh of u.
+        bcs: The conditions.
+        comm: Communicator of the mesh.
         place: What messages call the problem.
     """
-    parts = {"cell": "cell", "exterior_facet": "facet", "interior_facet": "facet"}
-    empty: dict[str, None] = {}
-    for integral in F.integrals():
-        tags, part = integral.subdomain_data(), parts.get(integral.integral_type())
-        if part is None or not hasattr(tags, "find"):
-            continue
-        for tag in _ids(integral):
-            if not isinstance(tag, numbers.Integral):
-                continue
-            found = tags.find(tag)
-            if total(mesh.comm, len(found)) == 0:
-                empty[f"F has an integral over the tag {tag}, but no {part} has this tag"] = None
-            elif integral.integral_type() == "exterior_facet":
-                mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
-                if total(mesh.comm, np.isin(found, dmesh.exterior_facet_indices(mesh.topology))) == 0:
-                    inside = "no facet with this tag is on the boundary; inside the domain take dS"
-                    empty[f"F has an integral ds over the tag {tag}, but {inside}"] = None
     for number, bc in enumerate(bcs):
-        if total(mesh.comm, len(bc.dof_indices()[0])) == 0:
-            empty[f"bcs[{number}] has no dofs, so that it has no effect"] = None
-    if mesh.comm.rank == 0:
-        for words in empty:
-            warnings.warn(f"{place}: {words}", stacklevel=4)
+        if total(comm, len(bc.dof_indices()[0])) == 0 and comm.rank == 0:
+            warnings.warn(f"{place}: bcs[{number}] has no dofs, so that it has no effect", stacklevel=4)
+
+
+def check_tagged(form: ufl.Form, mesh: dmesh.Mesh, place: str) -> None:
+    """Reject a term over tags that no cell has, or no facet of its kind: it is zero (collective).
+
+    Of a term over several tags a warning names those that none has: the mesh may be too coarse for a small part.
+
+    Args:
+        form: With measures of this mesh.
+        mesh: Mesh of u.
+        place: What messages call the form.
+
+    Raises:
+        InputError: With the tags.
+    """
+    names = {"cell": "cell", "exterior_facet": "facet of the boundary", "interior_facet": "facet inside the domain"}
+    terms: dict[Any, list[ufl.Integral]] = {}
+    for one in form.integrals():  # UFL makes an integral for each of several tags
+        numbered = hasattr(one.subdomain_data(), "find") and all(isinstance(tag, numbers.Integral) for tag in _ids(one))
+        if numbered and one.integral_type() in names:
+            terms.setdefault((one.integral_type(), one.integrand()), []).append(one)
+    if not terms:
+        return
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    boundary = np.asarray(dmesh.exterior_facet_indices(mesh.topology))
+    for (kind, _), integrals in terms.items():
+        counts: dict[int, float] = {}
+        for one in integrals:
+            for tag in _ids(one):
+                found = one.subdomain_data().find(int(tag))
+                if kind != "cell":
+                    found = found[np.isin(found, boundary) == (kind == "exterior_facet")]
+                counts[int(tag)] = total(mesh.comm, len(found))
+        missing = [tag for tag, count in counts.items() if count == 0]
+        tags = " or ".join(map(str, missing))
+        remedy = "" if kind == "cell" else "; ds is for facets of the boundary, and dS for those inside"
+        if missing and len(missing) == len(counts):
+            raise InputError(f"{place}: no {names[kind]} has the tag {tags}, so that a term is zero{remedy}")
+        if missing and mesh.comm.rank == 0:
+            warnings.warn(f"{place}: no {names[kind]} has the tag {tags}{remedy}", stacklevel=4)
 
 
 def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
@@ -433,19 +488,23 @@ def refuse_no_positive_diagonal(problem: Problem, diagonal: np.ndarray, form: Re
     free, negative = (total(comm, number) for number in (len(weights), np.sum(diagonal < 0)))
     if not free:
         raise InputError(f"{place}: u is given at every node: there are no unknowns")
-    if negative == free:
-        raise InputError(
-            f"{place}: every diagonal entry of the derivative of F is negative: F has the wrong sign; "
-            "write F = a(u, v) - f(v) with a(v, v) > 0"
-        )
     if form is not None:
         refuse_not_finite(problem, form, place)
+    given = form is not None and form.J is not None and not problem.affine
+    slope = "J" if given else "the derivative of F"
+    if negative == free and problem.affine:
+        raise _wrong_sign(f"{place}: every diagonal entry of {slope} is negative")
+    if negative == free:
+        raise InputError(
+            f"{place}: eps = 'auto': every diagonal entry of {slope} is negative at the start: if no sign in it is "
+            "wrong, give a number, or start from another u"
+        )
     if not total(comm, np.count_nonzero(weights > 0)):
         raise InputError(
             f"{place}: u is given at every node where the obstacle acts, so that the obstacle has no "
             "effect; leave it out, or give u on a smaller part of the boundary"
         )
-    raise InputError(f"{place}: eps = 'auto': the derivative of F has no positive diagonal entry; give a number")
+    raise InputError(f"{place}: eps = 'auto': {slope} has no positive diagonal entry; give a number")
 
 
 def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, place: str) -> None:

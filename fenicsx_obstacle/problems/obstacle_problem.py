@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,6 +32,7 @@ from fenicsx_obstacle.problems.input_checks import (
     check_measure,
     check_not_moved,
     check_stiffness,
+    check_tagged,
     check_unknown,
     checked_options,
     conditions,
@@ -41,7 +43,7 @@ from fenicsx_obstacle.problems.input_checks import (
     refuse_no_positive_diagonal,
     refuse_not_finite,
     vertex_digests,
-    warn_of_empty,
+    warn_of_conditions,
 )
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
 from fenicsx_obstacle.problems.residual_form import ResidualForm
@@ -134,7 +136,7 @@ class ObstacleProblem:
     ):
         """Compile and assemble (collective).
 
-        A warning names each tag in F that no cell or facet has, and each condition in bcs without dofs.
+        A warning names each condition in bcs without dofs.
 
         Args:
             F: Residual without contact, such as a(u, v) - L(v): a form with the Function u and one test function. It
@@ -145,7 +147,8 @@ class ObstacleProblem:
             bcs: Dirichlet conditions, a list or a single one.
             lower: Lower obstacle, in the unit of u. It is evaluated at the nodes. It may be a number; a Constant; a
                 Function of any continuous space, also on another mesh that covers this one; a UFL expression without
-                u; or a callable of x, an array of shape (3, n), as for Function.interpolate.
+                u that has one value at each node; or a callable of x, an array of shape (3, n), as for
+                Function.interpolate.
             upper: Upper obstacle, of the same kinds.
             energy: The functional whose derivative is F (optional, for nonlinear F). A line search then decreases this
                 energy, which makes Newton's method more robust.
@@ -189,8 +192,14 @@ class ObstacleProblem:
         for name, given in (("F", F), ("energy", energy), ("J", J)):
             for integral in () if given is None else given.integrals():
                 check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
-        warn_of_empty(F, held, V.mesh, self.name)
+            if given is not None:
+                check_tagged(given, V.mesh, f"{self.name}: {name}")
+        warn_of_conditions(held, V.mesh.comm, self.name)
         form = ResidualForm(F=F, u=u, functional=energy, J=J)
+        if not isinstance(petsc_options_prefix, str):
+            raise InputError(f"{self.name}: petsc_options_prefix = {shown(petsc_options_prefix)}: expected a text")
+        checked_options(form_compiler_options, f"{self.name}: form_compiler_options", "{'scalar_type': 'float64'}")
+        checked_options(jit_options, f"{self.name}: jit_options", "{'cffi_extra_compile_args': ['-O2']}")
         compiled = (form_compiler_options, jit_options)
         with releases.compiled_with(*compiled):
             check_integrals(form, held, self.name)
@@ -280,7 +289,7 @@ class ObstacleProblem:
         garbage.free_before(self, data.level.comm)
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
         self._vertices = vertex_digests(data.level)
-        self._options = checked_options(options, self.name)
+        self._options = checked_options(options, f"{self.name}: petsc_options")
         self._estimator: Estimator | None = None
         started = time.perf_counter()
         with releases.compiled_with(*compiled):
@@ -386,8 +395,9 @@ class ObstacleProblem:
         garbage.free_unreferenced(self.level.comm)  # such as the solver of the solve before the last one
         check_not_moved(self.level, self._vertices, self.name)
         options = SolverOptions(method, source=f"{self.name}:")
-        if not 0 < rtol < 1:
-            raise InputError(f"{self.name}: rtol = {rtol:g}: expected a number between 0 and 1")
+        if not isinstance(rtol, numbers.Real) or isinstance(rtol, bool) or not 0 < rtol < 1:
+            given = f"{rtol:g}" if isinstance(rtol, numbers.Real) else shown(rtol)
+            raise InputError(f"{self.name}: rtol = {given}: expected a number between 0 and 1")
         value = number_of(eps, self.name)
         if monitor is not None and not callable(monitor):
             raise InputError(f"{self.name}: monitor = {shown(monitor)}: expected a function of a number and a Step")
@@ -484,7 +494,7 @@ class ObstacleProblem:
             self._in_matrix = values
             if stiffness and self._form.affine:
                 self._form.look_again(problem.nodal.stiffness)
-            check_stiffness(problem, self.name)
+            check_stiffness(problem, self._form, self.name)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from inspect import signature
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -203,6 +204,8 @@ class Solution:
             InputError: If the points have a wrong number of coordinates or do not lie on the line or plane of the mesh;
                 if there is no such quantity; or if the flux is requested and the tension is not known.
         """
+        if not isinstance(of, str):
+            raise InputError(f"at() takes the name of a quantity, such as of='pressure', not of={shown(of)}")
         gdim = self.level.mesh.geometry.dim
         try:
             given = np.asarray(points, dtype=np.float64)
@@ -231,10 +234,15 @@ class Solution:
         Raises:
             InputError: As `at`, or if there are fewer than two points.
         """
-        ends = [np.asarray(point, dtype=np.float64) for point in (start, end)]
         gdim = self.level.mesh.geometry.dim
-        if n < 2 or any(point.shape != (gdim,) for point in ends):
-            raise InputError(f"along() takes two points with {counted(gdim, 'coordinate')} each, and n >= 2")
+        try:
+            ends = [np.asarray(point, dtype=np.float64) for point in (start, end)]
+        except (TypeError, ValueError):
+            ends = [np.empty(0)]
+        if not isinstance(n, Integral) or n < 2 or any(point.shape != (gdim,) for point in ends):
+            raise InputError(
+                f"along() takes two points with {counted(gdim, 'coordinate')} each, and a whole number n >= 2"
+            )
         return self.on(np.linspace(ends[0], ends[1], n))
 
     def on(self, points: np.ndarray) -> Profile:
@@ -380,6 +388,8 @@ class Solution:
         """
         from fenicsx_obstacle.io.folder import save  # with h5py
 
+        if str(folder) == "":
+            raise InputError("save: folder = '': an empty name; take '.' for the present folder")
         save(self, Path(folder))
 
     def files(

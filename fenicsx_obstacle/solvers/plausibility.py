@@ -1,5 +1,5 @@
-"""Checks that a state in balance is a solution: maximum principle, sensitivity to round-off, limit load, trapped
-drift."""
+"""Checks that a state in balance is a solution: contact forces, maximum principle, sensitivity to round-off, limit
+load, trapped drift."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from math import sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.rigid import moves
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.data_scales import EPSILON, forces_of_data, range_of_data
+from fenicsx_obstacle.solvers.data_scales import EPSILON, ROUNDOFF_MARGIN, forces_of_data, range_of_data, stiffness_of
 from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
 
 if TYPE_CHECKING:
@@ -42,7 +44,7 @@ def violation(problem: Problem, active: np.ndarray) -> str | None:
     time = problem.model.time
     if time is not None and time.order != EQUILIBRIA:
         return None
-    for check in (_not_borne, _beyond_range, _torn, _sensitive, _trapped):
+    for check in (_not_borne, _shifts, _beyond_range, _torn, _sensitive, _trapped):
         found = check(problem, active)
         if found is not None:
             return found
@@ -71,6 +73,49 @@ def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
     return (
         f"contact alone holds u, and the contact forces differ by more than 1 % from the load, {force:.3g} in all: "
         "round-off determines u"
+    )
+
+
+def _shifts(problem: Problem, active: np.ndarray) -> str | None:
+    """Parts of the mesh that nothing holds, and on which no contact force acts; bodies that contact forces do not hold.
+
+    A constant may be added to u there until u reaches an obstacle. With contact forces, or where the obstacles leave no
+    room, the constant is determined.
+    """
+    if problem.loose is None and problem.balanced is None:
+        return None
+    comm, own = problem.level.comm, problem.level.owned
+    u = (problem.w.x.array + problem.reference.x.array)[:own]
+    round_off = ROUNDOFF_MARGIN * EPSILON * stiffness_of(problem, exact_bounds=True) * np.abs(u)
+    problem.forms.elastic(problem.elastic)
+    if problem.loose is not None:
+        if not moves(problem, active, total(comm, round_off)):
+            return None
+        return (
+            "only contact supports the body, and a rigid body motion is resisted by no contact force, so that u is "
+            "determined only up to this motion; prescribe more components of u"
+        )
+    count, component = problem.level.parts
+    component = component[:own]
+    contact = np.where(problem.active_dofs(active != 0), np.abs(problem.elastic.array_r), 0.0)
+    # a force that a solver with its default tolerance may leave, or round-off of exact balance
+    noise = NEAR * np.abs(problem.forms.forces_at(0.0)) + round_off
+    columns = np.array([np.bincount(component, values, count) for values in (contact, noise)])
+    forces, negligible = comm.allreduce(columns)
+    room = np.full((2, count), np.inf)
+    gaps = problem.gaps()
+    if not problem.level.pair.nodal:
+        lower, upper = (np.broadcast_to(one, len(problem.w.x.array))[:own] for one in problem.obstacles())
+        gaps = u - lower, upper - u
+    for row, gap in zip(room, gaps, strict=True):
+        np.minimum.at(row, component, gap)
+    comm.Allreduce(MPI.IN_PLACE, room, op=MPI.MIN)
+    size = largest(comm, np.abs(u))
+    if not (problem.balanced & (forces <= negligible) & (room.sum(axis=0) > NEAR * size)).any():
+        return None
+    return (
+        "u is given nowhere, and no contact force acts, so that u is determined only up to a constant; prescribe u on "
+        "a part of the boundary"
     )
 
 

@@ -51,7 +51,7 @@ class Small:
         self.touchable = ~self.fixed
         self.below, self.above = None, np.zeros(n)
         self.preconditioner: dict[str, Any] = {}
-        self.keeps_solver, self.borne, self.drift = False, None, None
+        self.keeps_solver, self.borne, self.balanced, self.loose, self.drift = False, None, None, None, None
         self.constrained = self.affine = self.has_energy = self.symmetric = True
         self.active_sets_shrink = bool(np.all(self.matrix - np.diag(np.diag(self.matrix)) <= 0))
         self.A = PETSc.Mat().createDense(n, comm=MPI.COMM_SELF)
