@@ -15,7 +15,6 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.rigid import moves
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError
@@ -89,6 +88,8 @@ def _shifts(problem: Problem, active: np.ndarray) -> str | None:
     round_off = ROUNDOFF_MARGIN * EPSILON * stiffness_of(problem, exact_bounds=True) * np.abs(u)
     problem.forms.elastic(problem.elastic)
     if problem.loose is not None:
+        from fenicsx_obstacle.discrete.rigid import moves  # only where there is an elastic body
+
         if not moves(problem, active, total(comm, round_off)):
             return None
         return (
