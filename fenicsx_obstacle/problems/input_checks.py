@@ -394,6 +394,7 @@ def check_tagged(form: ufl.Form, mesh: dmesh.Mesh, place: str) -> None:
         return
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
+    owned = mesh.topology.index_map(dim - 1).size_local
     boundary = np.asarray(dmesh.exterior_facet_indices(mesh.topology))
     for (kind, _), integrals in terms.items():
         counts: dict[int, float] = {}
@@ -401,6 +402,7 @@ def check_tagged(form: ufl.Form, mesh: dmesh.Mesh, place: str) -> None:
             for tag in _ids(one):
                 found = one.subdomain_data().find(int(tag))
                 if kind != "cell":
+                    found = found[found < owned]
                     found = found[np.isin(found, boundary) == (kind == "exterior_facet")]
                 counts[int(tag)] = total(mesh.comm, len(found))
         missing = [tag for tag, count in counts.items() if count == 0]
