@@ -153,8 +153,8 @@ def test_each_part_of_a_mesh_is_held():
 @pytest.mark.parametrize("method", ["vi", "penalty"])
 @pytest.mark.parametrize("load", ["0", "where(x < 0.5, -1, 1)"])
 def test_a_load_without_sum_needs_contact_forces(load, method):
-    """u is given nowhere, and the load adds up to 0: with room between the obstacles any constant may be added to u,
-    so that there is no answer. Obstacles that deform u, or that leave no room, determine the constant."""
+    """u is given nowhere, and the load adds up to 0: if the obstacles let u move any constant may be added to it,
+    so that there is no answer. Obstacles that deform u, or that do not let it move, determine the constant."""
     with pytest.raises(NotConverged, match="no contact force acts, so that u is determined only up to a constant"):
         solve(loose(load=load, lower=-9, upper=9), method=method)
     with pytest.raises(NotConverged, match="no contact force acts, so that u is determined only up to a constant"):

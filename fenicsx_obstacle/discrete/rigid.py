@@ -173,7 +173,7 @@ def check_held(problem: VectorProblem) -> np.ndarray | None:
 def moves(problem: Problem, active: np.ndarray, round_off: float) -> bool:
     """Whether a motion that only contact resists is resisted by no contact force (collective).
 
-    A node without room between two obstacles resists motions without a force.
+    A node that two equal obstacles hold resists motions without a force.
 
     Args:
         problem: With the residual of its solution in `elastic`.

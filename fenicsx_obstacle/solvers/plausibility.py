@@ -78,8 +78,8 @@ def _not_borne(problem: Problem, active: np.ndarray) -> str | None:
 def _shifts(problem: Problem, active: np.ndarray) -> str | None:
     """Parts of the mesh that nothing holds, and on which no contact force acts; bodies that contact forces do not hold.
 
-    A constant may be added to u there until u reaches an obstacle. With contact forces, or where the obstacles leave no
-    room, the constant is determined.
+    A constant may be added to u there until u reaches an obstacle. With contact forces, or where the obstacles do not
+    let u move, the constant is determined.
     """
     if problem.loose is None and problem.balanced is None:
         return None
@@ -103,16 +103,16 @@ def _shifts(problem: Problem, active: np.ndarray) -> str | None:
     noise = NEAR * np.abs(problem.forms.forces_at(0.0)) + round_off
     columns = np.array([np.bincount(component, values, count) for values in (contact, noise)])
     forces, negligible = comm.allreduce(columns)
-    room = np.full((2, count), np.inf)
+    least = np.full((2, count), np.inf)
     gaps = problem.gaps()
     if not problem.level.pair.nodal:
         lower, upper = (np.broadcast_to(one, len(problem.w.x.array))[:own] for one in problem.obstacles())
         gaps = u - lower, upper - u
-    for row, gap in zip(room, gaps, strict=True):
+    for row, gap in zip(least, gaps, strict=True):
         np.minimum.at(row, component, gap)
-    comm.Allreduce(MPI.IN_PLACE, room, op=MPI.MIN)
+    comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
     size = largest(comm, np.abs(u))
-    if not (problem.balanced & (forces <= negligible) & (room.sum(axis=0) > NEAR * size)).any():
+    if not (problem.balanced & (forces <= negligible) & (least.sum(axis=0) > NEAR * size)).any():
         return None
     return (
         "u is given nowhere, and no contact force acts, so that u is determined only up to a constant; prescribe u on "
