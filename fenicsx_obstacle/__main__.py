@@ -148,7 +148,7 @@ def _interrupt(number: int, _frame: Any) -> None:
     if number != signal.SIGALRM:
         _received.append(number)
     signal.setitimer(signal.ITIMER_REAL, AGAIN)
-    if (processes := sys.modules.get("fenicsx_obstacle.verification.processes")) is not None:
+    if (processes := sys.modules.get("tests.processes")) is not None:
         processes.end_all()
     raise KeyboardInterrupt
 

@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve, study
 from fenicsx_obstacle.parallel import largest, on_root, total
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 KEYS = """scene method element ranks cells cells_total dofs h h_max eps converged reason newton_iterations
 krylov_iterations newton_total krylov_total seconds poisson_seconds poisson_units memory_mb energy errors penetration

@@ -7,11 +7,9 @@ import sys
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
-from test_cli import CLEAN
 
 from fenicsx_obstacle import (
     Answer,
@@ -29,6 +27,8 @@ from fenicsx_obstacle import (
 )
 from fenicsx_obstacle.scenes.body_report import _nodes_across
 from fenicsx_obstacle.show.explain import explain
+from tests.conftest import COMM, DEMOS, slow_except
+from tests.test_cli import CLEAN
 
 LAW = {"young": 1, "poisson": 0.3, "plane": "strain"}
 ROLLERS = [{"on": "left", "value": [0, "free"]}, {"on": "bottom", "value": ["free", 0]}]

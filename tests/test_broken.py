@@ -7,17 +7,17 @@ import shutil
 from pathlib import Path
 
 import pytest
-from conftest import COMM
-from test_cli import CLEAN
 
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.verification.broken.case import Broken, complaint
-from fenicsx_obstacle.verification.broken.collection import RIGHT, collect, make_meshes
-from fenicsx_obstacle.verification.broken.inside import attempt
-from fenicsx_obstacle.verification.broken.options import RESULT
-from fenicsx_obstacle.verification.broken.run import _alone
+from tests.cli.broken.case import Broken, complaint
+from tests.cli.broken.collection import RIGHT, collect, make_meshes
+from tests.cli.broken.inside import attempt
+from tests.cli.broken.options import RESULT
+from tests.cli.broken.run import _alone
+from tests.conftest import COMM
+from tests.test_cli import CLEAN
 
 EVERY = 12
 

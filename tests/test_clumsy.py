@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
@@ -21,9 +20,10 @@ from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.show.figures import heading
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.text import one_line
-from fenicsx_obstacle.verification.faults.kill import _session
-from fenicsx_obstacle.verification.hard.suite import reason
-from fenicsx_obstacle.verification.processes import DEFAULTS, FIXED, OF_ROOT, clean
+from tests.cli.faults.kill import _session
+from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.hard.suite import reason
+from tests.processes import DEFAULTS, FIXED, OF_ROOT, clean
 
 LAUNCHER = DEMOS.parent / "obstacle"
 HELD = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "boundary": []}

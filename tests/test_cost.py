@@ -6,9 +6,6 @@ import time
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
-from test_cli import CLEAN, run
-from test_rows import kill
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
@@ -17,6 +14,9 @@ from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
+from tests.conftest import COMM, DEMOS, membrane
+from tests.test_cli import CLEAN, run
+from tests.test_rows import kill
 
 SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
 

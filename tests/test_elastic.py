@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Solution, compare, releases
+from tests.conftest import COMM
 
 Cell = dmesh.CellType
 ELEMENTS = [(cell, degree) for cell in (Cell.triangle, Cell.quadrilateral, Cell.tetrahedron, Cell.hexahedron)

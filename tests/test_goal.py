@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers import goal
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.text import with_error
+from tests.conftest import COMM, DEMOS
 
 FORCE = 4 * math.pi * 0.5777150035509267**2  # of disk_flat: load times area of the contact disk
 TORQUE = 2 * (2 * math.pi) * (0.6 * 0.08 + 1.25 * (0.16 * 0.08 - 0.4**4 / 4) + (1 - 0.16) / 2 - (1 - 0.064) / 3)

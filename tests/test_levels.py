@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
@@ -12,6 +11,7 @@ from fenicsx_obstacle.discrete.cells import corners, facet_vertices, sides
 from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.parallel import gathered, largest, on_root, total
 from fenicsx_obstacle.scenes import meshes
+from tests.conftest import COMM, DEMOS, slow_except
 
 MESHES = {
     "interval": ({"shape": "interval", "cells": 9}, 1.0),

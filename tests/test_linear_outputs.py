@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from conftest import COMM, slow_except
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.scenes import catalogue
+from tests.conftest import COMM, slow_except
 
 SQUARE = {"shape": "rectangle", "cells": 16}
 BUBBLE = "x*(1 - x)*y*(1 - y)"  # integral 1/36, with x 1/72; -Laplace is 2 x (1 - x) + 2 y (1 - y)

@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, slow_except
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -17,6 +16,7 @@ from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
+from tests.conftest import COMM, slow_except
 
 FORMATS = [(2.2, 0, 0), (2.2, 1, 1), (4.1, 1, 0), (4.1, 0, 1)]  # version, binary, also what is in no group
 

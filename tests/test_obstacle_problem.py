@@ -10,7 +10,6 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, membrane
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
@@ -29,6 +28,7 @@ from fenicsx_obstacle import (
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.releases import NEW, vec
+from tests.conftest import COMM, membrane
 
 TRIANGLE, QUADRILATERAL = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
 ELEMENTS = [(TRIANGLE, 1, "P1"), (TRIANGLE, 2, "P2"), (QUADRILATERAL, 1, "Q1"), (QUADRILATERAL, 2, "Q2")]

@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.io.folder import gather
@@ -14,6 +13,7 @@ from fenicsx_obstacle.show.figures import blank, figure
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, pressures
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.space import draw_views
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
 

@@ -8,12 +8,12 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.distance import distance_to_simplices
 from fenicsx_obstacle.scenes import meshes
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 # what this process's MPI has put into the environment would confuse the one started here
 CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}

@@ -12,13 +12,13 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import DEMOS
-from test_cli import CLEAN, mpirun, run
 
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.__main__ import _run
 from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.studies.rows import RowStore, row_key
+from tests.conftest import DEMOS
+from tests.test_cli import CLEAN, mpirun, run
 
 pytestmark = pytest.mark.serial
 

@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, membrane
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -19,6 +18,7 @@ from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.forms.pairs import Pair, _register, nodal_rule, register
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import largest, on_root, total
+from tests.conftest import COMM, membrane
 
 SQUARE = {"shape": "rectangle", "cells": 5}
 QUADS = {**SQUARE, "cell": "quadrilateral"}
@@ -230,8 +230,8 @@ def test_a_part_of_the_ranks_reads(folder):
 SEVERAL = """
 import sys
 import numpy as np
-from conftest import COMM
-from test_saved_elements import table
+from tests.conftest import COMM
+from tests.test_saved_elements import table
 from fenicsx_obstacle import Answer, Scene, solve
 folder = sys.argv[1]
 saved = solve(Scene.read(folder + "/scene.toml"), eps=1e-6)
@@ -247,7 +247,7 @@ Answer.read(folder + "/one").save(folder + "/through")
 @pytest.mark.parametrize("ranks, element, mesh", [(2, "P2", SQUARE), (2, "Q1-gauss", QUADS), (3, "Q2", QUADS)])
 def test_other_numbers_of_ranks(ranks, element, mesh, folder):
     """Written on several ranks and read on one; written on one, read and written again on several, read on one."""
-    from test_cli import CLEAN, mpirun
+    from tests.test_cli import CLEAN, mpirun
 
     scene = scene_of(element, mesh)
     (folder / "scene.toml").write_text(scene.toml())

@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from conftest import membrane, slow_except
 
 from fenicsx_obstacle import InputError, Scene, solve, study
 from fenicsx_obstacle.answers.uncertainty import SAFETY, Uncertainty, compared
 from fenicsx_obstacle.scenes import catalogue
+from tests.conftest import membrane, slow_except
 
 STRING = math.sqrt(0.3 / 4)  # where string_parabola with f = 8, c = 0.3, k = 0 leaves its ceiling
 DISK = 0.5777150035509267  # contact radius of disk_flat
