@@ -9,15 +9,11 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from fenicsx_obstacle.errors import interrupted
+
 AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
 _received: list[int] = []  # signals
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
-
-
-def _kept() -> str:
-    """A remark about the saved rows of an interrupted command."""
-    has_rows = sys.argv[1:2] in (["study"], ["cost"], ["find"])
-    return "; finished rows are kept, and the same command continues from them" if has_rows else ""
 
 
 try:
@@ -28,7 +24,7 @@ try:
     from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
 except KeyboardInterrupt:
     if _RANK == 0:
-        sys.stderr.write(f"interrupted{_kept()}\n")
+        sys.stderr.write(interrupted(signal.SIGINT, sys.argv[1:]) + "\n")
     os._exit(128 + signal.SIGINT)
 
 
@@ -67,10 +63,9 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
             raise
         signal.setitimer(signal.ITIMER_REAL, 0)
         number = _received[-1] if _received else signal.SIGINT
-        word = "interrupted" if number == signal.SIGINT else "terminated"
         if _several():  # the other ranks may not end in MPI's way; the launcher prints the message
             os._exit(128 + number)
-        return _fail(f"{word}{_kept()}", 128 + number)
+        return _fail(interrupted(number, sys.argv[1:]), 128 + number)
     except RuntimeError as error:
         if type(error).__module__ != "petsc4py.PETSc":
             raise

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Sequence
 from typing import Any
 
 from fenicsx_obstacle.text import counted
@@ -64,3 +66,15 @@ class NotConverged(ObstacleError):
 
 def _rebuild(solver: str, reason: str, iterations: int, eps: float | None, h: float) -> NotConverged:
     return NotConverged(solver, reason, iterations, eps=eps, h=h)
+
+
+def interrupted(number: int, arguments: Sequence[str]) -> str:
+    """What a command that a signal has ended says.
+
+    Args:
+        number: The signal.
+        arguments: Of the command.
+    """
+    word = "interrupted" if number == signal.SIGINT else "terminated"
+    has_rows = list(arguments[:1]) in (["study"], ["cost"], ["find"])
+    return word + ("; finished rows are kept, and the same command continues from them" if has_rows else "")

@@ -12,32 +12,15 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import click
 
 from fenicsx_obstacle.checkout import ROOT
+from fenicsx_obstacle.launcher import mpirun
 
-# what the launcher `obstacle` sets before it starts Python or mpirun; its first lines say why
-FIXED = {
-    "OMP_NUM_THREADS": "1", "SCOTCH_PTHREAD_NUMBER": "1", "PYTHONNOUSERSITE": "1",
-    "OMPI_MCA_btl_vader_single_copy_mechanism": "none", "OMPI_MCA_ess_singleton_isolated": "1",
-    "OMPI_MCA_mpi_yield_when_idle": "1", "OMPI_MCA_orte_execute_quiet": "1",
-}  # fmt: skip
-DEFAULTS = {"OMPI_MCA_smsc": "^cma", "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "^tcp,uct,openib,ofi"}
-OF_ROOT = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-# what MPI has put into the environment of this process would confuse the MPI of a child
-_MPI = ("OMPI_COMM", "OMPI_ARGV", "OMPI_APP", "OMPI_COMMAND", "PMIX", "PRTE", "PMI_")
 _running: set[subprocess.Popen[str]] = set()
 _over: list[bool] = []  # not empty once this process is to end
-
-
-def clean() -> dict[str, str]:
-    """The environment of a process to start: that of the launcher, without what an MPI process finds in its own."""
-    kept = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
-    given = {key: kept.get(key) or value for key, value in DEFAULTS.items()}
-    return {**kept, **given, **FIXED, **(OF_ROOT if os.geteuid() == 0 else {})}
 
 
 def start(command: Sequence[str], **options: Any) -> subprocess.Popen[str]:
@@ -69,15 +52,6 @@ def launch_module(ranks: int, module: str, *arguments: str) -> list[str]:
     """The command that runs a module of the suites on so many ranks."""
     as_main = f"run_module({module!r}, run_name='__main__', alter_sys=True)"
     return launch(ranks, "-c", f"import runpy, sys; sys.path.insert(0, {str(ROOT)!r}); runpy.{as_main}", *arguments)
-
-
-def mpirun(ranks: int) -> list[str]:
-    """The command that starts another one on so many ranks."""
-    hydra = Path(sys.executable).with_name("mpiexec.hydra")  # MPICH's, in an environment into which pip has put it
-    if hydra.exists():
-        return [str(hydra), "-n", str(ranks)]
-    # without the banner of Open MPI 4; 5 and 6 take no -q
-    return ["mpirun", "--mca", "orte_execute_quiet", "1", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"]
 
 
 def tell(record: Mapping[str, Any]) -> None:

@@ -27,8 +27,7 @@ from fenicsx_obstacle import (
 )
 from fenicsx_obstacle.scenes.body_report import _nodes_across
 from fenicsx_obstacle.show.explain import explain
-from tests.conftest import COMM, DEMOS, slow_except
-from tests.test_cli import CLEAN
+from tests.conftest import CLEAN, COMM, DEMOS, slow_except
 
 LAW = {"young": 1, "poisson": 0.3, "plane": "strain"}
 ROLLERS = [{"on": "left", "value": [0, "free"]}, {"on": "bottom", "value": ["free", 0]}]

@@ -16,8 +16,7 @@ from tests.cli.broken.collection import RIGHT, collect, make_meshes
 from tests.cli.broken.inside import attempt
 from tests.cli.broken.options import RESULT
 from tests.cli.broken.run import _alone
-from tests.conftest import COMM
-from tests.test_cli import CLEAN
+from tests.conftest import CLEAN, COMM
 
 EVERY = 12
 

@@ -12,13 +12,10 @@ import pytest
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.arguments import values_of
-from tests.conftest import DEMOS, slow_except
-from tests.processes import mpirun
+from fenicsx_obstacle.launcher import mpirun
+from tests.conftest import CLEAN, DEMOS, slow_except
 
 pytestmark = pytest.mark.serial
-
-# what this process's MPI has put into the environment would confuse the mpirun started here
-CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}
 
 
 def run(*arguments, ranks=1, cwd=None, env=None):

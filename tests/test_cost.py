@@ -14,8 +14,8 @@ from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
-from tests.conftest import COMM, DEMOS, membrane
-from tests.test_cli import CLEAN, run
+from tests.conftest import CLEAN, COMM, DEMOS, membrane
+from tests.test_cli import run
 from tests.test_rows import kill
 
 SMALL = "600s, 1500 unknowns"  # what clocks say must not decide

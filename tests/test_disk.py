@@ -12,7 +12,7 @@ from fenicsx_obstacle import InputError
 from fenicsx_obstacle.parallel import write_text
 from tests.cli.faults.disk import ALONE, COMMANDS, FULL, _refused, _run
 from tests.cli.faults.kill import interrupts
-from tests.test_cli import CLEAN
+from tests.conftest import CLEAN
 
 pytestmark = pytest.mark.serial
 

@@ -24,8 +24,7 @@ from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import tables
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, FUNCTIONS
 from fenicsx_obstacle.scenes.report import FIELDS
-from tests.conftest import DEMOS, slow_except
-from tests.test_cli import CLEAN
+from tests.conftest import CLEAN, DEMOS, slow_except
 
 pytestmark = pytest.mark.serial
 

@@ -15,9 +15,9 @@ from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
-from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.units import Units, all_units
-from tests.test_cli import CLEAN, run
+from tests.test_cli import run
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
 PRESSURE = "10*max(1 - hypot(x - 0.5, y - 0.5)^2/0.0625, 0)"

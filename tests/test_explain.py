@@ -14,9 +14,8 @@ from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.scenes import tables
 from fenicsx_obstacle.show.explain import explain, explained, integrals
 from fenicsx_obstacle.solvers.choose import nested
-from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.cases import case
-from tests.test_cli import CLEAN
 
 OF_BODIES = {"elasticity", *tables.OF_BODIES}  # which scalar scenes cannot name
 SCENES = {

@@ -14,7 +14,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import smallest_eps
-from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.cases import FOLDER, Case, case, cases, named
 from tests.hard.invariants import beside_inequality, falling, of_one, same, violated
 from tests.hard.judge import METHODS, judge, take
@@ -22,7 +22,6 @@ from tests.hard.ranks import agree_on, fields_of
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT
 from tests.hard.suite import rows_of
 from tests.hard.units import Units, all_units
-from tests.test_cli import CLEAN
 
 FEW = (1e-2, 1e-8, 1e-14)
 

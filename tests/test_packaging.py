@@ -11,7 +11,7 @@ import pytest
 
 import fenicsx_obstacle
 from fenicsx_obstacle import releases
-from tests.test_cli import CLEAN
+from tests.conftest import CLEAN
 
 pytestmark = pytest.mark.serial
 

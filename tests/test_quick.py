@@ -14,8 +14,8 @@ from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.show import demo as demo_module
 from fenicsx_obstacle.show.report import report_study
-from tests.conftest import COMM, DEMOS
-from tests.test_cli import CLEAN, run
+from tests.conftest import CLEAN, COMM, DEMOS
+from tests.test_cli import run
 from tests.theory.statement import statements
 
 ROOT = DEMOS.parent

@@ -16,9 +16,10 @@ import pytest
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.__main__ import _run
 from fenicsx_obstacle.cli import commands
+from fenicsx_obstacle.launcher import mpirun
 from fenicsx_obstacle.studies.rows import RowStore, row_key
-from tests.conftest import DEMOS
-from tests.test_cli import CLEAN, mpirun, run
+from tests.conftest import CLEAN, DEMOS
+from tests.test_cli import run
 
 pytestmark = pytest.mark.serial
 

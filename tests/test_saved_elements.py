@@ -17,8 +17,9 @@ from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.forms.pairs import Pair, _register, nodal_rule, register
 from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.launcher import mpirun
 from fenicsx_obstacle.parallel import largest, on_root, total
-from tests.conftest import COMM, membrane
+from tests.conftest import CLEAN, COMM, membrane
 
 SQUARE = {"shape": "rectangle", "cells": 5}
 QUADS = {**SQUARE, "cell": "quadrilateral"}
@@ -247,8 +248,6 @@ Answer.read(folder + "/one").save(folder + "/through")
 @pytest.mark.parametrize("ranks, element, mesh", [(2, "P2", SQUARE), (2, "Q1-gauss", QUADS), (3, "Q2", QUADS)])
 def test_other_numbers_of_ranks(ranks, element, mesh, folder):
     """Written on several ranks and read on one; written on one, read and written again on several, read on one."""
-    from tests.test_cli import CLEAN, mpirun
-
     scene = scene_of(element, mesh)
     (folder / "scene.toml").write_text(scene.toml())
     here = solve(scene, eps=1e-6)

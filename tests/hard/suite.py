@@ -14,12 +14,13 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.launcher import environment
 from tests.hard.cases import Case
 from tests.hard.invariants import violated
 from tests.hard.judge import METHODS, TRIAL
 from tests.hard.ranks import agree_on
 from tests.hard.row import FAILED, RIGHT, Row
-from tests.processes import clean, end, launch_module, start
+from tests.processes import end, launch_module, start
 
 AT_ONCE = 2
 RANKS = (2, 3)
@@ -77,7 +78,7 @@ def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
 def _process(command: Sequence[str]) -> tuple[str, str]:
     """What a process wrote, and in words what went wrong with it."""
     try:
-        process = start(command, env=clean(), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process = start(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     except OSError as error:
         return "", f"its process could not be started: {error.strerror}"
     try:

@@ -11,11 +11,11 @@ from statistics import median
 
 from mpi4py import MPI
 
+from fenicsx_obstacle.launcher import environment
 from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.studies.rows import RowStore
 from tests.hard.row import FAILED, Row
 from tests.hard.suite import one_rank
-from tests.processes import clean
 from tests.random.draw import SEED, run, shares
 
 LINES = "random.jsonl"
@@ -54,7 +54,7 @@ def show_random(
     start, rows = time.perf_counter(), []
     counts = shares(count, truths=truths, family=family)
     with closing(RowStore(folder)) as store:
-        for row in run(counts, clean(), seed, store):
+        for row in run(counts, environment(), seed, store):
             rows.append(row)
             if row["verdict"] == FAILED:
                 again = row["text"].strip().replace("\n", "\n    ")

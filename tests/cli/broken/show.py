@@ -11,10 +11,10 @@ from typing import Any
 
 from mpi4py import MPI
 
+from fenicsx_obstacle.launcher import environment
 from fenicsx_obstacle.parallel import on_root, write_lines
 from tests.cli.broken.run import run
 from tests.hard.suite import one_rank
-from tests.processes import clean
 
 LINES = "broken.jsonl"
 
@@ -36,7 +36,7 @@ def show_broken(folder: Path, say: Callable[[str], None]) -> list[dict[str, Any]
     start, rows = time.perf_counter(), []
     tried, held, slowest = Counter[tuple[int, bool]](), Counter[tuple[int, bool]](), 0.0
     with tempfile.TemporaryDirectory(prefix="broken-") as root:
-        for one in run(Path(root), clean()):
+        for one in run(Path(root), environment()):
             group = one.ranks, one.alone
             tried[group] += 1
             held[group] += one.complaint is None

@@ -10,11 +10,12 @@ from typing import Any
 
 from mpi4py import MPI
 
+from fenicsx_obstacle.launcher import environment
 from fenicsx_obstacle.parallel import on_root, write_lines
 from tests.cli.faults.disk import disks
 from tests.cli.faults.kill import Fault, interrupts, kills
 from tests.hard.suite import one_rank
-from tests.processes import clean, launch_module, records
+from tests.processes import launch_module, records
 
 LINES = "faults.jsonl"
 ROUNDS = {1: 8, 2: 6, 3: 4}  # how often studies are killed, by ranks
@@ -54,9 +55,9 @@ def show_faults(folder: Path, say: Callable[[str], None]) -> list[dict[str, Any]
 
 def _families(root: Path) -> Iterator[tuple[str, Iterator[Fault]]]:
     yield "solvers that cannot succeed", _silent()
-    yield "full and locked disks", disks(root / "disks", clean())
-    yield "Ctrl-C", interrupts(root / "interrupts", clean(), 3)
-    yield "kills", kills(root / "kills", clean(), ROUNDS)
+    yield "full and locked disks", disks(root / "disks", environment())
+    yield "Ctrl-C", interrupts(root / "interrupts", environment(), 3)
+    yield "kills", kills(root / "kills", environment(), ROUNDS)
 
 
 def _silent() -> Iterator[Fault]:
@@ -64,7 +65,7 @@ def _silent() -> Iterator[Fault]:
     for ranks in (1, 3):
         command = launch_module(ranks, "tests.hard.unsolvable")
         last = time.perf_counter()
-        for record in records(command, clean(), 60.0):
+        for record in records(command, environment(), 60.0):
             wrong = "" if record["held"] else record["said"]
             yield Fault(f"{record['name']}, on {ranks}", wrong, time.perf_counter() - last)
             last = time.perf_counter()
