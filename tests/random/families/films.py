@@ -69,7 +69,7 @@ class Film(Family):
         if answer is None:
             return
         low, high = Field(answer.u).ends()
-        top = max(abs(low), abs(high))
+        top = high if self.sign > 0 else -low
         if self.ratio > 1:
             # with an obstacle far away the film may hang down to it: never farther, and never anywhere
             judgement.check(not self.far or top <= 1.001e9 * self.size, f"u from {low:.6g} to {high:.6g}: nonsense")
@@ -83,7 +83,7 @@ class Film(Family):
             least = most = self.height(reach, arc=self.kind != "cap")
         margin = 0.05 + 4 / self.cells if self.ratio <= 0.9 else 1.0
         right = least * (1 - margin) <= top <= most * (1 + margin)
-        judgement.check(right, f"largest |u| {top:.6g}; true: {least:.6g} to {most:.6g}")
+        judgement.check(right, f"largest u along the load {top:.6g}; true: {least:.6g} to {most:.6g}")
 
     def height(self, reach: float, *, arc: bool = False) -> float:
         """Of a cap over a disk of this radius, or of an arc over an interval of twice this length."""
