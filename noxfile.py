@@ -38,7 +38,7 @@ def quick(session: nox.Session) -> None:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """The quick tests on 1 rank, and half of the files on 2, the others on 3; `--all`: see docs/contributing.md.
+    """The quick tests, or with --all every test: on 1 rank, then one half of the files on 2 ranks, the others on 3.
 
     Arguments: [--ranks N] [--all] [ARGUMENTS OF PYTEST...]. Tests that are named by file or id run on all ranks.
     """

@@ -56,20 +56,19 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--by-file", action="store_true",
-        help="Of the slow tests, or of all if none is chosen, those of every second file: by name, 2 or 3 ranks.",
+        help="The tests of those files whose name belongs to this number of ranks.",
     )  # fmt: skip
 
 
 def ranks_of(file: Path) -> int:
-    """2 or 3: on how many ranks the slow tests of a file run, beside one."""
+    """2 or 3: on how many ranks the tests of a file run, beside one."""
     return 2 + crc32(file.name.encode()) % 2
 
 
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--by-file"):
-        divided = [item for item in items if "slow" in item.keywords] or items
-        left_out = {item for item in divided if ranks_of(item.path) != COMM.size}
+        left_out = {item for item in items if ranks_of(item.path) != COMM.size}
         config.hook.pytest_deselected(items=list(left_out))
         items[:] = [item for item in items if item not in left_out]
     if COMM.size > 1:
