@@ -20,6 +20,12 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def of_outputs(words: str) -> str:
+    """How far errors of output quantities are guaranteed, from the words of the error bound that they follow from: with
+    sampled data they are estimated."""
+    return words.replace("certified", "estimated" if " sampled " in words else "guaranteed", 1)
+
+
 def one_line(text: str, longest: int = LONGEST) -> str:
     """A user's text in one line, without control or formatting characters, cut if it is long."""
     shown = "".join(" " if _is_control(character) else character for character in text[: 20 * longest])

@@ -28,7 +28,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.dual_weighted import adjoint_of, contributions, energy_contributions
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.text import nearest
+from fenicsx_obstacle.text import nearest, of_outputs
 
 BEYOND = 4 / 3  # of order 2 in h, halved cells remove three quarters of the error
 AT_FREE_BOUNDARY = 1  # further refinements there: h/4
@@ -131,7 +131,7 @@ class GoalAdaptation(Adaptation):
 
     Attributes:
         goal: The quantity.
-        words: 'estimated', or 'guaranteed' with the words of the bound.
+        words: 'estimated', or how far the error of the energy is guaranteed.
         estimate: Of its error on the last mesh.
     """
 
@@ -212,7 +212,7 @@ class GoalAdaptation(Adaptation):
         assert bound is not None and bound.indicator is not None
         if bound.energy is None or not bound.certified:
             return None
-        self.words = bound.words.replace("certified", "guaranteed", 1)
+        self.words = of_outputs(bound.words)
         low, high = bound.energy
         half = (high - low) / 2
         return answer, Estimate(low + half, half, 0.0, bound.indicator, answer.dofs, answer.dofs)

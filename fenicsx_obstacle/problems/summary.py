@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fenicsx_obstacle.text import counted, vector_in_words, with_error
+from fenicsx_obstacle.text import counted, of_outputs, vector_in_words, with_error
 
 PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
 LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
@@ -161,12 +161,13 @@ def main_values(r: Mapping[str, Any]) -> list[str]:
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
     """The values of [report], by name; extremes with their places."""
     places, found, goal = record.get("report_places", {}), {}, record.get("goal", {})
-    guaranteed, words = record.get("bound", {}).get("outputs", {}), record.get("bound", {}).get("words")
-    why = "" if words == "certified" else f"; {words}"
+    bound = record.get("bound", {})
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
-        if name in guaranteed:
-            where = f" (error at most {guaranteed[name]['error']:.2g}{why})"
+        if (output := bound.get("outputs", {}).get(name)) is not None:
+            words = of_outputs(bound["words"])
+            most, why = "at most" if words.startswith("guaranteed") else "about", f"; {words}"
+            where = f" (error {most} {output['error']:.2g}{'' if words == 'guaranteed' else why})"
         if value is None:
             found[name] = "not finite"
         elif name == goal.get("name"):
