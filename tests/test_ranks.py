@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import ufl
+from conftest import DEMOS
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from numpy.testing import assert_allclose
+from test_cli import run
 
-from fenicsx_obstacle import InputError, ObstacleProblem, Scene, releases, solve
+from fenicsx_obstacle import InputError, ObstacleProblem, Scene, Solution, releases, solve
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.errors import ObstacleError
+from fenicsx_obstacle.parallel import agree, on_root
 
 COMM = MPI.COMM_WORLD
 GHOSTS = dmesh.GhostMode
@@ -124,7 +130,7 @@ def test_submeshes_where_ranks_have_dofs_of_no_cell(name: str, ghosts: Any) -> N
     for degree, forces in ((1, FORCES), (2, FORCES_P2)):
         V = releases.functionspace(mesh, "Lagrange", degree)
         bc = fem.dirichletbc(0.0, fem.locate_dofs_topological(V, 1, edge), V)
-        for lower in (lambda x: -0.02 - 0.03 * x[0] * x[1], -0.02 - 0.03 * x[0] * x[1]):
+        for lower in (lambda x: -0.02 - 0.03 * x[0] * x[1], -0.02 - 0.03 * x[0] * x[1])[: 3 - degree]:
             u, v = fem.Function(V), ufl.TestFunction(V)
             F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 20 * v * ufl.dx
             solution = ObstacleProblem(F, u, bcs=[bc], lower=lower).solve()
@@ -148,3 +154,81 @@ def test_bodies_on_submeshes(ghosts: Any) -> None:
     assert_allclose(solution.force.resultant[1], solution.force.lower, rtol=1e-9)
     assert solution.force.lower == pytest.approx(0.1949334833, rel=1e-7)
     assert len(solution.nodes.gap) == 7
+
+
+LAST = COMM.rank == COMM.size - 1
+
+
+class Odd(Exception):
+    """An error that cannot travel between ranks."""
+
+    def __init__(self) -> None:
+        super().__init__("odd")
+        self.kept = lambda: None
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize("error", [ValueError("mine"), Odd()])
+def test_a_monitor_that_raises_on_one_rank_ends_all(error: Exception, method: str) -> None:
+    problem = Weld(TRIANGLES, GHOSTS.shared_facet).problem(lower=-0.3)
+    right = problem.solve(method=method).force.lower
+
+    def monitor(number: int, step: Any) -> None:
+        if LAST:
+            raise error
+
+    with pytest.raises((type(error), ObstacleError), match=str(error)) as raised:
+        problem.solve(method=method, monitor=monitor)
+    assert raised.value is error or not LAST
+    assert problem.solve(method=method).force.lower == pytest.approx(right)  # the problem is as good as before
+
+
+class Torn(Field):
+    """Data of a plug-in that raise on one rank."""
+
+    text, source = "torn", "torn"
+
+    def at(self, x: np.ndarray, names: Any, cells: Any = None) -> np.ndarray:
+        if LAST:
+            raise KeyError("torn")
+        return np.zeros(x.shape[1])
+
+
+@pytest.mark.parametrize("where", ["load", "tension", "lower", "value", "flux"])
+def test_data_that_raise_on_one_rank_end_all(where: str) -> None:
+    weld = Weld(TRIANGLES, GHOSTS.shared_facet)
+    item = {where: Torn()} if where in ("value", "flux") else {"value": 0}
+    data = {"tension": 1, "load": -3, "lower": -1, **({} if where in item else {where: Torn()})}
+    scene = Scene(mesh=weld.mesh, facet_tags=weld.tags, facet_names={"weld": 1, "top": 2},
+                  boundary=[{"on": "top", "value": 0}, {"on": "weld", **item}], **data)  # fmt: skip
+    with pytest.raises(KeyError, match="torn"):
+        solve(scene)
+
+
+def test_errors_of_one_rank_are_raised_on_all() -> None:
+    with pytest.raises(LookupError, match="here"), agree(COMM):
+        if LAST:
+            raise LookupError("here")
+    with pytest.raises(ZeroDivisionError):
+        on_root(COMM, lambda: 1 / 0)
+    with pytest.raises(InputError, match="none: No such file"):
+        on_root(COMM, lambda: open("none"))  # noqa: SIM115
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_solutions_are_read_on_ranks_without_cells(element: str, folder: Path) -> None:
+    scene = Scene(mesh={"shape": "rectangle", "cells": 1}, tension=1, load=-1, lower=-0.05,
+                  boundary=[{"on": "left", "value": 0}])  # fmt: skip
+    solution = solve(scene.change({"solve.element": element}))
+    solution.save(folder)
+    again = Solution.read(folder)
+    assert again.force.lower == solution.force.lower
+    assert_allclose(again.at([0.25, 0.5]), solution.at([0.25, 0.5]))
+
+
+@pytest.mark.serial
+def test_an_error_of_one_rank_ends_the_command_on_all(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("from mpi4py import MPI\nif MPI.COMM_WORLD.rank == 1:\n    1 / 0\n")
+    done = run("solve", DEMOS / "ball.toml", "--cells", 4, "--plugin", "mine.py", ranks=2, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "mine.py: ZeroDivisionError" in done.stderr and "(rank 1)" in done.stderr

@@ -74,7 +74,7 @@ def own_cells(mesh: dmesh.Mesh) -> int:
 
 def given_cells(mesh: dmesh.Mesh) -> np.ndarray:
     """The number of each owned cell among the cells of all ranks that `create_mesh` was given."""
-    return np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]
+    return np.asarray(mesh.topology.original_cell_index, dtype=np.int64)[: own_cells(mesh)]
 
 
 def sides(mesh: dmesh.Mesh, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -505,7 +505,6 @@ class Data:
         here, names, points = self.here(field), self.names(field), self.level.points_of(V)
         if not field.everywhere:
             return here.interpolate(V, points, names)[dofs]
-        values = np.empty(0)
         with agree(self.level.comm):
             values = here.at(points[:, dofs], names)
         return values

@@ -133,7 +133,6 @@ class OfCallable(Field):
             raise InputError(f"{self.source}: the callable {wanted}; the call failed: {got}") from error
 
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
-        values = np.empty(0)
         with agree(V.mesh.comm):
             values = self._values(x, names)
         return values

@@ -566,7 +566,8 @@ class _Numbered:
 
     def __call__(self, problem: Problem, step: Step, active: np.ndarray) -> None:
         if problem is self.finest:
-            self.monitor(self.number, step)
+            with agree(problem.level.comm):
+                self.monitor(self.number, step)
             self.number += 1
 
 
