@@ -46,6 +46,8 @@ def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress
         raise InputError(f"{place}: give an obstacle, lower= or upper=")
     if not isinstance(u, fem.Function):
         raise InputError(f"{place}: u = {shown(u)}: expected the Function that F is to be solved for")
+    if u.ufl_shape == (1,):
+        raise InputError(f"{place}: u is a vector with one component: take a Function of a scalar Lagrange space")
     vector_valued = u.function_space.dofmap.index_map_bs > 1
     if of is not None and not vector_valued:
         raise InputError(f"{place}: of= is for vector-valued u; obstacles bound a scalar u itself")
