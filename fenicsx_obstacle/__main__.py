@@ -12,7 +12,9 @@ from typing import Any
 from fenicsx_obstacle.errors import interrupted
 
 AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
+PATIENCE = 5.0  # seconds after which a rank with an error ends those that have none
 _received: list[int] = []  # signals
+_status_file = ""  # of the launcher
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
 
 
@@ -31,7 +33,8 @@ except KeyboardInterrupt:
 def main() -> None:
     """Run the command line; does not return."""
     guard_streams()
-    left = os.environ.pop("OBSTACLE_STATUS", "")  # a file; processes that this one starts have a status of their own
+    global _status_file
+    _status_file = os.environ.pop("OBSTACLE_STATUS", "")  # processes that this one starts have a status of their own
     arguments = sys.argv[1:]
     petsc = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     arguments = arguments[: len(arguments) - len(petsc) - 1] if "--" in arguments else arguments
@@ -41,7 +44,7 @@ def main() -> None:
     why = lost_output() if status == 0 else None
     if why is not None:
         status = _fail(f"Error: standard output: {why}; files are complete", LOST_OUTPUT)
-    sys.exit(0 if left and _leave(status, left) else status)
+    sys.exit(0 if _status_file and _leave(status) else status)
 
 
 def _run(arguments: list[str], petsc: list[str]) -> int:
@@ -53,10 +56,10 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         if _received:  # not noticed until the end
             raise KeyboardInterrupt
     except ObstacleError as error:
-        return _fail(f"Error: {error}", error.exit_status)
+        return _fail_together(f"Error: {error}", error.exit_status)
     except click.ClickException as error:
         usage = error.ctx.get_usage() + "\n" if isinstance(error, click.UsageError) and error.ctx else ""
-        return _fail(f"{usage}Error: {error.format_message()}", 2)
+        return _fail_together(f"{usage}Error: {error.format_message()}", 2)
     except (click.Abort, KeyboardInterrupt, ImportError) as error:
         # a compiled module that is interrupted while it loads says that it failed
         if isinstance(error, ImportError) and not isinstance(error.__cause__, KeyboardInterrupt):
@@ -69,11 +72,10 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
     except RuntimeError as error:
         if type(error).__module__ != "petsc4py.PETSc":
             raise
-        return _fail(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
+        return _fail_together(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
     except OSError as error:  # such as a cache of compiled forms that cannot be written
-        if _several():  # the others may be waiting: the hook ends them
-            raise
-        return _fail(f"Error: {error.filename}: {error.strerror}" if error.filename else f"Error: {error}", 2)
+        message = f"Error: {error.filename}: {error.strerror}" if error.filename else f"Error: {error}"
+        return _fail_together(message, 2)
     return result if isinstance(result, int) else 0
 
 
@@ -99,11 +101,27 @@ def _fail(message: str, status: int) -> int:
     return status
 
 
-def _leave(status: int, file: str) -> bool:
+def _fail_together(message: str, status: int) -> int:
+    """Print the message of an error that all ranks have; one that this rank alone has ends the others, which may be
+    waiting for it."""
+    if _several():
+        from mpi4py import MPI
+
+        from fenicsx_obstacle.parallel import all_come
+
+        if not all_come(MPI.COMM_WORLD, PATIENCE):
+            click.echo(f"{message} (rank {MPI.COMM_WORLD.rank})", err=True)
+            if _status_file:
+                _leave(status)
+            MPI.COMM_WORLD.Abort(status)
+    return _fail(message, status)
+
+
+def _leave(status: int) -> bool:
     """Leave the exit status in the file that the launcher `obstacle` reads; whether that was possible."""
     try:
         if status != 0:
-            Path(file).write_text(str(status))
+            Path(_status_file).write_text(str(status))
     except OSError:
         return False
     return True

@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import pickle
 import resource
 import shutil
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -27,19 +29,38 @@ Value = TypeVar("Value")
 def agree(comm: MPI.Comm) -> Iterator[None]:
     """Raise the same error on all ranks, if any rank raises one in the block (collective).
 
-    The block itself must not be collective: a rank that raised has left it.
+    All code of callers is called in such a block: callables, monitors and data of plug-ins. The block itself must not
+    be collective: a rank that raised has left it.
 
     Raises:
-        ObstacleError: On every rank, the error of the lowest rank that had one.
+        Exception: On every rank, the error of the lowest rank that had one.
     """
-    mine: ObstacleError | None = None
+    mine: Exception | None = None
     try:
         yield
-    except ObstacleError as error:
+    except Exception as error:
         mine = error
-    first = first_given(comm, mine)
+    raised = comm.allgather(None if mine is None else _portable(mine))
+    first = next((rank for rank, error in enumerate(raised) if error is not None), None)
     if first is not None:
-        raise first
+        raise mine if first == comm.rank and mine is not None else raised[first]
+
+
+def _portable(error: Exception) -> Exception:
+    """An error that ranks can send each other: itself, or its words."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return ObstacleError(f"{type(error).__name__}: {error}")
+    return error
+
+
+def all_come(comm: MPI.Comm, seconds: float) -> bool:
+    """Whether all ranks call this within a time, which is how long it waits."""
+    waiting, end = comm.Ibarrier(), time.monotonic() + seconds
+    while not (done := waiting.Test()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return done
 
 
 def first_given(comm: MPI.Comm, mine: Value | None) -> Value | None:
@@ -51,21 +72,16 @@ def on_root(comm: MPI.Comm, action: Callable[..., Any], *args: Any) -> Any:
     """Call `action` on rank 0 and give every rank its result, or its error (collective).
 
     Raises:
-        ObstacleError: On every rank, what `action` raised; an OSError becomes an InputError.
+        Exception: On every rank, what `action` raised; an OSError becomes an InputError.
     """
     result: Any = None
-    error: ObstacleError | None = None
-    if comm.rank == 0:
-        try:
-            result = action(*args)
-        except OSError as e:
-            error = InputError(f"{e.filename}: {e.strerror}" if e.filename else str(e))
-        except ObstacleError as e:
-            error = e
-    result, error = comm.bcast((result, error))
-    if error is not None:
-        raise error
-    return result
+    with agree(comm):
+        if comm.rank == 0:
+            try:
+                result = action(*args)
+            except OSError as e:
+                raise InputError(f"{e.filename}: {e.strerror}" if e.filename else str(e)) from e
+    return comm.bcast(result)
 
 
 @contextmanager

@@ -125,9 +125,9 @@ def geometry_degree(mesh: dmesh.Mesh) -> int:
 
 
 def dof_nodes(V: fem.FunctionSpace) -> np.ndarray:
-    """Row of `mesh.geometry.x` of each local dof of a P1 space."""
+    """Row of `mesh.geometry.x` of each local dof of a P1 space; 0 of one that no local cell has."""
     dofs, nodes = cell_dofs(V), geometry_dofs(V.mesh)
-    found = np.empty(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.int32)
+    found = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.int32)
     found[dofs.ravel()] = nodes.ravel()
     return found
 

@@ -17,7 +17,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners
 from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.mesh_tags import check_both_sides
 from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
@@ -374,7 +376,7 @@ class Data:
         for number, obstacle in obstacles.items():
             dofs = self.dofs_on(self.facets[number])
             function.x.array[dofs] = self._on_dofs(obstacle, dofs).x.array[dofs]
-        function.x.scatter_forward()
+        share(function)
         return function
 
     # the boundary
@@ -399,7 +401,10 @@ class Data:
         """Local dofs where u is given, sorted, and the values there (first use is collective)."""
         dofs = [self.dofs_on(facets) for facets in self.held]
         by_conditions = [np.asarray(bc.dof_indices()[0]) for bc in self._bcs]
-        fixed = np.unique(np.concatenate([np.empty(0, np.int32), *dofs, *by_conditions])).astype(np.int32)
+        flags = fem.Function(self.level.V)
+        flags.x.array[np.concatenate([np.empty(0, np.int32), *dofs, *by_conditions])] = 1.0
+        share(flags)
+        fixed = np.flatnonzero(flags.x.array).astype(np.int32)
         given = [part.value for part in self.model.boundary if part.value is not None]
         return fixed, self.follow(given, partial(self._boundary_values, dofs))
 
@@ -416,7 +421,7 @@ class Data:
             self.refuse_infinite(values, words=f"{self.model.source}: a value of bcs")
             here = np.concatenate([np.asarray(bc.dof_indices()[0]) for bc in self._bcs])
             self.givers.append((f"{self.model.source}: a value of bcs", here))
-        values.x.scatter_forward()
+        share(values)
         return values
 
     def on_part(self, field: Field, part: int, *, least: float | None = None) -> fem.Function:
@@ -432,20 +437,26 @@ class Data:
 
     def _sample_part(self, field: Field, part: int, least: float | None) -> fem.Function:
         function = self._on_dofs(field, self.dofs_on(self.facets[part]))
-        function.x.scatter_forward()
+        share(function)
         if least is not None:
             self._refuse(field, function, function.x.array < least, f"must be at least {least:g}; it is")
         return function
 
     @cached_property
     def parts(self) -> Parts:
-        """Measures of the parts of the boundary on which something acts (first use is collective)."""
+        """Measures of the parts of the boundary on which something acts (first use is collective).
+
+        Raises:
+            InputError: If a part is inside, and no rank has the cells on both sides of a facet.
+        """
         from fenicsx_obstacle.discrete.parts import Parts  # only where a model names one
 
         found = []
         for number, part in enumerate(self.model.boundary):
             keys = [*self.model.acts(number), *(["contact"] if part.bears else [])]
             found += [(number, key, self.facets[number]) for key in keys]
+            if keys:
+                check_both_sides(self.level.mesh, self.facets[number], f"{self.model.source}: {part.name}")
         return Parts(self.level, found, radial=self.model.radial)
 
     def over(self, part: int, key: str, *, nodal: bool = False) -> Facets:
@@ -494,7 +505,6 @@ class Data:
         here, names, points = self.here(field), self.names(field), self.level.points_of(V)
         if not field.everywhere:
             return here.interpolate(V, points, names)[dofs]
-        values = np.empty(0)
         with agree(self.level.comm):
             values = here.at(points[:, dofs], names)
         return values
@@ -506,7 +516,7 @@ class Data:
         else:
             V = function.function_space
             function.x.array[:] = self.here(field).interpolate(V, self.level.points_of(V), names)
-            function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
+            share(function)  # points of ghosts may differ from their owner's in the last digit
         self.refuse_infinite(function, field)
 
     def _checked_cells(self, field: Field, positive: bool, least: float | None) -> Cellwise:

@@ -27,6 +27,7 @@ from ufl.classes import (
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
+from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.effects.field import ByCells, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
@@ -132,7 +133,6 @@ class OfCallable(Field):
             raise InputError(f"{self.source}: the callable {wanted}; the call failed: {got}") from error
 
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
-        values = np.empty(0)
         with agree(V.mesh.comm):
             values = self._values(x, names)
         return values
@@ -359,7 +359,7 @@ class OfExpression(Field):
         degree = 2 if V.dofmap.dof_layout.entity_dofs(1, 0) else 1
         by_cell = fem.Function(releases.functionspace(V.mesh, "DG", degree))
         by_cell.interpolate(self._compiled(by_cell.function_space))
-        taken.x.scatter_forward()
+        share(taken)
         nodes = releases.cell_dofs(V)
         values, others = taken.x.array[nodes], by_cell.x.array[releases.cell_dofs(by_cell.function_space)]
         comm = V.mesh.comm

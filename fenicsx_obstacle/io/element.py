@@ -22,7 +22,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.io.paraview import BY_CELL, SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
 from fenicsx_obstacle.io.rows import Rows
-from fenicsx_obstacle.parallel import gathered
+from fenicsx_obstacle.parallel import agree, gathered
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.problems.solution import Solution
@@ -111,26 +111,27 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
 
     Raises:
         InputError: If the arrays are those of another element.
+        LookupError, ValueError: If they do not fit the mesh.
     """
-    own = own_cells(level.mesh)
     functions = {name: fem.Function(_space(level, name)) for name in arrays}
     cells = given_cells(level.mesh)
-    if not element:
-        # the coordinates of each dof when it was saved
-        rows = np.asarray(level.mesh.geometry.input_global_indices)[releases.dof_nodes(level.V)]
+    with agree(level.comm):
         for name, function in functions.items():
-            if name in BY_CELL:
-                function.x.array[releases.cell_dofs(function.function_space)[:own, 0]] = arrays[name][cells]
-                function.x.scatter_forward()
+            dofs = releases.cell_dofs(function.function_space)[: len(cells)]
+            if not element and name not in BY_CELL:
+                # the coordinates of each dof when it was saved
+                rows = np.asarray(level.mesh.geometry.input_global_indices, dtype=np.int64)
+                function.x.array[:] = arrays[name][rows[releases.dof_nodes(level.V)]]
+                continue
+            if not element:
+                values = arrays[name][cells][:, None]
             else:
-                function.x.array[:] = arrays[name][rows]
-        return functions
-    for name, function in functions.items():
-        values = element[name][cells] if name in element else arrays[name][element["cells"][cells]]
-        dofs = releases.cell_dofs(function.function_space)[:own]
-        if values.shape[1] != dofs.shape[1]:
-            raise InputError(f"'{name}' has {values.shape[1]} values in a cell, and {level.pair.name} {dofs.shape[1]}")
-        function.x.array[dofs] = values
+                values = element[name][cells] if name in element else arrays[name][element["cells"][cells]]
+            if values.shape[1] != dofs.shape[1]:
+                found = f"has {values.shape[1]} values in a cell, and {level.pair.name} {dofs.shape[1]}"
+                raise InputError(f"'{name}' {found}")
+            function.x.array[dofs] = values
+    for function in functions.values():
         function.x.scatter_forward()
     return functions
 

@@ -23,6 +23,7 @@ from fenicsx_obstacle.discrete.galerkin import coarse_problems
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.problems.input_checks import (
@@ -495,6 +496,7 @@ class ObstacleProblem:
             if stiffness and self._form.affine:
                 self._form.look_again(problem.nodal.stiffness)
             check_stiffness(problem, self._form, self.name)
+        share(self.u)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())
@@ -564,7 +566,8 @@ class _Numbered:
 
     def __call__(self, problem: Problem, step: Step, active: np.ndarray) -> None:
         if problem is self.finest:
-            self.monitor(self.number, step)
+            with agree(problem.level.comm):
+                self.monitor(self.number, step)
             self.number += 1
 
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -454,18 +454,14 @@ class Body:
             for k, field in enumerate(part.components):
                 if field is not None:
                     dofs = fem.locate_dofs_topological(
-                        (V.sub(k), self._component_space), mesh.topology.dim - 1, self.data.facets[number]
+                        (V.sub(k), self.vectors.Q), mesh.topology.dim - 1, self.data.facets[number]
                     )
                     found.append(fem.dirichletbc(self._given(field, number), dofs, V.sub(k)))
         return found
 
-    @cached_property
-    def _component_space(self) -> fem.FunctionSpace:
-        return self.vectors.V.sub(0).collapse()[0]
-
     def _given(self, field: Field, part: int) -> fem.Function:
         """A component of u on a part of the boundary (collective)."""
-        given = fem.Function(self._component_space)
+        given = fem.Function(self.vectors.Q)
         given.interpolate(self.data.on_part(field, part))
         self._values.append((given, field, part))
         return given
