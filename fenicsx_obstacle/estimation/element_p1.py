@@ -71,7 +71,8 @@ class ElementP1(Element):
             distances, beyond = side.gaps(side.sign * v)
             below = max(below, beyond)
             np.add.at(contact, self.equilibration.parts.cells[side.rows], force[side.rows].sum(axis=1) * distances)
-        crossing = max(crossing, largest(simplices.data.level.comm, np.array([below])) if flux.contact else 0.0)
+        if flux.contact:
+            crossing = max(crossing, self.beyond_round_off(largest(simplices.data.level.comm, np.array([below])), v))
         distance, balanced = self._distance(u, flux)
         inside, outside, with_load = self._lacking(u, flux)
         moved, of_v = self._reaction_energy(v - u), self._distance(v, flux)

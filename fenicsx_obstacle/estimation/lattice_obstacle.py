@@ -302,8 +302,9 @@ class LatticeObstacle:
         room = dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
         found = np.zeros(len(u), dtype=bool)
         for rows, group in self._known(np.flatnonzero(self._top + room >= lowest)):
-            degree, coefficient, margin = self._difference(group, u[rows])
-            touches = largest(coefficient, 3, degree) + group.rest + room[rows] > margin
+            bounded = group.no_less(self.sign)
+            degree, coefficient, margin = self._difference(bounded, u[rows])
+            touches = largest(coefficient, 3, degree) + bounded.rest + room[rows] > margin
             np.logical_or.at(found, rows, touches)
         return found
 

@@ -96,14 +96,12 @@ class ObstacleExcess:
         nodal = self.nodal[self.simplices.dofs[cells]]
         highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
         for group in pieces.groups:
-            coefficient, margin = self._above(group, nodal)
-            known = np.isfinite(group.rest)
-            top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + np.where(
-                known, group.rest, 0.0
-            )
-            side = group.upper if self.sign > 0 else -group.lower
-            top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
+            highest_there = group.no_less(self.sign)
+            coefficient, margin = self._above(highest_there, nodal)
+            rest = np.where(np.isfinite(highest_there.rest), highest_there.rest, 0.0)  # `unbounded` otherwise
+            top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + rest
             group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
+            known, coefficient = np.isfinite(group.rest), self._above(group, nodal)[0]
             share = np.where(known, group.share * self._mean(group, coefficient, cells), LOWEST)
             mean += np.bincount(group.rows, share, len(mean))
         self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
@@ -203,7 +201,7 @@ class ObstacleExcess:
             linear = (inside @ state[simplices.dofs[owner]][..., None])[..., 0]
             cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
             above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
-            for group in pieces.groups:
+            for group in (one.no_less(self.sign) for one in pieces.groups):
                 coefficient, margin = self._above(group, linear)
                 beyond = group.rest - cones[group.rows]
                 open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > margin)
