@@ -301,12 +301,12 @@ def _check_overlap(mesh: dmesh.Mesh, found: Components, samples: np.ndarray, com
     else:  # a side of one part that lies on cells of another, not in their plane only
         away = np.linalg.norm(np.einsum("nv,nvi->ni", weights, vertices) - points[rows], axis=1)
         inside = (weights.min(axis=1, initial=np.inf) > -INSIDE) & (away <= NEAR * _longest(vertices))
-    hits = np.unique(np.concatenate(comm.allgather(rows[inside] * found.count + found.of_cells[cells[inside]])))
-    facets = np.unique(hits // (samples.shape[1] * found.count))
+    facet, sample = np.divmod(rows[inside], samples.shape[1])
+    hits = np.concatenate(comm.allgather(np.column_stack([facet, found.of_cells[cells[inside]], sample])))
+    facets = np.unique(hits[:, 0])
     if not solid:  # all samples of a facet on the same component
-        key = hits // found.count // samples.shape[1] * found.count + hits % found.count
-        key, times = np.unique(key, return_counts=True)
-        facets = key[times == samples.shape[1]] // found.count
+        on, times = np.unique(np.unique(hits, axis=0)[:, :2], axis=0, return_counts=True)
+        facets = on[times == samples.shape[1], 0]
     if len(facets):
         first = samples[facets, 0]
         what = "overlap" if solid else "touch without shared nodes"

@@ -65,7 +65,7 @@ class Triangulated(Surface):
         wide = last - first + 1
         rows, number, _ = runs(wide[:, 0] * wide[:, 1])
         across, up = first[rows, 0] + number // wide[rows, 1], first[rows, 1] + number % wide[rows, 1]
-        return rows, across * self._boxes[1] + up
+        return rows, np.ravel_multi_index((across, up), self._boxes)
 
     def _weights(self, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Barycentric coordinates of points (n, ..., 2) in triangles (n,), shape (n, ..., 3)."""
@@ -81,7 +81,7 @@ class Triangulated(Surface):
     def at(self, points: np.ndarray) -> np.ndarray:
         margin = EDGE * (self.high - self.low)
         box = self._box(points)
-        number = box[:, 0] * self._boxes[1] + box[:, 1]
+        number = np.ravel_multi_index(box.T, self._boxes)
         counts = (self._starts[number + 1] - self._starts[number]) * np.all(
             (points >= self.low - margin) & (points <= self.high + margin), axis=1
         )
@@ -123,8 +123,8 @@ class Triangulated(Surface):
         rows, box = self._listed(first, last)
         again, k, _ = runs(self._starts[box + 1] - self._starts[box])
         item, rows = self._items[self._starts[box][again] + k], rows[again]
-        key = np.unique(rows * len(self._x) + item)
-        rows, item = key // len(self._x), key % len(self._x)
+        shape = len(corners), len(self._x)
+        rows, item = np.unravel_index(np.unique(np.ravel_multi_index((rows, item), shape)), shape)
         weights = self._weights(item, corners[rows])  # of the corners of a simplex in a triangle
         meets = np.all(weights.max(axis=1) >= -_INSIDE, axis=1)
         rows, item, weights = rows[meets], item[meets], weights[meets]
@@ -157,11 +157,14 @@ def _fills_convex_set(points: np.ndarray, triangles: np.ndarray) -> bool:
     convex polygon. As every triangle turns left, each point inside then lies in as many triangles as the polygon winds
     around it: one.
     """
-    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    forth = sides[:, 0] * len(points) + sides[:, 1]
+    sides, shape = (
+        np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]),
+        (len(points),) * 2,
+    )
+    forth, back = (np.ravel_multi_index(ends, shape) for ends in (sides.T, sides.T[::-1]))
     if len(np.unique(forth)) < len(forth):
         return False
-    rim = sides[~np.isin(sides[:, 1] * len(points) + sides[:, 0], forth)]
+    rim = sides[~np.isin(back, forth)]
     if len(rim) < 3 or len(np.unique(rim[:, 0])) < len(rim) or set(rim[:, 0]) != set(rim[:, 1]):
         return False
     follows = dict(rim.tolist())

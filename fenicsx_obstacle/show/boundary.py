@@ -8,6 +8,7 @@ between the nodes becomes smooth. It always runs between the nodes in contact an
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -77,9 +78,9 @@ def zero(patch: Patch, level: np.ndarray) -> Patch:
         edges = np.stack([nodes[:, [i, j]] for i in range(count) for j in range(count, size)], axis=1)
         # a tetrahedron with two nodes inside is cut in a quadrilateral: two triangles
         found += [edges] if edges.shape[1] == size - 1 else [edges[:, [0, 1, 2]], edges[:, [1, 2, 3]]]
-    corners = np.sort(np.concatenate(found), axis=2)
-    names, cells = np.unique(corners @ [len(level), 1], return_inverse=True)
-    a, b = np.divmod(names, max(len(level), 1))
+    corners, shape = np.sort(np.concatenate(found), axis=2), (len(level), len(level))
+    names, cells = np.unique(np.ravel_multi_index(tuple(np.moveaxis(corners, 2, 0)), shape), return_inverse=True)
+    a, b = np.unravel_index(names, shape)
     t = level[a] / (level[a] - level[b])
     fields = {name: values[a] + t * (values[b] - values[a]) for name, values in patch.fields.items()}
     points = patch.points[a] + t[:, None] * (patch.points[b] - patch.points[a])
@@ -136,6 +137,6 @@ def _mean(nodes: np.ndarray, values: np.ndarray, size: int) -> tuple[np.ndarray,
 
 def _edges(cells: np.ndarray) -> np.ndarray:
     """Both directions of all edges, shape (2, n)."""
-    size, count = cells.shape[1], int(cells.max(initial=-1)) + 1
-    names = np.concatenate([cells[:, i] * count + cells[:, j] for i in range(size) for j in range(size) if i != j])
-    return np.array(np.divmod(np.unique(names), max(count, 1)))
+    shape = (int(cells.max(initial=-1)) + 1,) * 2
+    pairs = permutations(cells.T, 2)
+    return np.array(np.unravel_index(np.unique([np.ravel_multi_index(pair, shape) for pair in pairs]), shape))
