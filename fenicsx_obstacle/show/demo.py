@@ -6,24 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle.answers.adapt import solve
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.origin import in_clone
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.report import Say, report_answer, report_study
 from fenicsx_obstacle.text import title_of
-
-DEMOS = Path(__file__).parent.parent.parent / "demos"
 
 
 def run_demo(folder: Path, say: Say) -> None:
     """Solve the scenes of demos/, then the eps-study and the h-studies (collective).
 
     Raises:
-        InputError: Without a checkout of the project.
+        InputError: Without a clone of the project.
     """
-    if not DEMOS.is_dir():
-        raise InputError("the demo runs from a checkout of the project, where demos/ is")
+    demos = in_clone("demos", "demo")
     for name in ("string", "disk", "ball", "two_sided"):
-        answer = solve(Scene.read(DEMOS / f"{name}.toml"))
+        answer = solve(Scene.read(demos / f"{name}.toml"))
         answer.save(folder / name)
         drawn = report_answer(answer, folder / name, picture=True)
         say(f"{answer.summary()}\n  {drawn}\n")
@@ -35,7 +32,7 @@ def run_demo(folder: Path, say: Say) -> None:
         ("ball", "eps = h^2 again, on Bueler's ball", {"cells": [16, 32, 64, 128]}, {"eps": "h^2"}),
     ]  # fmt: skip
     for name, headline, vary, options in studies:
-        scene = Scene.read(DEMOS / f"{name}.toml")
+        scene = Scene.read(demos / f"{name}.toml")
         say(f"{title_of(scene.tables.title, scene.name)}. {headline}")
         report_study(scene, vary, options, folder / name / "-".join(vary), say)
         say("")

@@ -14,6 +14,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.forms.pairs import pairs
+from fenicsx_obstacle.io.origin import in_clone
 from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.scenes.catalogue import names
 from fenicsx_obstacle.show.figures import figure, save, style
@@ -42,9 +43,11 @@ def show_theory(number: str | None, folder: Path, say: Callable[[str], None]) ->
         The rows.
 
     Raises:
-        InputError: If there is no such statement.
+        InputError: If there is no such statement; without a clone of the project, where its scenes are.
     """
     comm, rows = MPI.COMM_WORLD, []
+    if number is None:
+        in_clone("demos", "theory")  # before the first statement
     for one in statements() if number is None else [find(number)]:
         start = time.perf_counter()
         found = one.measure(comm)

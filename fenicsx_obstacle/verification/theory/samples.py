@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,22 +10,18 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 from petsc4py import PETSc
 
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1
+from fenicsx_obstacle.io.origin import in_clone
 from fenicsx_obstacle.scenes.scene import Scene
-
-DEMOS = Path(__file__).parents[3] / "demos"
 
 
 def sample(name: str, cells: int) -> Scene:
     """A scene of demos/ with so many cells a side.
 
     Raises:
-        InputError: Without a checkout of the project.
+        InputError: Without a clone of the project.
     """
-    if not DEMOS.is_dir():
-        raise InputError("theory runs from a checkout of the project, where demos/ is")
-    return Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": cells})
+    return Scene.read(in_clone("demos", "theory") / f"{name}.toml").change({"mesh.cells": cells})
 
 
 class Small:
