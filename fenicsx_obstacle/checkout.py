@@ -11,6 +11,11 @@ ROOT = Path(__file__).parent.parent
 DEMOS = ROOT / "demos"
 
 
+def is_clone() -> bool:
+    """Whether the package is in a clone of the project."""
+    return (ROOT / "obstacle").is_file()
+
+
 def require(command: str) -> None:
     """Check that the package runs in a clone.
 
@@ -20,7 +25,7 @@ def require(command: str) -> None:
     Raises:
         InputError: In an installed wheel.
     """
-    if not (ROOT / "obstacle").is_file():
+    if not is_clone():
         raise InputError(
             f"{command} runs in a clone of the project, where demos/ and tests/ are; call ./obstacle there"
         )

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from conftest import DEMOS
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from numpy.testing import assert_allclose
-from test_cli import run
 
 from fenicsx_obstacle import InputError, ObstacleProblem, Scene, Solution, releases, solve
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import agree, on_root
+from tests.conftest import DEMOS
+from tests.test_cli import run
 
 COMM = MPI.COMM_WORLD
 GHOSTS = dmesh.GhostMode

@@ -6,6 +6,7 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.solvability import PRESCRIBE
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 
@@ -24,9 +25,7 @@ def check_admissible(data: Data) -> None:
     dofs, values = data.fixed
     holds = any(effect.holds or effect.gives_way for effect in data.model.effects)
     if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
-        raise InputError(
-            f"{source}: u is given nowhere, and there is no obstacle: prescribe u on a part of the boundary"
-        )
+        raise InputError(f"{source}: u is given nowhere, and there is no obstacle: {PRESCRIBE}")
     _check_parts(data)
     u_values = [f.x.array for f in (data.lower, data.upper) if f is not None] + [values.x.array[dofs]]
     if data.thin:
@@ -35,7 +34,8 @@ def check_admissible(data: Data) -> None:
     tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
     if data.lower is not None and data.upper is not None:
         crossing = data.lower.x.array - data.upper.x.array
-        _refuse_gap(data, crossing, tolerance, f"{source}: lower is above upper")
+        place = f"{source}: lower" if data.model.lower is None else data.model.lower.source
+        _refuse_gap(data, crossing, tolerance, f"{place} is above upper")
     for obstacle, sign, word in ((data.lower, 1, "lower"), (data.upper, -1, "upper")):
         if obstacle is None:
             continue

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.io.folder import STEPS, gather
-from fenicsx_obstacle.io.origin import command
+from fenicsx_obstacle.io.origin import command, program
 from fenicsx_obstacle.parallel import on_root, peak_memory_mb, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
@@ -80,7 +80,7 @@ def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool
             others["Contribution of each cell to the bound"] = folder / NAME
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
-        said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
+        said = f"{folder}: a network of intervals has no picture" if picture else f"{program()} plot {folder} draws it"
     if newton:
         from fenicsx_obstacle.show.newton import animate_newton  # only if requested
 

@@ -142,7 +142,6 @@ def broken_meshes(right: Mapping[str, bytes]) -> Iterator[Broken]:
         ("a triangle twice", "a.msh", _msh(triangles=((1, 2, 3), (1, 2, 3), (1, 3, 4))), []),
         ("no triangles", "a.msh", _msh(triangles=()), []),
         ("cubic triangles", "a.msh", _msh(kind=21, triangles=((1, 2, 3, 4, 5, 6, 1, 2, 3, 4),)), ["degree"]),
-        ("quadrilaterals", "a.msh", _msh(kind=3, triangles=((1, 2, 3, 4),)), ["quadrilateral", "Q1"]),
         ("a count of 1e9", "a.msh", _msh().replace(b"$Nodes\n6", b"$Nodes\n1000000000"), []),
         ("a negative count", "a.msh", _msh().replace(b"$Nodes\n6", b"$Nodes\n-6"), []),
         ("geometry with a mistake", "a.geo", b"Point(1) = {0, 0, 0, 1;\n", []),
@@ -154,6 +153,10 @@ def broken_meshes(right: Mapping[str, bytes]) -> Iterator[Broken]:
         yield _mesh(f"mesh file: {what}", name, {} if given is None else {name: given}, [name, *names])
     shape_in_file = scene_text({**LINES, "[mesh] shape": None, "[mesh] file": '"a.msh"', "[mesh] cells": None,
                                 "[mesh] x": None, "[[boundary]] on": '"lft"'})  # fmt: skip
+    quadrilaterals = scene_text({"[mesh] file": '"a.msh"', "[effects] tension": "1", "[[boundary]] value": "0",
+                                 "[solve] element": '"P1"'})  # fmt: skip
+    yield Broken("mesh file: an element for other cells", [SCENE, "[solve] element", "quadrilateral", "Q1"],
+                 files={SCENE: quadrilaterals.encode(), "a.msh": _msh(kind=3, triangles=((1, 2, 3, 4),))})  # fmt: skip
     yield Broken("mesh file: a part that is not there", [SCENE, "lft"], files={SCENE: shape_in_file.encode(),
                                                                                "a.msh": _msh()})  # fmt: skip
 
