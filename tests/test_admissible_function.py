@@ -150,3 +150,23 @@ def test_slope_of_clipped_obstacles(dim):
     cells = _ClippedCells(_Linear(at_corners), Clipped(None, 1.0, 0.0), x)
     steep = cells.linear(np.arange(50))[2]
     np.testing.assert_allclose(steep, np.linalg.norm(slopes, axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("value", "certified"), [("0.1*y + 0.2*z", True), ("0.2*y^2 + 0.1*z^2", False)])
+def test_boundary_values_reach_facets_with_obstacles(value, certified):
+    """On tetrahedra boundary values between the nodes are continued over the facets beside them: there v_h may then be
+    beyond an obstacle that it touches at the nodes."""
+    scene = Scene(mesh={"shape": "box", "cells": 2}, tension=1, load=-9,
+                  boundary=[{"on": "left", "value": value}, {"on": "top", "lower": f"{value} - x"}])  # fmt: skip
+    assert solve(scene, bound=True, eps=1e-8).bound.guaranteed == certified
+
+
+def test_far_apart_values_of_an_obstacle():
+    """-1e20 for 'no obstacle' beside values that count: the bound is no smaller than with -1e3 (once 3.9 and 3239)."""
+    totals = []
+    for far in ("-1e3", "-1e20"):
+        scene = Scene(mesh={"shape": "rectangle", "cells": 6}, tension=1, load=-20,
+                      lower=f"where(x < 0.53, 0.1*x*(1 - y) - 0.2*x^2, {far})",
+                      boundary=[{"where": "x == 1 and y <= 0.5", "value": 0}])  # fmt: skip
+        totals.append(solve(scene.change({"solve.element": "P2"}), bound=True, eps=1e-8).bound.total)
+    assert totals[1] >= totals[0]

@@ -95,12 +95,13 @@ class BoundaryObstacle:
         found[self.rows[:, None], self._parts.corners[self.rows]] = nodal[self._dofs] * self._share[:, None]
         return found
 
-    def gaps(self, v: np.ndarray) -> tuple[np.ndarray, float]:
-        """Bounds of the mean distance of a P1 function above the obstacle on each facet, and of how far it is below it
+    def gaps(self, v: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float]:
+        """Bounds of the mean distance of a function above the obstacle on each facet, and of how far it is below it
         anywhere, on this rank (local).
 
         Args:
-            v: sign times its values at local dofs.
+            v: sign times the values of a P1 function at local dofs.
+            other: Bound of what the function is besides, on the facets of each owned cell.
         """
         corner = v[self._dofs]
         if self._dim == 1:
@@ -120,7 +121,8 @@ class BoundaryObstacle:
             gap = np.where(known, np.where(known, group.rest, 0.0) * total_weight - below, far * total_weight)
             mean += np.bincount(group.rows, group.share * gap, len(mean))
         mean *= reciprocals(parts.ratio[self.rows])
-        return np.maximum(mean, 0.0), float(np.max(self._highest(v), initial=0.0))
+        away = other[parts.cells[self.rows]]
+        return np.maximum(mean, 0.0) + away, float(np.max(self._highest(v) + away, initial=0.0))
 
     def _highest(self, linear: np.ndarray) -> np.ndarray:
         """Bounds of the obstacle above a P1 function on each facet (local)."""
@@ -129,7 +131,7 @@ class BoundaryObstacle:
             coefficient, margin = self._above(group, corner)
             rest = np.where(np.isfinite(group.rest), group.rest, 0.0)  # `Certification` has a word about others
             top = polynomials.largest(coefficient, self._dim, max(group.degree, 1)) + rest
-            group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
+            group.raise_to(highest, np.where(np.abs(top) <= margin, 0.0, top + margin))
         return highest
 
     def _above(self, group: Group, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -66,9 +66,10 @@ class ElementP1(Element):
         for sign, gap in gaps.items():
             contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
         cover = sum((excess.cover_energy for excess in self.obstacles), np.zeros(len(self.simplices.area)))
-        below = 0.0
+        # continued boundary values are 0 on the other edges of a triangle, but not on other facets of a tetrahedron
+        below, continued = 0.0, self.dirichlet.deviation if simplices.dim == 3 else np.zeros(len(contact))
         for side, force in zip(self.equilibration.sides, flux.contact, strict=True):
-            distances, beyond = side.gaps(side.sign * v)
+            distances, beyond = side.gaps(side.sign * v, continued)
             below = max(below, beyond)
             np.add.at(contact, self.equilibration.parts.cells[side.rows], force[side.rows].sum(axis=1) * distances)
         if flux.contact:
