@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.discrete.data import NO_BOUND
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces, on_sides
 from fenicsx_obstacle.estimation.patches import Patches
@@ -48,10 +49,8 @@ class BoundaryObstacle:
         self.sign, self._parts, self._patches = sign, parts, patches
         simplices, data = parts.simplices, parts.simplices.data
         self._dim, comm = simplices.dim, data.level.comm
-        obstacle = data.lower if sign > 0 else data.upper
-        assert obstacle is not None
-        self.nodal = sign * obstacle.x.array
-        self._heights = max(largest(comm, np.abs(self.nodal[np.isfinite(self.nodal)])), 0.0)
+        self.nodal = sign * data.heights(sign)
+        self._heights = max(largest(comm, np.abs(self.nodal[np.abs(self.nodal) < NO_BOUND])), 0.0)
         number = which[parts.cells, parts.sides]
         self.rows = np.flatnonzero(number >= 0)
         self._dofs, cells = parts.dofs[self.rows], parts.cells[self.rows]
