@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, releases, solve
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-FAR = [1e3, 1e6, 1e12, 1e16, 1e20, 1e30, 4.5e307, float(PETSc.INFINITY), np.inf]
+FAR = slow_except([1e3, 1e6, 1e12, 1e16, 1e20, 1e30, float(PETSc.INFINITY), np.inf], 1e12, np.inf)
 CELLS = {"P1": ("triangle", 1), "P2": ("triangle", 2), "Q1": ("quadrilateral", 1), "Q2": ("quadrilateral", 2)}
 
 
@@ -40,17 +40,15 @@ class Plate:
         return ObstacleProblem(self.F, self.u, bcs=self.bc, lower=lower).solve(method=method, **more)
 
 
-@pytest.mark.parametrize("method", ["penalty", "vi", "successive"])
+@pytest.mark.parametrize("far", FAR)
 @pytest.mark.parametrize("element", CELLS)
-def test_its_value_changes_nothing(element, method):
-    """Force, area, steps and boundary values are those with a bound just out of reach."""
+def test_its_value_changes_nothing(element, far):
+    """Force, steps and boundary values are those with a bound just out of reach."""
     own = Plate(element)
-    near = own.solve(own.over(10.0), method)
-    heights = near.u.x.array.copy()
-    for far in FAR:
-        found = own.solve(own.over(far), method)
+    for method in ("penalty", "vi", "successive"):
+        near, found = (own.solve(own.over(one), method) for one in (10.0, far))
         assert found.force.lower == pytest.approx(near.force.lower, rel=1e-9)
-        assert largest(COMM, np.abs(found.u.x.array - heights)) < 1e-11
+        assert largest(COMM, np.abs(found.u.x.array - near.u.x.array)) < 1e-11
         assert found.iterations == near.iterations
         assert largest(COMM, np.abs(found.u.x.array - own.g.x.array)[own.edge]) == 0.0
 
@@ -63,7 +61,7 @@ def test_pressures_keep_their_digits(eps):
     assert largest(COMM, np.abs(found.pressure.x.array - near.pressure.x.array)) < 1e-8 * near.force.lower
 
 
-@pytest.mark.parametrize("far", [1e3, 1e9, 1e15, 1e19, 1e20, np.inf])
+@pytest.mark.parametrize("far", FAR)
 def test_a_constant_bound_out_of_reach(far):
     """As without an obstacle, from a constant start too."""
     own = Plate(load=-3.0)
@@ -74,7 +72,7 @@ def test_a_constant_bound_out_of_reach(far):
 
 
 @pytest.mark.parametrize("far", [10.0, *FAR])
-@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+@pytest.mark.parametrize("element", slow_except(["P1", "P2", "Q1"], "P1"))
 def test_contradictions_beside_it(far, element):
     """An obstacle above the boundary values, and obstacles that cross, are rejected."""
     own = Plate(element)
@@ -101,7 +99,7 @@ def test_round_off_is_no_contradiction():
     assert solve(scene.change({"obstacle.upper": "-100*sin(pi*x)*(2 + y)"})).force is not None
 
 
-@pytest.mark.parametrize("far", [1e20, 1e30, float(PETSc.INFINITY), np.inf])
+@pytest.mark.parametrize("far", slow_except([1e20, 1e30, float(PETSc.INFINITY), np.inf], float(PETSc.INFINITY), np.inf))
 def test_every_kind_of_datum(far):
     """Functions of this space, of another one and on another mesh, UFL, callables, Constants and numbers."""
     own = Plate(cells=16)
