@@ -40,7 +40,8 @@ from fenicsx_obstacle.text import shown
 KINK = 0.8  # least length of the mean of unit normals: two facets whose normals differ by 74 degrees
 HELD = 1e-6  # least length of a unit normal's part in free directions; below it the node is held
 ROUND_OFF = 1e-14  # of a unit normal
-BEYOND = 1e-10  # relative to the largest gap or displacement: what a held node may be beyond an obstacle
+BEYOND = 1e-10  # relative to displacements and the obstacle there: what a held node may be beyond it
+PLACE = 1e-14  # of the size of the body: round-off of a gap
 
 
 class VectorLevel(Level):
@@ -470,11 +471,12 @@ class VectorData(Data):
         Raises:
             HeldBeyond: With the place where they are farthest beyond it; of places alike the first by coordinates.
         """
+        comm, there = self.level.comm, g[self.contact.held_nodes]
+        size = max(largest(comm, np.abs(given)), 0.0) + np.where(np.isfinite(there), np.abs(there), 0.0)
         beyond = side * self.contact.excess_where_held(g, given)
-        comm = self.level.comm
-        size = max(largest(comm, np.abs(given)), largest(comm, np.abs(g[np.isfinite(g)])))
+        beyond[beyond <= BEYOND * size + PLACE * self.extent] = -np.inf
         most = largest(comm, beyond)
-        if most > BEYOND * size:
+        if most > 0:
             worst = self.contact.held_nodes[beyond >= most * (1 - 1e-9)]
             points = (min(self.level.nodes.T[worst].tolist(), default=None),)
             point = np.array(min(one for (one,) in comm.allgather(points) if one is not None))

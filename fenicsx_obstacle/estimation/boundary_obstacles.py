@@ -46,9 +46,7 @@ class BoundaryObstacle:
         self.sign, self._parts, self._patches = sign, parts, patches
         simplices, data = parts.simplices, parts.simplices.data
         self._dim, comm = simplices.dim, data.level.comm
-        obstacle = data.lower if sign > 0 else data.upper
-        assert obstacle is not None
-        self.nodal = sign * obstacle.x.array
+        self.nodal = sign * data.heights(sign)
         number = which[parts.cells, parts.sides]
         self.rows = np.flatnonzero(number >= 0)
         self._dofs, cells = parts.dofs[self.rows], parts.cells[self.rows]

@@ -159,9 +159,8 @@ class LatticeObstacle:
 
     def nodal(self, data: Data) -> np.ndarray:
         """Its values at the local nodes of P2 (collective on first use)."""
-        function = data.lower if self.sign > 0 else data.upper
-        assert function is not None
-        return self._field.clip(function.x.array) if isinstance(self._field, Clipped) else function.x.array
+        heights = data.heights(self.sign)
+        return self._field.clip(heights) if isinstance(self._field, Clipped) else heights
 
     def above(
         self, u: np.ndarray, added: np.ndarray, multiplier: np.ndarray, dirichlet: DirichletData,

@@ -73,9 +73,8 @@ class ObstacleExcess:
             sign,
             field,
         )
-        nodal = data.lower if sign > 0 else data.upper
-        assert nodal is not None
-        self.nodal = sign * (field.clip(nodal.x.array) if isinstance(field, Clipped) else nodal.x.array)
+        heights = data.heights(sign)
+        self.nodal = sign * (field.clip(heights) if isinstance(field, Clipped) else heights)
         comm, cells = data.level.comm, len(simplices.area)
         self._given = np.zeros(len(self.nodal), dtype=bool)
         self._given[data.fixed[0]] = True

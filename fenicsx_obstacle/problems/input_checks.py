@@ -527,13 +527,13 @@ def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, pla
         place: What messages call the problem.
 
     Raises:
-        InputError: If a diagonal entry is not positive, as those of a convex energy are; or if F and the derivative of
+        InputError: If a diagonal entry is negative, as none of a convex energy is; or if F and the derivative of
             the energy differ near the start, by more than quadrature does.
     """
     u, level = form.u, problem.level
     comm, free = level.comm, ~problem.fixed
     least = smallest(comm, diagonal)
-    if least <= 0:
+    if least < 0:
         raise InputError(
             f"{place}: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
             "is a sign wrong? without energy= any solution of the equation is accepted"
@@ -548,6 +548,28 @@ def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, pla
         raise InputError(
             f"{place}: energy: its derivative is not F: is a sign wrong, or a term missing in one of them?"
         )
+
+
+def flat_start(problem: Problem, form: ResidualForm) -> str:
+    """A clause for the message of an iteration that failed: where the derivative of F is zero at the start, Newton's
+    method has no direction; empty if it is zero nowhere (collective).
+
+    Args:
+        problem: At the start.
+        form: With u.
+    """
+    if problem.affine:
+        return ""
+    state = problem.state()
+    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
+    zero = ~problem.fixed & (np.abs(diagonal.array_r) <= ROUND_OFF * largest(problem.level.comm, diagonal.array_r))
+    for owner in (state, diagonal):
+        owner.destroy()
+    V = form.u.function_space
+    nodes = zero.reshape(-1, V.dofmap.index_map_bs).any(axis=1)
+    if total(problem.level.comm, np.count_nonzero(nodes)) == 0:
+        return ""
+    return f"; the derivative of F is zero at the start at {_some_of(nodes, V)}: start from a u that is not flat there"
 
 
 def _assembled(form: ufl.Form, level: Level) -> np.ndarray:

@@ -38,6 +38,7 @@ from fenicsx_obstacle.problems.input_checks import (
     checked_options,
     conditions,
     facets_of,
+    flat_start,
     naming_compiler_errors,
     number_of,
     obstacle,
@@ -149,8 +150,9 @@ class ObstacleProblem:
             lower: Lower obstacle, in the unit of u. It is evaluated at the nodes. It may be a number; a Constant; a
                 Function of any continuous space, also on another mesh that covers this one; a UFL expression without
                 u that has one value at each node; or a callable of x, an array of shape (3, n), as for
-                Function.interpolate.
-            upper: Upper obstacle, of the same kinds.
+                Function.interpolate. Its value is -inf, or -1e20 or less, where there is no obstacle. If it is an
+                earlier solution of the penalty method, copy that by np.clip: it is beyond the obstacles by eps*p.
+            upper: Upper obstacle, of the same kinds; inf, or 1e20 or more, where there is none.
             energy: The functional whose derivative is F (optional, for nonlinear F). A line search then decreases this
                 energy, which makes Newton's method more robust.
             J: The derivative of F. By default UFL computes it. It is not used if F is linear.
@@ -412,10 +414,12 @@ class ObstacleProblem:
             numbered = None if monitor is None else _Numbered(monitor, problem)
             try:
                 outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
-            except NotConverged:
-                if self._form is not None:
-                    refuse_not_finite(problem, self._form, self.name)
-                raise
+            except NotConverged as error:
+                if self._form is None:
+                    raise
+                refuse_not_finite(problem, self._form, self.name)
+                problem.set_reference(self.u.x.array.copy())
+                raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         return Solved(outcome, way, state)

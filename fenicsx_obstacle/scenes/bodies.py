@@ -211,7 +211,7 @@ class Body:
         """Compute the gaps, with the obstacles where they are now (collective).
 
         Raises:
-            InputError: If a gap is not finite.
+            InputError: If a gap is not a number.
         """
         for one, distance in zip(self.facing, self._distance, strict=True):
             if distance is None:
@@ -222,7 +222,7 @@ class Body:
                 values = here.x.array[one.dofs]
             self.gap.x.array[one.dofs] = -values  # -u . n >= -gap
         self.gap.x.scatter_forward()
-        self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle")
+        self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle", none=-np.inf)
 
     def _at_nodes(self, one: Facing) -> np.ndarray:
         """A gap that is given, or that to a box, a table or an STL surface, at the nodes that face it (collective)."""
@@ -237,22 +237,7 @@ class Body:
 
             points, near = self.level.points.T[one.dofs, :gdim], SAME * self.data.extent
             self._surfaces[one] = NodalGap(obstacle, self.level.comm, points, normals, near)
-        found = self._surfaces[one].at(travel)
-        return np.where(found == np.inf, self._far, found)
-
-    @property
-    def _far(self) -> float:
-        """The gap where there is no obstacle, which small displacements never close."""
-        return 2 * self.data.extent
-
-    def _without_far(self, solution: VectorSolution) -> VectorSolution:
-        """The solution with infinite gaps where there is no obstacle (local)."""
-        if not self._surfaces:
-            return solution
-        least = self._far * (1 - MAX_SHARE)
-        nodes = replace(solution.nodes, gap=np.where(solution.nodes.gap > least, np.inf, solution.nodes.gap))
-        solution.gap.x.array[solution.gap.x.array > least] = np.inf
-        return replace(solution, nodes=nodes)
+        return self._surfaces[one].at(travel)
 
     def solve(self, options: SolverOptions) -> VectorSolution:
         """Solve; an obstacle with a force is moved until it presses with it (collective).
@@ -267,7 +252,7 @@ class Body:
         solve = partial(self._solved, "auto" if options.method == "vi" else eps, options.method)
         solution = solve() if self.pressing is None else self._pressed(self.pressing, solve)
         self._check_small(solution)
-        return self._without_far(solution)
+        return solution
 
     def _solved(self, eps: Any, method: str) -> VectorSolution:
         with self._naming_parts():
@@ -318,9 +303,10 @@ class Body:
         self.place()
         u, n = (part.x.array.reshape(-1, gdim) for part in (self.u, self._normals))
         reached = np.einsum("ij,ij->i", u[nodes], n[nodes]) + before[one.dofs]  # u . n - gap
-        closed = reached >= -SAME * self.data.extent
-        beyond = before[one.dofs] - self.gap.x.array[one.dofs] + SAME * self.data.extent  # the start is put on it
-        u[nodes] += np.where(closed, beyond, 0.0)[:, None] * n[nodes]
+        after, near = self.gap.x.array[one.dofs], SAME * self.data.extent
+        closed = (reached >= -near) & np.isfinite(after)
+        beyond = before[one.dofs][closed] - after[closed] + near  # the start is put on it
+        u[nodes[closed]] += beyond[:, None] * n[nodes[closed]]
 
     def _touching(self, one: Facing) -> float:
         """How far an obstacle is moved until it touches the body at rest (collective).
