@@ -350,7 +350,10 @@ class ObstacleProblem:
             eps: Penalty parameter in the unit of u/p, a number or a Constant. With "auto" it is a hundredth of the
                 median of D_i/A_ii over the nodes where u is not given. A is the derivative of F at the initial guess,
                 and D_i are the weights of I. For a problem made from a Scene, "auto" is h^2/100 divided by the largest
-                tension.
+                tension. If the penetration is more than 1 % of the range of u between the obstacles, or if this eps
+                does not fit the stiffness of the solution at a contact node, "auto" is lowered, and the problem is
+                solved again from the solution. The next solve begins with the same eps. A given eps is not changed; a
+                `PenetrationWarning` says if its penetration is large.
             method: "penalty"; "vi", the variational inequality by SNES VI, without eps; or "successive", the iteration
                 (3.4)* of Kikuchi's paper, which starts without contact.
             rtol: The solver stops when the sum of unbalanced forces, divided by the sum of acting forces, is below this

@@ -28,7 +28,7 @@ TOO_SOFT = 10.0  # times eps_share: eps A_ii/D_i at a contact node from which on
 TOO_SOFT_WITH_TENSION = 100.0  # the same if eps is h^2/100 over the tension, and h^2 is up to 12 D_i/A_ii
 LOWERED = 1e-3  # from one eps to the next for a nonlinear problem, at least: its stiffness changes with u
 MOST_SOLVES = 12
-FLAT = 1e-8  # of D_i p_i/A_ii: a smaller range of u is round-off, and no scale for a penetration
+FLAT = 1e-8  # of the penetration: a smaller range of u is round-off, and no scale for it
 
 
 class NoPositiveDiagonal(InputError):
@@ -156,7 +156,8 @@ def large_penetration(problem: Problem) -> str | None:
     if penetration <= PENETRATION * height:
         return None
     share = "more than the" if penetration > height else f"{penetration / height:.1%} of the"
-    return f"penetration is {share} range of u: for accurate values take a smaller eps, or the method vi"
+    where = "range of u between the obstacles"
+    return f"penetration is {share} {where}: for accurate values take a smaller eps, or the method vi"
 
 
 def fitting_eps(problem: Problem, eps: float) -> float:
@@ -176,14 +177,11 @@ def fitting_eps(problem: Problem, eps: float) -> float:
     penetration, height = penetration_and_range(problem)
     if penetration == 0.0:
         return eps
-    compliance = _compliance_in_contact(problem)
-    if penetration > PENETRATION * height:
-        pressed = largest(comm, _excess(problem) / eps * np.where(np.isfinite(compliance), compliance, 0.0))
-        if height > FLAT * pressed:
-            fitting = AIM * PENETRATION * height / penetration * eps
+    if FLAT * penetration < height and penetration > PENETRATION * height:
+        fitting = AIM * PENETRATION * height / penetration * eps
     with_tension = problem.model.elastic.stiffness(problem.data) is not None
     if not (with_tension and problem.affine):  # otherwise eps is that of the largest tension
-        least = problem.eps_share * smallest(comm, compliance * _of_median_size(problem))
+        least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
         if eps > (TOO_SOFT_WITH_TENSION if with_tension else TOO_SOFT) * least:
             fitting = min(fitting, least)
     return fitting
