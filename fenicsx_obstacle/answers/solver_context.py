@@ -351,7 +351,7 @@ class SolverContext:
         self,
         options: SolverOptions,
         outcome: Outcome,
-        counts: dict[str, int],
+        counts: dict[str, Any],
         method: Method,
         state: State,
         seconds: float,

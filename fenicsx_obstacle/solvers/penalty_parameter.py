@@ -25,7 +25,6 @@ from fenicsx_obstacle.solvers.stopping import TOLERANCE
 PENETRATION = 0.01  # of the range of u between the obstacles: the largest penetration that eps = "auto" accepts
 AIM = 0.1  # of that: the penetration that a new eps is chosen for
 TOO_SOFT = 10.0  # times eps_share: eps A_ii/D_i at a contact node from which on eps does not fit the stiffness there
-TOO_SOFT_WITH_TENSION = 100.0  # the same if eps is h^2/100 over the tension, and h^2 is up to 12 D_i/A_ii
 LOWERED = 1e-3  # from one eps to the next for a nonlinear problem, at least: its stiffness changes with u
 MOST_SOLVES = 12
 FLAT = 1e-8  # of the penetration: a smaller range of u is round-off, and no scale for it
@@ -167,7 +166,8 @@ def fitting_eps(problem: Problem, eps: float) -> float:
 
     - the penetration is at most `PENETRATION` times the range of u between the obstacles, and
     - at each contact node the penalty D_i/eps is much stiffer than A_ii, the stiffness of the solution. Then the
-      penetration is small in each part of the domain, also in one that is much stiffer than the others.
+      penetration is small in each part of the domain, also in one that is much stiffer than the others. If the tension
+      is among the data, eps is that of the largest tension, and fits.
 
     Args:
         problem: Solved with this eps.
@@ -179,10 +179,9 @@ def fitting_eps(problem: Problem, eps: float) -> float:
         return eps
     if FLAT * penetration < height and penetration > PENETRATION * height:
         fitting = AIM * PENETRATION * height / penetration * eps
-    with_tension = problem.model.elastic.stiffness(problem.data) is not None
-    if not (with_tension and problem.affine):  # otherwise eps is that of the largest tension
+    if problem.model.elastic.stiffness(problem.data) is None:  # otherwise eps is that of the largest tension
         least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
-        if eps > (TOO_SOFT_WITH_TENSION if with_tension else TOO_SOFT) * least:
+        if eps > TOO_SOFT * least:
             fitting = min(fitting, least)
     return fitting
 
