@@ -16,7 +16,8 @@ import numpy as np
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import LIMIT
 from fenicsx_obstacle.errors import InputError, NotConverged, PenetrationWarning
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.data_scales import negligible_force
 from fenicsx_obstacle.solvers.newton import diagonal_of, joined, smallest_eps, solve_penalty
 from fenicsx_obstacle.solvers.options import SolverOptions
 from fenicsx_obstacle.solvers.snes import Outcome
@@ -183,7 +184,13 @@ def fitting_eps(problem: Problem, eps: float) -> float:
         least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
         if eps > TOO_SOFT * least:
             fitting = min(fitting, least)
-    return fitting
+    return eps if fitting < eps and _presses_by_round_off(problem, eps) else fitting
+
+
+def _presses_by_round_off(problem: Problem, eps: float) -> bool:
+    """Whether the contact forces are the round-off of a state that only touches the obstacle (collective)."""
+    force = total(problem.level.comm, problem.weights * _excess(problem)) / eps
+    return force <= negligible_force(problem, diagonal_of(problem) * ~problem.fixed)
 
 
 def _excess(problem: Problem) -> np.ndarray:
