@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ try:
 
     from fenicsx_obstacle.cli import commands
     from fenicsx_obstacle.console import guard_streams, lost_output
-    from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
+    from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError, PenetrationWarning
 except KeyboardInterrupt:
     if _RANK == 0:
         sys.stderr.write(interrupted(signal.SIGINT, sys.argv[1:]) + "\n")
@@ -51,6 +52,7 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
     try:
         if set(arguments) - {"-h", "--help", "--version"} and not {"-h", "--help"} & set(arguments):
             _begin(petsc)
+        warnings.simplefilter("ignore", PenetrationWarning)  # it is among the remarks on a solution
         result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
         _name_unread(petsc)
         if _received:  # not noticed until the end

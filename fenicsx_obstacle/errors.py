@@ -32,6 +32,10 @@ class InputError(ObstacleError):
     exit_status = 2
 
 
+class PenetrationWarning(UserWarning):
+    """A given eps is so large that u penetrates an obstacle by a visible share of its range."""
+
+
 class NotConverged(ObstacleError):
     """A solver did not reach its tolerance; nothing is returned.
 

@@ -135,7 +135,7 @@ class BodyContext:
         }  # fmt: skip
         if body.level.remarks:
             record["mesh_remarks"] = list(body.level.remarks)
-        if remarks := [*body.law.remarks, *contact_remarks(body, solution)]:
+        if remarks := [*record.get("remarks", ()), *body.law.remarks, *contact_remarks(body, solution)]:
             record["remarks"] = remarks
         if scene.report:
             record["report"] = self._report.of(solution, known)

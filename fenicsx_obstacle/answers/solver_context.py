@@ -351,7 +351,7 @@ class SolverContext:
         self,
         options: SolverOptions,
         outcome: Outcome,
-        counts: dict[str, int],
+        counts: dict[str, Any],
         method: Method,
         state: State,
         seconds: float,
@@ -369,6 +369,8 @@ class SolverContext:
             **figures, **course_of(outcome, spent, level.comm), **counts, "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
         }  # fmt: skip
+        if remarks := [*figures.get("remarks", ()), *counts.get("remarks", ())]:
+            record["remarks"] = remarks
         if bound is not None:
             record["bound"] = {**bound.record, "effectivity": None}
             if eps is not None and (problem.below is None) != (problem.above is None):

@@ -8,7 +8,6 @@ from typing import Any
 from fenicsx_obstacle.text import counted, of_outputs, vector_in_words, with_error
 
 PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
-LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
 
 
 def summary(record: Mapping[str, Any], title: str) -> str:
@@ -42,10 +41,6 @@ def summary(record: Mapping[str, Any], title: str) -> str:
         *(f"  warning: {remark}" for remark in r.get("remarks", ())),
         *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
     ]
-    if r["penetration"] > LARGE_PENETRATION * r["u_range"]:
-        large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
-        share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
-        lines.append(f"  penetration is {share} range of u: for accurate values take a smaller eps, or the method vi")
     lines += _round_off(r)
     if "reason" in r.get("uncertainty", {}):
         lines.append(f"  no uncertainty: {r['uncertainty']['reason']}")

@@ -96,13 +96,20 @@ def solve_penalty(
 
 def soft_eps(problem: Problem) -> float:
     """The eps for which the penalty diagonal equals the stiffness (collective)."""
+    comm, diagonal = problem.level.comm, diagonal_of(problem)
+    return largest(comm, problem.weights) / max(largest(comm, diagonal[~problem.fixed]), TINY)
+
+
+def diagonal_of(problem: Problem) -> np.ndarray:
+    """A_ii at owned dofs, A being the derivative of the residual at the present state, without penalty (collective)."""
+    if problem.affine and problem.level.pair.nodal:
+        return problem.nodal.diagonal
     state = problem.state()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    comm = problem.level.comm
-    eps = largest(comm, problem.weights) / max(largest(comm, diagonal.array_r[~problem.fixed]), TINY)
+    found = diagonal.array_r.copy()
     for owner in (state, diagonal):
         owner.destroy()
-    return eps
+    return found
 
 
 def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:

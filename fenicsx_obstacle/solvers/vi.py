@@ -9,6 +9,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import MAX_REFERENCE_UPDATES, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
@@ -44,8 +45,10 @@ def solve_vi(
         The converged outcome.
 
     Raises:
+        InputError: If the user's PETSc options name another type of SNES.
         NotConverged: With PETSc's reason.
     """
+    _refuse_other_solvers(problem)
     how: dict[str, Any] = {"least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
@@ -59,6 +62,21 @@ def solve_vi(
         problem.set_reference(start)
         outcome = joined(outcome, _from_penalty(problem, how))
     return require(outcome, problem, None, tolerance)
+
+
+def _refuse_other_solvers(problem: Problem) -> None:
+    """Reject a type of SNES for which `Stopping` is not made, or which ignores bounds.
+
+    Raises:
+        InputError: With the option.
+    """
+    option = problem.options_of("vi") + "snes_type"
+    kind = PETSc.Options().getString(option, VI["snes_type"])
+    if kind != VI["snes_type"]:
+        raise InputError(
+            f"PETSc option {option} = {kind}: the method vi is made for {VI['snes_type']} alone; leave the option out, "
+            "or take the method penalty"
+        )
 
 
 def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
