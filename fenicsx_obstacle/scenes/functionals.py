@@ -277,7 +277,7 @@ class Report:
         if name in facets and self.over_cells(expression, name):
             message = (
                 f"'{name}' is the name of cells and of facets, such as groups of a mesh file with the same number: "
-                f"give one of them another name (in Gmsh: Physical Curve(\"edge\", {name if name.isdigit() else 7}) = "
+                f'give one of them another name (in Gmsh: Physical Curve("edge", {name if name.isdigit() else 7}) = '
                 "{...};)"
             )
             raise InputError(formula.pointing(node, message))
