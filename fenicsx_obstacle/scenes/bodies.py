@@ -347,11 +347,12 @@ class Body:
     def _admissible(self, share: float) -> str:
         """Loads that make displacements by this factor smaller, in words: with Hertz's contact slopes grow like the
         square root of the force, of balls like its cube root."""
-        pressed = [one.obstacle for one in self.facing if one.obstacle.force is not None]
-        if not pressed:
+        dim, forces = self.level.mesh.geometry.dim, []
+        for one in self.facing:
+            if one.obstacle.force is not None:
+                forces.append(one.obstacle.force * share ** (dim if one.obstacle.radius else 1))
+        if not forces:
             return f"loads up to about {share:.2g} times these"
-        powers = [self.level.mesh.geometry.dim if one.radius else 1 for one in pressed]
-        forces = [one.force * share**power for one, power in zip(pressed, powers, strict=True)]
         return f"a force up to about {', '.join(f'{force:.2g}' for force in forces)}"
 
     def _check_small(self, solution: VectorSolution) -> None:
@@ -374,6 +375,7 @@ class Body:
             if found > most:
                 mine = points[np.argmax(values)] if np.max(values, initial=0.0) == found else None
                 at, share = first_given(level.comm, mine), most / found
+                assert at is not None
                 raise InputError(
                     f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}, at "
                     f"{self.data.place(at)}: elasticity is for small ones, up to {most:g}; take "
