@@ -10,7 +10,7 @@ import pytest
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import InputError, Scene, Solution, solve
 from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
@@ -364,6 +364,103 @@ def test_nodes_with_gaps_and_without_cells(folder):
     level = level_of(folder / "gaps.msh")
     assert level.dofs == 4 and level.cells == 2 and level.mesh.geometry.dim == 2
     assert set(level.facets) == {"8"} and facets(level, "8") == 1
+
+
+BOXES = {
+    "touch": ([(0, 0, 0, 1, 1, 1), (1, 0, 0, 1, 1, 1)], 1),
+    "partly": ([(0, 0, 0, 1, 1, 1), (1, 0.25, 0.25, 1, 0.5, 0.5)], 1),
+    "three": ([(0, 0, 0, 1, 1, 1), (1, 0, 0, 1, 1, 1), (0, 1, 0, 2, 1, 1)], 3),
+    "apart": ([(0, 0, 0, 1, 1, 1), (2, 0, 0, 1, 1, 1)], 0),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_bodies_of_a_step_file_that_touch_share_nodes(folder, name):
+    boxes, common = BOXES[name]
+
+    def assembly(model):
+        for box in boxes:
+            model.occ.addBox(*box)
+        model.occ.synchronize()
+
+    level = level_of(file_of(folder, assembly, "assembly.step"))
+    assert level.connected.count == (1 if common else 2)
+    assert set(level.groups) == {str(number + 1) for number in range(len(boxes))}
+    size = total(COMM, volumes(corners(level.mesh)[: own_cells(level.mesh)]))
+    assert np.isclose(size, sum(np.prod(box[3:]) for box in boxes), rtol=1e-9)
+    assert any("share nodes" in remark for remark in level.remarks) == (common > 0)
+    if not common:
+        assert set(level.facets) == {str(number) for number in range(1, 13)}  # as they are in the file
+
+
+def test_bodies_of_a_step_file_that_overlap(folder):
+    def assembly(model):
+        model.occ.addRectangle(0, 0, 0, 1, 1)
+        model.occ.addRectangle(0.5, 0.25, 0, 1, 0.5)
+        model.occ.synchronize()
+
+    with pytest.raises(InputError, match=r"surfaces 1 and 2 overlap at \(0.75, 0.5, .*BooleanDifference"):
+        level_of(file_of(folder, assembly, "overlap.step"))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("suffix", ["geo", "msh"])
+def test_the_default_element_of_files_is_that_of_their_cells(folder, dim, suffix):
+    """Q1 on quadrilaterals and hexahedra, with the same solution as where it is named."""
+
+    def cells(model):
+        model.occ.addRectangle(0, 0, 0, 2, 1)
+        if dim == 3:
+            model.occ.extrude([(2, 1)], 0, 0, 1, [2], recombine=True)
+        model.occ.synchronize()
+        for curve in model.getEntities(1):
+            model.mesh.setTransfiniteCurve(curve[1], 4)
+        for surface in model.getEntities(2):
+            model.mesh.setTransfiniteSurface(surface[1])
+            model.mesh.setRecombine(*surface)
+        for volume in model.getEntities(3):
+            model.mesh.setTransfiniteVolume(volume[1])
+
+    text = (
+        "Point(1) = {0, 0, 0}; Point(2) = {2, 0, 0}; Point(3) = {2, 1, 0}; Point(4) = {0, 1, 0}; Line(1) = {1, 2};"
+        "Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1}; Line Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};"
+        "Transfinite Line{1, 2, 3, 4} = 4; Transfinite Surface{1}; Recombine Surface{1};"
+    ) + "Extrude{0, 0, 1}{Surface{1}; Layers{3}; Recombine;}" * (dim == 3)
+    if suffix == "geo":
+        path = folder / "cells.geo"
+        on_root(COMM, lambda: path.write_text(text.replace(";", ";\n")) and None)
+    else:
+        path = file_of(folder, cells, "cells.msh")
+    scene = Scene(mesh={"file": str(path)}, tension=1, load=-9, lower=-0.05, boundary=[{"value": 0}])
+    found, named = solve(scene), solve(scene.change({"solve.element": "Q1"}))
+    assert found.record["element"] == named.record["element"] == "Q1"
+    assert found.force.lower > 0 and found.force.lower == named.force.lower
+    found.save(folder / "saved")
+    assert Solution.read(folder / "saved").force == found.force
+
+
+def test_groups_of_cells_and_of_curves_with_one_number(folder):
+    """normal_flux and jump are of curves only; of other quantities the message names a way out."""
+
+    def square(model):
+        two_squares(model)
+        outer = [tag for _, tag in model.getBoundary(model.getEntities(2), combined=True, oriented=False)]
+        model.removePhysicalGroups()
+        model.addPhysicalGroup(1, outer, 1)
+        for tag in (1, 2):
+            model.addPhysicalGroup(2, [tag], tag)
+
+    path = file_of(folder, square)
+    scene = Scene(mesh={"file": str(path)}, tension={"1": 1, "2": 5}, load={"1": -3, "2": -6}, lower=-0.02,
+                  boundary=[{"on": "1", "value": 0}],
+                  report={"force": "integral(p)", "reaction": 'integral(normal_flux, "1")',
+                          "load": "9"})  # fmt: skip
+    report = solve(scene).report
+    # what the edge takes, the contact force and the load balance
+    assert np.isclose(-report["reaction"], report["force"] - report["load"], rtol=1e-6)
+    for wrong in ('integral(u, "1")', 'integral(2*u + p, "1")'):
+        with pytest.raises(InputError, match=r"'1' is the name of cells and of facets.*Physical Curve"):
+            solve(scene.change({"report.force": wrong}))
 
 
 def test_bodies_that_were_not_fragmented(folder):

@@ -160,6 +160,40 @@ def ungrouped_cells(model: Any) -> list[str]:
     ]
 
 
+def join_bodies(model: Any) -> list[str]:
+    """Let bodies of a CAD file that touch share the sides on which they do, so that these have common nodes.
+
+    Returns:
+        A remark on the bodies that do.
+
+    Raises:
+        InputError: If bodies overlap.
+    """
+    dim = model.getDimension()
+    bodies = model.getEntities(dim)
+    if len(bodies) < 2 or dim < 2:
+        return []
+    before = _common_sides(model)
+    _, pieces = model.occ.fragment(bodies[:1], bodies[1:])
+    model.occ.synchronize()
+    owner: dict[int, int] = {}
+    for number, of_body in enumerate(pieces):
+        for _, tag in of_body:
+            if owner.setdefault(tag, number) != number:
+                at = place(np.array(model.occ.getCenterOfMass(dim, tag)))
+                what = f"{_KINDS[dim]}s {bodies[owner[tag]][1]} and {bodies[number][1]}"
+                raise InputError(f"{what} overlap at {at}; cut one from the other, in Gmsh by BooleanDifference")
+    if (common := _common_sides(model)) == before:
+        return []
+    return [f"{len(bodies)} {_KINDS[dim]}s of the file share nodes on {counted(common, 'side')} on which they touch"]
+
+
+def _common_sides(model: Any) -> int:
+    """How many sides two bodies of the highest dimension have in common."""
+    sides = model.getBoundary(model.getEntities(model.getDimension()), False, False)
+    return len(sides) - len(set(sides))
+
+
 def name_bodies(model: Any) -> None:
     """Put each body of the highest dimension, and each of its sides, into a physical group with the name that the CAD
     file has for it, or else its number."""

@@ -23,14 +23,22 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, name_bodies, on_cad, straight, ungrouped_cells
+from fenicsx_obstacle.discrete.gmsh_model import (
+    Arrays,
+    arrays_of,
+    join_bodies,
+    name_bodies,
+    on_cad,
+    straight,
+    ungrouped_cells,
+)
 from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
 DIMENSIONS = {"interval": 1, "triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 GEOMETRY = (".geo", ".step", ".stp")  # files that have a geometry, from which Gmsh makes the mesh
 PER_TURN = 12  # cells around a circle of a STEP file, which says nothing of sizes
-FORMAT = b"4"  # of what is kept
+FORMAT = b"5"  # of what is kept
 # commands of a .geo by which its mesh may depend on more than its text
 _ELSEWHERE = re.compile(rb"\b(Merge|Include|ShapeFromFile|System\w*|GetEnv|Onelab\w*|Exists|FileExists)\b")
 
@@ -150,6 +158,7 @@ def _run(source: str, target: str) -> int:
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", PER_TURN)
     try:
         gmsh.open(source)
+        joined = join_bodies(gmsh.model) if cad else []
         if Path(target).exists():
             with np.load(target) as given:
                 points = on_cad(gmsh.model, given["points"], given["rows"], given["entities"])
@@ -160,7 +169,7 @@ def _run(source: str, target: str) -> int:
         if suffix in GEOMETRY:
             gmsh.model.mesh.generate(gmsh.model.getDimension())
         found = arrays_of(gmsh.model)
-        remarks = [*found.remarks, *(ungrouped_cells(gmsh.model) if suffix in GEOMETRY else ())]
+        remarks = [*joined, *found.remarks, *(ungrouped_cells(gmsh.model) if suffix in GEOMETRY else ())]
         words = {
             "cell": found.cell, "materials": found.materials, "parts": found.parts, "remarks": remarks,
             "straight": straight(gmsh.model, DIMENSIONS[found.cell]),

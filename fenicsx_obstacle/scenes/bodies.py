@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, at_surface
@@ -27,7 +27,7 @@ from fenicsx_obstacle.effects.domain.elasticity import Elasticity
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import first_given, largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
 from fenicsx_obstacle.scenes.scene import Scene
@@ -330,24 +330,42 @@ class Body:
                 break
         return travel
 
+    def _admissible(self, share: float) -> str:
+        """Loads that make displacements by this factor smaller, in words: with Hertz's contact slopes grow like the
+        square root of the force, of balls like its cube root."""
+        dim, forces = self.level.mesh.geometry.dim, []
+        for one in self.facing:
+            if one.obstacle.force is not None:
+                forces.append(one.obstacle.force * share ** (dim if one.obstacle.radius else 1))
+        if not forces:
+            return f"loads up to about {share:.2g} times these"
+        return f"a force up to about {', '.join(f'{force:.2g}' for force in forces)}"
+
     def _check_small(self, solution: VectorSolution) -> None:
         """Reject solutions that are no small displacements (collective).
 
         Raises:
-            InputError: With the slope or the displacement.
+            InputError: With the slope or the displacement, its place, and the loads that are admissible.
         """
-        comm, reference = self.level.comm, Reference(self.level.mesh)
-        cells, middle = np.arange(own_cells(self.level.mesh)), reference.weights(reference.vertices.mean(axis=0))
+        level, reference = self.level, Reference(self.level.mesh)
+        cells, middle = np.arange(own_cells(level.mesh)), reference.weights(reference.vertices.mean(axis=0))
         parts = [self.vectors.component(solution.u, k) for k in range(self.vectors.components)]
         squares = sum((reference.gradients(part, cells, middle[None, None]) ** 2).sum(axis=(1, 2)) for part in parts)
-        slope = float(np.sqrt(largest(comm, squares)))
-        size = float(np.sqrt(largest(comm, sum(part.x.array**2 for part in parts))))
-        for what, found, most in (("slopes", slope, MAX_SLOPE), ("a size", size / self.data.extent, MAX_SHARE)):
+        slopes = np.sqrt(squares), corners(level.mesh, cells).mean(axis=1)
+        sizes = np.sqrt(sum(part.x.array**2 for part in parts)) / self.data.extent, level.points.T
+        for what, of_body, (values, points), most in (
+            ("slopes", "", slopes, MAX_SLOPE),
+            ("a size", " of the body's", sizes, MAX_SHARE),
+        ):
+            found = largest(level.comm, values)
             if found > most:
-                of_body = "" if what == "slopes" else " of the body's"
+                mine = points[np.argmax(values)] if np.max(values, initial=0.0) == found else None
+                at, share = first_given(level.comm, mine), most / found
+                assert at is not None
                 raise InputError(
-                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}: elasticity is for "
-                    f"small ones, up to {most:g}; take smaller loads, a stiffer body, or an obstacle that is nearer"
+                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}, at "
+                    f"{self.data.place(at)}: elasticity is for small ones, up to {most:g}; take "
+                    f"{self._admissible(share)}, a stiffer body, or an obstacle that is nearer"
                 )
 
     def _faced(self, obstacle: Obstacle) -> Facing:
