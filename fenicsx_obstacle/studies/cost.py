@@ -21,6 +21,7 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import changed
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
@@ -77,6 +78,7 @@ class CostStudy:
         self._warm: set[tuple[Any, ...]] = set()
         self._fixed: float | None = None
 
+    @read_once()
     def run(self, on_row: OnRow, store: RowStore | None) -> list[Row]:
         """All rows (collective).
 

@@ -18,6 +18,8 @@ from typing import IO, Any
 import msgspec
 from petsc4py import PETSc
 
+from fenicsx_obstacle.discrete import files
+from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.origin import versions
 from fenicsx_obstacle.parallel import make_folder, remove_empty, write_text
@@ -25,7 +27,9 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 
 def row_key(scene: Scene, kind: str, ranks: int) -> str:
-    """The key of a row, of all it depends on: resolved scene, mesh and data files, PETSc's options, ranks, versions.
+    """The key of a row, of the contents of all it depends on (one rank).
+
+    These are the resolved scene, its mesh, its data files, the code of plug-ins, PETSc's options, ranks and versions.
 
     Args:
         scene: With all values of the row.
@@ -33,12 +37,12 @@ def row_key(scene: Scene, kind: str, ranks: int) -> str:
         ranks: Number of ranks.
     """
     table = scene.tables.mesh
-    mesh = "" if table.file is None else hashlib.sha256((scene.folder / table.file).read_bytes()).hexdigest()
+    mesh = "" if table.file is None else files.content_of(scene.folder / table.file)
     options = PETSc.Options().getAll()
     text, data = scene.with_data()
     measured = [hashlib.sha256(content).hexdigest() for content in data.values()]
     given = [text, measured] if data else msgspec.to_builtins(scene.tables)
-    parts = [given, mesh, kind, ranks, versions(), options]
+    parts = [given, mesh, kind, ranks, versions(), options, plugin.contents]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
