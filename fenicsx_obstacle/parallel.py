@@ -79,7 +79,7 @@ def new_files(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
     """
 
     def finish() -> None:
-        for file in sorted(scratch.iterdir(), reverse=True):
+        for file in sorted(scratch.iterdir()):  # answer.json comes first: with the others of before it is rejected
             file.replace(folder / file.name)
         scratch.rmdir()
 

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, membrane
+from conftest import COMM, as_version_02, membrane
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -182,6 +182,7 @@ def test_folders_of_version_01_are_read_as_they_are(folder):
     saved.save(folder)
 
     def strip():
+        as_version_02(folder)
         with h5py.File(folder / "fields.h5", "a") as file:
             del file["element"]
 
@@ -200,6 +201,7 @@ def _as_p1(plain):
 def test_damage_is_told(folder):
     """A table of nodes that is missing, or that is of another element, is named; a file is no folder."""
     solve(scene_of("P2")).save(folder)
+    on_root(COMM, as_version_02, folder)
 
     def change(edit):
         with h5py.File(folder / "fields.h5", "a") as file:

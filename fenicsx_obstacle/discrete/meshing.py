@@ -158,7 +158,7 @@ def _run(source: str, target: str) -> int:
         with open(target, "wb") as out:  # opened before the process may open no file
             if not confine() and suffix == ".geo":
                 why = "libseccomp2 is missing, or the system does not allow it"
-                raise InputError(f"a .geo is a program, which cannot be confined here ({why}): mesh it in Gmsh to a .msh")
+                raise InputError(f"a .geo is a program, which nothing confines here ({why}): mesh it in Gmsh")
             gmsh.open(source)
             if given:
                 points = on_cad(gmsh.model, given["points"], given["rows"], given["entities"])
