@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import Any
 
 AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
+COMPILER_OPTIONS = (
+    "dolfinx_jit_parameters.json", "dolfinx_jit_options.json", "ffcx_parameters.json", "ffcx_options.json",
+)  # fmt: skip
 _received: list[int] = []  # signals
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
 
@@ -125,11 +128,27 @@ def _begin(petsc: list[str]) -> None:
         raise click.ClickException(f"after -- come PETSc's options, such as -penalty_pc_type lu, not {petsc[0]}")
     import petsc4py
 
-    petsc4py.init([sys.argv[0], *petsc])
+    # files named .petscrc or petscrc of the current folder may be anybody's; that of the home is the user's own
+    own = Path("~/.petscrc").expanduser()
+    given = ["-options_file", str(own)] if own.is_file() else []
+    petsc4py.init([sys.argv[0], "-skip_petscrc", *given, *petsc])
+    _ignore_folder()
     from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 
     abort_on_uncaught_errors(MPI.COMM_WORLD)
     _catch_signals()
+
+
+def _ignore_folder() -> None:
+    """Take no options of compilers from the current folder, and say so."""
+    found = [name for name in COMPILER_OPTIONS if os.path.lexists(name)]
+    if not found:
+        return
+    from fenicsx_obstacle.releases import load_compiler_options
+
+    load_compiler_options(Path("/"))
+    if _RANK == 0:
+        click.echo(f"{', '.join(found)} in this folder: not taken; your own options are in ~/.config", err=True)
 
 
 def _catch_signals() -> None:

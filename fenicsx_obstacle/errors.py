@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, printable
 
 LOST_OUTPUT = 1
 """Exit status where standard output could not be written: the disk is full, or the reader has closed its pipe."""
@@ -22,6 +22,9 @@ class ObstacleError(Exception):
     """Base of all errors of this package."""
 
     exit_status = 1
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class InputError(ObstacleError):

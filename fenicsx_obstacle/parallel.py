@@ -11,8 +11,9 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, TypeVar
 
 import numpy as np
@@ -173,17 +174,33 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         InputError: If it cannot be written; an earlier file of this name stays.
     """
-    scratch = path if _is_device(path) else path.with_name(f".{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_text(text, encoding="utf-8", errors="backslashreplace")
-        if scratch != path:
-            scratch.replace(path)
+        with nullcontext(path) if _is_device(path) else replaced(path) as target:
+            target.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
-        if scratch != path:
-            with suppress(OSError):
-                scratch.unlink()
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """A new file beside another, of a name that nobody can know; after the block it takes its place (one rank).
+
+    If the block raises an error, an earlier file stays.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".new-{token_hex(8)}{path.suffix}")
+    # nothing that is there already, such as a link to a file elsewhere, is written to
+    os.close(os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
+    try:
+        yield scratch
+        scratch.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            scratch.unlink()
+        raise
 
 
 def write_lines(path: Path, records: Iterable[Mapping[str, Any]]) -> None:

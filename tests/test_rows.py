@@ -18,6 +18,7 @@ from test_cli import CLEAN, mpirun, run
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.__main__ import _run
 from fenicsx_obstacle.cli import commands
+from fenicsx_obstacle.studies import rows as rows_module
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 
 pytestmark = pytest.mark.serial
@@ -252,3 +253,55 @@ def test_rows_are_of_the_contents_of_files(change, tmp_path):
     assert all(abs(a / b - 1) > 1e-3 for a, b in zip(*energies[:2], strict=True))
     if change is not _xdmf:  # HDF5 files have a date inside
         assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == 4
+
+
+ROWS = {
+    "a row without its content": {"energy": 3.0},
+    "a wrong energy": {"energy": "much"},
+    "no contact": {"contact": None},
+    "a run that is a text": {"run": "first"},
+}
+
+
+@pytest.mark.parametrize("forged", [False, True], ids=["damaged", "forged"])
+@pytest.mark.parametrize("what", ROWS)
+def test_wrong_fields_of_rows(what, forged, tmp_path):
+    """One message; a row that was changed is never taken."""
+    study = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6", "--output", str(tmp_path), "--quiet"]
+    assert run(*study).returncode == 0
+    lines = []
+    for line in (tmp_path / "rows.jsonl").read_text().splitlines():
+        row = {**json.loads(line), **ROWS[what]}
+        content = row.pop("content")
+        lines.append(json.dumps({**row, "content": rows_module._content(row) if forged else content}))
+    (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
+    done = run(*study)
+    if forged and what == "a row without its content":  # another number is a number
+        return
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "rows.jsonl" in done.stderr, done.stderr
+
+
+def test_rows_of_version_02_are_kept_but_not_taken(tmp_path):
+    (tmp_path / "rows.jsonl").write_text('{"key": "a", "run": 1, "value": 1}\n')
+    store = RowStore(tmp_path)
+    assert store.find("a") is None
+    store.add("a", {"value": 2})
+    store.close()
+    store = RowStore(tmp_path)
+    assert store.find("a") == {"key": "a", "run": 1, "value": 2}
+    store.close()
+
+
+@pytest.mark.parametrize("name", ["rows.jsonl", ".lock"])
+def test_rows_are_written_into_no_other_file(name, tmp_path):
+    """A link in a folder of someone else leads nowhere; nor does a pipe wait."""
+    (tmp_path / "mine").write_text("mine\n")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "mine")
+    with pytest.raises(InputError, match="choose another folder"):
+        RowStore(tmp_path / "out")
+    assert (tmp_path / "mine").read_text() == "mine\n"
+    (tmp_path / "out" / name).unlink()
+    os.mkfifo(tmp_path / "out" / name)
+    with pytest.raises(InputError, match="is no file"):
+        RowStore(tmp_path / "out")

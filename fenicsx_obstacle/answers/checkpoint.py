@@ -16,7 +16,7 @@ from fenicsx_obstacle.discrete.time_discretization import INERTIA, NO_STEP, Time
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
-from fenicsx_obstacle.parallel import agree, gathered, on_root
+from fenicsx_obstacle.parallel import agree, gathered, on_root, replaced
 from fenicsx_obstacle.solvers.steps import Steps
 
 NAME = "checkpoint.h5"
@@ -43,13 +43,10 @@ def write(folder: Path, level: Level, steps: Steps, time_history: TimeHistory) -
         }
         arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
         content = to_hdf5(arrays)
-        scratch = folder / f".{NAME}.part"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            scratch.write_bytes(content)
-            scratch.replace(folder / NAME)
+            with replaced(folder / NAME) as scratch:
+                scratch.write_bytes(content)
         except OSError as error:
-            scratch.unlink(missing_ok=True)
             raise InputError(f"{folder / NAME}: cannot be written: {error.strerror}") from None
 
     on_root(comm, save)

@@ -15,6 +15,7 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
 from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.validation import check_record
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
@@ -175,7 +176,13 @@ class Study:
         return on_root(self.comm, row_key, scene, kind, self.comm.size) if self._stored else ""
 
     def _find(self, key: str) -> Row | None:
-        return None if self._store is None else self._store.find(key)
+        row = None if self._store is None else self._store.find(key)
+        if self._store is not None and row is not None:
+            try:
+                check_record(row)
+            except ValueError as error:
+                raise InputError(f"{self._store.path}: a row is damaged: {error}; use --fresh or --output") from None
+        return row
 
     def _add(self, key: str, row: Row) -> Row:
         return row if self._store is None else self._store.add(key, row)

@@ -60,7 +60,7 @@ def end_all() -> None:
 
 def launch(ranks: int, *arguments: str) -> list[str]:
     """The command that runs Python with these arguments on so many ranks."""
-    return [*(mpirun(ranks) if ranks > 1 else []), sys.executable, *arguments]
+    return [*(mpirun(ranks) if ranks > 1 else []), sys.executable, "-P", *arguments]
 
 
 def mpirun(ranks: int) -> list[str]:

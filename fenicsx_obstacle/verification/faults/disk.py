@@ -57,7 +57,7 @@ def _mounted(root: Path, earlier: Path, environment: Mapping[str, str]) -> Itera
             for size in (*SIZES[1::2], None):
                 mount = root / f"mounted-{ranks}-{size}" / name
                 mount.mkdir(parents=True)
-                words = ["unshare", "-m", sys.executable, "-m", __name__, str(mount), str(earlier / name),
+                words = ["unshare", "-m", sys.executable, "-P", "-m", __name__, str(mount), str(earlier / name),
                          str(-1 if size is None else size), str(ranks), *command]  # fmt: skip
                 start = time.perf_counter()
                 done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
