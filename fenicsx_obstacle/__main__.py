@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
+OUT_OF_MEMORY = "out of memory: take fewer cells, or set a limit of memory with --budget"
+NO_CACHE = "; compiled forms are kept there: set XDG_CACHE_HOME to a folder that can be written"
 COMPILER_OPTIONS = (
     "dolfinx_jit_parameters.json", "dolfinx_jit_options.json", "ffcx_parameters.json", "ffcx_options.json",
 )  # fmt: skip
@@ -74,14 +77,25 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         if _several():  # the other ranks may not end in MPI's way; the launcher prints the message
             os._exit(128 + number)
         return _fail(f"{word}{_kept()}", 128 + number)
+    except MemoryError:
+        return _end_all(OUT_OF_MEMORY)
     except RuntimeError as error:
+        last = ["", *str(error).strip().splitlines()][-1]
+        if str(error).startswith("Failed just-in-time"):  # of DOLFINx, on all ranks
+            return _fail(f"Error: {last}{NO_CACHE}", 2)
         if type(error).__module__ != "petsc4py.PETSc":
             raise
-        return _fail(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
+        if getattr(error, "ierr", 0) == 55:  # PETSC_ERR_MEM
+            return _end_all(OUT_OF_MEMORY)
+        return _fail(f"Error: PETSc: {last}{' (see the options after --)' if petsc else ''}", 2)
     except OSError as error:  # such as a cache of compiled forms that cannot be written
         if _several():  # the others may be waiting: the hook ends them
             raise
-        return _fail(f"Error: {error.filename}: {error.strerror}" if error.filename else f"Error: {error}", 2)
+        if error.errno == errno.ENOMEM:
+            return _end_all(OUT_OF_MEMORY)
+        cache = os.getenv("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
+        hint = NO_CACHE if error.filename and (cache + "/fenics").startswith(str(error.filename)) else ""
+        return _fail(f"Error: {error.filename}: {error.strerror}{hint}" if error.filename else f"Error: {error}", 2)
     return result if isinstance(result, int) else 0
 
 
@@ -105,6 +119,16 @@ def _fail(message: str, status: int) -> int:
     if _RANK == 0:
         click.echo(message, err=True)
     return status
+
+
+def _end_all(message: str) -> int:
+    """Say what has happened on one rank, and end all, which may be waiting for it."""
+    if not _several():
+        return _fail(f"Error: {message}", 2)
+    sys.stderr.write(f"Error: rank {_RANK}: {message}\n")
+    sys.stderr.flush()
+    sys.modules["mpi4py.MPI"].COMM_WORLD.Abort(2)
+    return 2
 
 
 def _leave(status: int, file: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import json
 import os
 import resource
@@ -137,6 +138,7 @@ def make_folder(folder: Path, option: str = "--output") -> list[Path]:
     """
     missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     try:
+        _check_name(folder)
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         remove_empty(missing)
@@ -144,6 +146,11 @@ def make_folder(folder: Path, option: str = "--output") -> list[Path]:
             raise InputError(f"{folder}: is a file, or lies in a file; choose another place with {option}") from None
         raise InputError(f"{folder}: {error.strerror}; choose another place with {option}") from None
     return missing
+
+
+def _check_name(path: Path) -> None:
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "a name holds no NUL", str(path))
 
 
 def remove_empty(folders: Sequence[Path]) -> None:
@@ -190,6 +197,7 @@ def replaced(path: Path) -> Iterator[Path]:
     Raises:
         OSError: If it cannot be made.
     """
+    _check_name(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".new-{token_hex(8)}{path.suffix}")
     # nothing that is there already, such as a link to a file elsewhere, is written to

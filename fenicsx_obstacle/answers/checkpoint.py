@@ -89,8 +89,8 @@ def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps
 def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], list[Frame]]:
     try:
         content = io.BytesIO(place.read_bytes())
-    except OSError as error:
-        raise InputError(f"{place}: no state to continue from: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{place}: no state to continue from: {getattr(error, 'strerror', error)}") from None
     try:
         found = arrays(content)
         frames = {name.removeprefix("frames/"): found.pop(name) for name in [*found] if name.startswith("frames/")}

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import h5py
 import numpy as np
 from dolfinx import io
 from dolfinx import mesh as dmesh
@@ -21,6 +20,7 @@ from fenicsx_obstacle.discrete.gmsh_model import Arrays
 from fenicsx_obstacle.discrete.mesh_validation import validate_mesh
 from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.hdf5 import dataset, opened
 from fenicsx_obstacle.parallel import on_root
 
 GMSH = (".msh", *meshing.GEOMETRY)
@@ -172,8 +172,25 @@ def _grids(path: Path) -> tuple[str, list[str], Groups]:
             validate_mesh(points, cells)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+    elif cells.size and not 0 <= cells.min() <= cells.max() < len(points):
+        raise InputError(f"{path}: a cell has a vertex that is not in the file")
+    elif not np.isfinite(points).all():
+        raise InputError(f"{path}: a vertex has a coordinate that is not a finite number")
+    for item in (item for grid in grids for item in grid.iter("DataItem") if item.get("Format") == "HDF"):
+        _check_data(path, item)  # before DOLFINx follows it
     tags = [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]
     return grids[0].get("Name", "mesh"), tags, _parts(path, grids[0].find("Topology/DataItem"))
+
+
+def _check_data(path: Path, item: ElementTree.Element) -> None:
+    """Reject numbers that are in further files, or are not there."""
+    name, _, inside = (item.text or "").strip().partition(":")
+    data = _data_file(path, name)
+    try:
+        with opened(data) as file:
+            dataset(file, inside)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {inside} in {data} cannot be read: {error}") from None
 
 
 def _parts(path: Path, item: ElementTree.Element | None) -> Groups:
@@ -181,10 +198,14 @@ def _parts(path: Path, item: ElementTree.Element | None) -> Groups:
     assert item is not None
     if item.get("Format") != "HDF":
         return {}
-    with h5py.File(path.parent / (item.text or "").strip().partition(":")[0]) as file:
-        if "parts/names" not in file:
-            return {}
-        return {name: values[()] for name, values in file["parts"].items()}
+    data = _data_file(path, (item.text or "").strip().partition(":")[0])
+    try:
+        with opened(data) as file:
+            if "parts/names" not in file:
+                return {}
+            return {name: dataset(file, f"parts/{name}")[()] for name in file["parts"]}
+    except (OSError, ValueError) as error:
+        raise InputError(f"{data}: its parts cannot be read: {error}") from None
 
 
 def _array(path: Path, item: ElementTree.Element | None, part: str) -> np.ndarray:
@@ -196,8 +217,8 @@ def _array(path: Path, item: ElementTree.Element | None, part: str) -> np.ndarra
         if item.get("Format") == "HDF":
             name, _, inside = text.partition(":")
             part, data = f"{part} in {name}", _data_file(path, name)
-            with h5py.File(data) as file:
-                array = np.asarray(file[inside][()])
+            with opened(data) as file:
+                array = np.asarray(dataset(file, inside)[()])
         else:
             array = np.array(text.split(), dtype=np.int64 if part == "Topology" else np.float64)
         return array.reshape([int(number) for number in shape] if len(shape) == 2 else array.shape)
