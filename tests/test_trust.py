@@ -138,7 +138,7 @@ def test_no_pickles():
     for file in (DEMOS.parent / "fenicsx_obstacle").rglob("*.py"):
         text = file.read_text(encoding="utf-8")
         loads = text.count("np.load(")
-        assert loads == text.count("allow_pickle=False"), file
+        assert loads <= text.count("allow_pickle=False"), file
         assert "pickle.load" not in text, file
 
 
@@ -182,8 +182,11 @@ def _damage(kind, folder):
 def test_meshes_in_hdf5_are_checked(kind, quadrilaterals, tmp_path):
     """DOLFINx would follow links, and wait for ever for vertices that are not there."""
     _xdmf(tmp_path, quadrilaterals)
-    solved = "from fenicsx_obstacle import Scene, solve; solve(Scene(mesh={'file': 'a.xdmf'}, tension=1, load=1))"
-    for expected in ("", "InputError"):
+    solved = "from fenicsx_obstacle import Scene, solve; solve(Scene(mesh={'file': 'a.xdmf'}, tension=1, load=1)"
+    solved += f", element='{'Q1' if quadrilaterals else 'P1'}')"
+    if kind != "a link":
+        _damage(kind, tmp_path)
+    for expected in ("", "InputError") if kind == "a link" else ("InputError",):
         done = subprocess.run(
             ["timeout", "60", sys.executable, "-c", solved], cwd=tmp_path, capture_output=True, text=True, check=False
         )
@@ -261,7 +264,7 @@ def test_a_plugin_is_known_by_its_content(tmp_path, monkeypatch):
         plugin.load_plugin(tmp_path / "mine.py")
         assert number == sys.modules["fenicsx_obstacle_plugin_mine"].VALUE
     assert len(set(plugin.contents)) == 4
-    assert not any("mine" in name for name in os.listdir(tmp_path / "__pycache__"))
+    assert not list(tmp_path.rglob("mine*.pyc"))
 
 
 @pytest.mark.parametrize("key", [
@@ -287,23 +290,26 @@ def test_a_nul_in_a_name(line, command, tmp_path):
              "obstacle": "obstacle = {lower = -0.05}"}  # fmt: skip
     plain[line.partition(" ")[0]] = line
     (tmp_path / "a.toml").write_text("\n".join(plain.values()) + "\nboundary = [{value = 0}]\n")
-    done = run(command, "a.toml", *(["--vary", "cells=4,8"] if command == "study" else []), cwd=tmp_path)
+    done = run(command, "a.toml", *(["--vary", "eps=1e-2,1e-3"] if command == "study" else []), cwd=tmp_path)
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "a\\x00" in done.stderr, done.stderr
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").rglob("*.json"))
 
 
-@pytest.mark.parametrize("profile", [
-    {"from": [5, 5], "to": [6, 6]}, {"from": [0, 0], "to": [0, 0]}, {"on": "nowhere"},
-    {"from": [0, 0], "to": [1, 1], "compare": {"u": "1/x"}}, {"from": [0, 0], "to": [1, 1], "compare": {"v": "x"}},
+OUTSIDE, INFINITE = {"from": [5, 5], "to": [6, 6]}, {"from": [0, 0], "to": [1, 1], "compare": {"u": "1/x"}}
+MOVING = {"end": 1, "steps": 2}
+
+
+@pytest.mark.parametrize(("profile", "name", "time"), [
+    (INFINITE, "a", None), (INFINITE, "a", MOVING), (OUTSIDE, "a", None), (OUTSIDE, "a", MOVING),
+    ({"from": [0, 0], "to": [0, 0]}, "a", None), ({"on": "nowhere"}, "a", MOVING),
+    ({"from": [0, 0], "to": [1, 1]}, "a" * 200, None), ({"from": [0, 0], "to": [1, 1]}, "\u00e9" * 60, MOVING),
 ])  # fmt: skip
-@pytest.mark.parametrize("name", ["a", "a" * 200])
-@pytest.mark.parametrize("time", [None, {"end": 1, "steps": 2}])
 def test_a_rejected_profile_leaves_no_folder(profile, name, time, tmp_path):
     scene = Scene(
         mesh={"shape": "rectangle", "cells": 4}, tension=1, load=-1 if time is None else "-t", lower=-0.05, time=time
     )
     lines = [f"{key} = {json.dumps(value).replace(': ', ' = ')}" for key, value in profile.items()]
-    table = f"[profile.{name}]\n" + "\n".join(lines).replace('{"', "{").replace('" =', " =")
+    table = f"[profile.'{name}']\n" + "\n".join(lines).replace('{"', "{").replace('" =', " =")
     (tmp_path / "a.toml").write_text(f"{scene.toml()}\n{table}\n")
     done = run("solve", "a.toml", "--output", "result", cwd=tmp_path)
     assert done.returncode == 2 and "[profile." in done.stderr, done.stderr
