@@ -40,7 +40,7 @@ class _GuardedStream(io.FileIO):
 
 
 class _PrintableText(io.TextIOWrapper):
-    """Text without control characters, whoever writes it; a progress bar begins with a carriage return."""
+    """Text without control characters; a progress bar begins with a carriage return, which stays."""
 
     def write(self, text: str, /) -> int:
         bar = len(text) - len(text.lstrip("\r"))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import sys
 
 _ALLOW, _END, _MISSING = 0x7FFF0000, 0x80000000, 0x00050000 | 38  # actions of libseccomp: run, SIGSYS, ENOSYS
 _MASKED = 7  # comparison: argument & a == b
@@ -32,7 +31,6 @@ def confine() -> bool:
     Returns:
         Whether the kernel enforces it; False without libseccomp, or where the system does not allow filters.
     """
-    sys.dont_write_bytecode = True  # of modules that are imported later
     try:
         library = ctypes.CDLL("libseccomp.so.2")
     except OSError:

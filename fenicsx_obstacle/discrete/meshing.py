@@ -1,6 +1,6 @@
 """Gmsh in a separate process, since a file that it cannot read may end the process, and a .geo is a program.
 
-`python -P -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo, .step or .msh file as NumPy
+`python -P -B -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo, .step or .msh file as NumPy
 arrays, or, if there are arrays already, moves the points in them to the CAD geometry of the .geo or .step; if that
 fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours). While it reads, it is confined.
 """
@@ -98,7 +98,7 @@ def _start(path: Path, arrays: Path) -> None:
         InputError: As `load`.
     """
     _check(path)
-    command = [sys.executable, "-P", "-m", __name__, str(path), str(arrays)]
+    command = [sys.executable, "-P", "-B", "-m", __name__, str(path), str(arrays)]
     # the process is no rank: MPICH would take it for one
     env = {name: value for name, value in os.environ.items() if not name.startswith("PMI_")}
     done = subprocess.run(command, env=env, capture_output=True, text=True, errors="replace", check=False)

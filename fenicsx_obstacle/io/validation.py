@@ -58,6 +58,8 @@ def check_record(record: Any) -> None:
         found = msgspec.convert(record, _Record)
         if not (np.isfinite(found.h) and found.h > 0):
             raise ValueError("h is no length")
+        if found.newton_iterations < 0:
+            raise ValueError("a negative number of steps")
         summary(record, "")
     except (LookupError, TypeError, AttributeError) as error:
         raise ValueError(f"it has wrong fields ({type(error).__name__}: {error})") from None
