@@ -59,7 +59,7 @@ def stranger(tmp_path):
 def test_the_current_folder_is_not_run(ranks, stranger):
     """With a cache of forms that is empty, so that the compiler runs."""
     command = [LAUNCHER, *(["--ranks", "2"] if ranks > 1 else []), "solve", "a.toml", "--output", "out"]
-    env = {**CLEAN, "XDG_CACHE_HOME": str(stranger / "cache")}
+    env = {**CLEAN, "XDG_CACHE_HOME": str(stranger / "cache"), "PYTHONPATH": "::"}
     done = subprocess.run(command, cwd=stranger, env=env, capture_output=True, text=True, timeout=250, check=False)
     assert done.returncode == 0, done.stderr
     assert not (stranger / "trace").exists()

@@ -93,7 +93,7 @@ def save(solution: Solution, folder: Path) -> None:
 
         def write_answer() -> None:
             with _told(folder):
-                files = {file.name: _content(file) for file in scratch.iterdir()}
+                files = {file.name: content_of(file) for file in scratch.iterdir()}
                 (scratch / ANSWER).write_text(_answer(solution.record, files), encoding="utf-8")
 
         offsets = on_root(comm, write)
@@ -117,7 +117,12 @@ def _answer(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
     return json.dumps({**record, "files": files}, indent=1) + "\n"
 
 
-def _content(file: Path) -> str:
+def content_of(file: Path) -> str:
+    """A hash of the content of a file (one rank).
+
+    Raises:
+        OSError: If it cannot be read.
+    """
     with file.open("rb") as stream:
         return file_digest(stream, "sha256").hexdigest()
 
@@ -244,7 +249,7 @@ def _record(folder: Path) -> dict[str, Any]:
     for name, content in files.items():
         if Path(name).name != name or not (folder / name).is_file():
             raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
-        if _content(folder / name) != content:
+        if content_of(folder / name) != content:
             stray.append(name)
     if stray:
         what = f"{stray[0]} is not the file that was saved with {ANSWER}"
