@@ -328,3 +328,43 @@ def test_a_problem_of_ones_own(folder):
     on_root(COMM, lambda: (folder / "history.csv").open("a").write("\n") and None)
     with pytest.raises(InputError, match=r"history\.csv is not the file"):
         Solution.read(folder)
+
+
+CHECKPOINT = {
+    "no rows": ("rows", lambda v: np.array(b"[1]")),
+    "rows without t": ("rows", lambda v: np.array(b'[{"step": 1}]')),
+    "rows that nest": ("rows", lambda v: np.array(b"[" * 10**5)),
+    "rows that are numbers": ("rows", lambda v: np.arange(3.0)),
+    "no times": ("times", lambda v: v[:0]),
+    "times that are not numbers": ("times", lambda v: v * np.nan),
+    "a matrix of times": ("times", lambda v: v[:, None]),
+    "too many times": ("times", lambda v: np.append(v, v)),
+    "u0 is too short": ("u0", lambda v: v[:-1]),
+    "u0 is NaN": ("u0", _nan),
+    "u0 in letters": ("u0", lambda v: v.astype("S3")),
+    "points of a plane": ("points", lambda v: v[:, :2]),
+    "frames that are too short": ("frames/0000/u", lambda v: v[:-1]),
+    "a frame that is NaN": ("frames/0000/u", _nan),
+    "a frame without a moment": ("frames/0000/t", lambda v: np.arange(2.0)),
+    "a velocity": ("velocity", lambda v: np.arange(3.0)),
+}
+
+
+@pytest.mark.parametrize("what", CHECKPOINT)
+def test_a_damaged_checkpoint(what, folder):
+    """A state to continue from is checked like a result."""
+    data = {"mesh": {"shape": "rectangle", "cells": 4}, "load": "-8*t", "lower": -0.1, "rate": 1}
+    solve(membrane(time={"end": 1, "steps": 2, "start": 0}, **data), keep=folder)
+
+    def change():
+        name, edit = CHECKPOINT[what]
+        with h5py.File(folder / "checkpoint.h5", "a") as file:
+            values = file[name][()] if name in file else None
+            if name in file:
+                del file[name]
+            file[name] = edit(values)
+
+    on_root(COMM, change)
+    with pytest.raises(InputError, match=r"checkpoint\.h5: is damaged") as caught:
+        solve(membrane(time={"end": 2, "steps": 4, "start": 0}, **data), restart=folder)
+    assert len(str(caught.value).splitlines()) == 1
