@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -14,6 +15,11 @@ from fenicsx_obstacle.errors import interrupted
 
 AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
 PATIENCE = 5.0  # seconds after which a rank with an error ends those that have none
+OUT_OF_MEMORY = "Error: out of memory: take fewer cells, or set a limit of memory with --budget"
+NO_CACHE = "; compiled forms are kept there: set XDG_CACHE_HOME to a folder that can be written"
+COMPILER_OPTIONS = (
+    "dolfinx_jit_parameters.json", "dolfinx_jit_options.json", "ffcx_parameters.json", "ffcx_options.json",
+)  # fmt: skip
 _received: list[int] = []  # signals
 _status_file = ""  # of the launcher
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
@@ -71,12 +77,23 @@ def _run(arguments: list[str], petsc: list[str]) -> int:
         if _several():  # the other ranks may not end in MPI's way; the launcher prints the message
             os._exit(128 + number)
         return _fail(interrupted(number, sys.argv[1:]), 128 + number)
+    except MemoryError:
+        return _fail_together(OUT_OF_MEMORY, 2)
     except RuntimeError as error:
+        last = ["", *str(error).strip().splitlines()][-1]
+        if str(error).startswith("Failed just-in-time"):  # of DOLFINx, on all ranks
+            return _fail(f"Error: {last}{NO_CACHE}", 2)
         if type(error).__module__ != "petsc4py.PETSc":
             raise
-        return _fail_together(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
+        if getattr(error, "ierr", 0) == 55:  # PETSC_ERR_MEM
+            return _fail_together(OUT_OF_MEMORY, 2)
+        return _fail_together(f"Error: PETSc: {last}{' (see the options after --)' if petsc else ''}", 2)
     except OSError as error:  # such as a cache of compiled forms that cannot be written
-        message = f"Error: {error.filename}: {error.strerror}" if error.filename else f"Error: {error}"
+        if error.errno == errno.ENOMEM:
+            return _fail_together(OUT_OF_MEMORY, 2)
+        cache = os.getenv("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
+        hint = NO_CACHE if error.filename and (cache + "/fenics").startswith(str(error.filename)) else ""
+        message = f"Error: {error.filename}: {error.strerror}{hint}" if error.filename else f"Error: {error}"
         return _fail_together(message, 2)
     return result if isinstance(result, int) else 0
 
@@ -140,11 +157,27 @@ def _begin(petsc: list[str]) -> None:
         raise click.ClickException(f"after -- come PETSc's options, such as -penalty_pc_type lu, not {petsc[0]}")
     import petsc4py
 
-    petsc4py.init([sys.argv[0], *petsc])
+    # files named .petscrc or petscrc of the current folder may be anybody's; that of the home is the user's own
+    own = Path("~/.petscrc").expanduser()
+    given = ["-options_file", str(own)] if own.is_file() else []
+    petsc4py.init([sys.argv[0], "-skip_petscrc", *given, *petsc])
+    _ignore_folder()
     from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 
     abort_on_uncaught_errors(MPI.COMM_WORLD)
     _catch_signals()
+
+
+def _ignore_folder() -> None:
+    """Take no options of compilers from the current folder, and say so."""
+    found = [name for name in COMPILER_OPTIONS if os.path.lexists(name)]
+    if not found:
+        return
+    from fenicsx_obstacle.releases import load_compiler_options
+
+    load_compiler_options(Path("/"))
+    if _RANK == 0:
+        click.echo(f"{', '.join(found)} in this folder: not taken; your own options are in ~/.config", err=True)
 
 
 def _catch_signals() -> None:

@@ -6,7 +6,7 @@ import signal
 from collections.abc import Sequence
 from typing import Any
 
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, printable
 
 LOST_OUTPUT = 1
 """Exit status where standard output could not be written: the disk is full, or the reader has closed its pipe."""
@@ -24,6 +24,9 @@ class ObstacleError(Exception):
     """Base of all errors of this package."""
 
     exit_status = 1
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class InputError(ObstacleError):

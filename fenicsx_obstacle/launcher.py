@@ -1,6 +1,7 @@
 """Start the command line, or pytest, on MPI ranks of this machine: environment, signals, exit status.
 
-The script `obstacle` of a clone runs this module once everything is installed. It imports nothing heavy.
+The script `obstacle` of a clone runs this module once everything is installed. It imports nothing heavy. Python is
+started with -P: modules come from no folder that happens to be the current one.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def run(ranks: int, command: Sequence[str], arguments: Sequence[str]) -> int:
         child: subprocess.Popen[bytes] | None = None
         try:
             child = subprocess.Popen(
-                [*mpirun(ranks), sys.executable, *command, *arguments],
+                [*mpirun(ranks), sys.executable, "-P", *command, *arguments],
                 stdout=subprocess.PIPE, env={**os.environ, "OBSTACLE_STATUS": str(status_file)},
             )  # fmt: skip
             lost = _copy(child)
@@ -144,13 +145,13 @@ def main() -> int:
 
         given = ["--ranks", ranks, *others] if ranks else others
         words = ["-m", "nox", "--noxfile", str(ROOT / "noxfile.py"), "--session", SESSIONS[name], "--", *given]
-        os.execv(sys.executable, [sys.executable, *words])
+        os.execv(sys.executable, [sys.executable, "-P", *words])
     program, arguments = (
         (["-m", "pytest"], others) if name == "pytest" else (["-m", "fenicsx_obstacle"], [name, *others])
     )
     number = int(ranks or (2 if name == "demo" else 1))
     if number == 1:
-        os.execv(sys.executable, [sys.executable, *program, *arguments])
+        os.execv(sys.executable, [sys.executable, "-P", *program, *arguments])
     return run(number, program, arguments)
 
 

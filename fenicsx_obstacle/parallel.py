@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import json
 import os
 import pickle
@@ -13,8 +14,9 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, TypeVar
 
 import numpy as np
@@ -95,7 +97,7 @@ def new_files(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
     """
 
     def finish() -> None:
-        for file in sorted(scratch.iterdir(), reverse=True):
+        for file in sorted(scratch.iterdir()):  # answer.json comes first: with the others of before it is rejected
             file.replace(folder / file.name)
         scratch.rmdir()
 
@@ -152,6 +154,7 @@ def make_folder(folder: Path, option: str = "--output") -> list[Path]:
     """
     missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     try:
+        _check_name(folder)
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         remove_empty(missing)
@@ -159,6 +162,11 @@ def make_folder(folder: Path, option: str = "--output") -> list[Path]:
             raise InputError(f"{folder}: is a file, or lies in a file; choose another place with {option}") from None
         raise InputError(f"{folder}: {error.strerror}; choose another place with {option}") from None
     return missing
+
+
+def _check_name(path: Path) -> None:
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "a name holds no NUL", str(path))
 
 
 def remove_empty(folders: Sequence[Path]) -> None:
@@ -189,17 +197,34 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         InputError: If it cannot be written; an earlier file of this name stays.
     """
-    scratch = path if _is_device(path) else path.with_name(f".{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_text(text, encoding="utf-8", errors="backslashreplace")
-        if scratch != path:
-            scratch.replace(path)
+        with nullcontext(path) if _is_device(path) else replaced(path) as target:
+            target.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
-        if scratch != path:
-            with suppress(OSError):
-                scratch.unlink()
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """A new file beside another, of a name that nobody can know; after the block it takes its place (one rank).
+
+    If the block raises an error, an earlier file stays.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    _check_name(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".new-{token_hex(8)}{path.suffix}")
+    # nothing that is there already, such as a link to a file elsewhere, is written to
+    os.close(os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
+    try:
+        yield scratch
+        scratch.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            scratch.unlink()
+        raise
 
 
 def write_lines(path: Path, records: Iterable[Mapping[str, Any]]) -> None:

@@ -33,6 +33,19 @@ def one_line(text: str, longest: int = LONGEST) -> str:
     return shown if len(shown) <= longest else shown[: longest - 4].rstrip() + " ..."
 
 
+# what moves the cursor, changes colours or the order of what is read; lines and tabs stay
+_NOT_PRINTED = {
+    code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
+    for code in (*range(32), *range(127, 160), 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))
+    if chr(code) not in "\n\t"
+}
+
+
+def printable(text: str) -> str:
+    """A text whose control characters cannot reach a terminal: they are written as escapes."""
+    return text.translate(_NOT_PRINTED)
+
+
 def title_of(title: str, name: str) -> str:
     """The title of a scene, or its name where it has none, in one line."""
     return one_line(title) or one_line(name)

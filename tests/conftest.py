@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import sys
 import time
@@ -136,6 +137,14 @@ def ball() -> Scene:
 @pytest.fixture
 def disk() -> Scene:
     return Scene.read(DEMOS / "disk.toml")
+
+
+def as_version_02(folder: Path) -> None:
+    """Make a saved answer one of version 0.2, which does not state the contents of its files (one rank)."""
+    file = folder / "answer.json"
+    record = json.loads(file.read_text())
+    del record["files"]
+    file.write_text(json.dumps(record))
 
 
 def slow_except(cases: Iterable[Any], *quick: Any) -> list[Any]:

@@ -45,7 +45,7 @@ def end_all() -> None:
 
 def launch(ranks: int, *arguments: str) -> list[str]:
     """The command that runs Python with these arguments on so many ranks."""
-    return [*(mpirun(ranks) if ranks > 1 else []), sys.executable, *arguments]
+    return [*(mpirun(ranks) if ranks > 1 else []), sys.executable, "-P", *arguments]
 
 
 def launch_module(ranks: int, module: str, *arguments: str) -> list[str]:

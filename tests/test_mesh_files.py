@@ -10,9 +10,10 @@ import pytest
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle import InputError, Scene, Solution, solve
+from fenicsx_obstacle import InputError, Scene, Solution, solve, study
 from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.files import content_of
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
@@ -525,27 +526,123 @@ def test_straight_boundaries_are_known_from_the_geometry(folder, name):
         assert level_of(folder / "shape.geo", refine=1).polygonal is expected
 
 
-def test_the_mesh_of_a_geo_is_kept_as_long_as_its_text_stays(folder, monkeypatch):
-    """Gmsh meshes each text once; what may depend on other files is not kept."""
+SIZED = {  # ways by which a .geo depends on another file, which says the size
+    "include": ("side.txt", 'Include "side.txt"; {}', "Mesh.MeshSizeMax = {};"),
+    "merge": ("side.geo", 'Merge "side.geo"; {}', "Mesh.MeshSizeMax = {};"),
+    "bounding box": ("side.geo", 'MergeWithBoundingBox "side.geo"; {}', "Mesh.MeshSizeMax = {};"),
+    "field": ("side.dat", "{} Field[1] = Structured; Field[1].FileName = '@'; Field[1].TextFormat = 1;"
+              "Background Field = 1; Mesh.MeshSizeExtendFromBoundary = 0; Mesh.MeshSizeFromPoints = 0;",
+              "-1 -1 -1\n5 5 5\n2 2 2\n{0} {0} {0} {0} {0} {0} {0} {0}"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".geo", ".GEO"])
+@pytest.mark.parametrize("way", SIZED)
+def test_a_mesh_is_of_the_files_as_they_are(folder, way, suffix):
+    """Whatever file a .geo reads: when that changes the mesh does, and its content; the text of the .geo stays."""
+    name, text, beside = SIZED[way]
+    file = folder / f"shape{suffix}"
+
+    def found(size):
+        def write():
+            program = text.format("Rectangle(1) = {0, 0, 0, 2, 1};").replace("@", str(folder / name))
+            file.write_text(f"{OCC}{program}\n")
+            (folder / name).write_text(beside.format(size) + "\n")
+
+        on_root(COMM, write)
+        return level_of(file).dofs, on_root(COMM, content_of, file)
+
+    coarse, fine, again = found(0.5), found(0.1), found(0.5)
+    assert fine[0] > 2 * coarse[0] and fine[1] != coarse[1] and again == coarse
+    assert on_root(COMM, lambda: {one.name for one in folder.iterdir()}) == {file.name, name}
+
+
+def test_the_geometry_is_part_of_the_content(folder):
+    """Two ellipses with the same vertices: the refined meshes differ."""
+    found = []
+    for middle in (1.0, 1.2):
+        text = f"""Point(1) = {{0, 0, 0, 9}}; Point(2) = {{1, 0, 0, 9}}; Point(3) = {{.5, {middle}, 0, 9}};
+            Line(1) = {{1, 2}}; Bezier(2) = {{2, 3, 1}}; Transfinite Curve {{1, 2}} = 3; Curve Loop(1) = {{1, 2}};
+            Plane Surface(1) = {{1}};"""
+        on_root(COMM, lambda text=text: (folder / "a.geo").write_text(text) and None)
+        found.append(on_root(COMM, content_of, folder / "a.geo"))
+    assert found[0] != found[1]
+
+
+def test_a_study_reads_a_mesh_once(folder, monkeypatch):
+    """The rows of a study are of one mesh, even if its file changes meanwhile."""
     runs, run = [], meshing.subprocess.run
     monkeypatch.setattr(meshing.subprocess, "run", lambda *given, **more: runs.append(given) or run(*given, **more))
-    file, text = folder / "shape.geo", OCC + "Rectangle(1) = {0, 0, 0, 2, 1};"
+    on_root(COMM, lambda: (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n") and None)
+    scene = Scene(mesh={"file": str(folder / "a.geo")}, tension=1, load=-1, lower=-0.05)
+    rows = study(scene, {"refine": [0, 1, 2]})
+    assert len(rows) == 3 and COMM.bcast(len(runs)) == 1
+    solve(scene)
+    assert COMM.bcast(len(runs)) == 2
 
-    def found(text):
-        on_root(COMM, lambda: file.write_text(text + "\n") and None)
-        level = level_of(file)
-        return COMM.bcast(len(runs)), level.dofs, level.straight
 
-    first = found(text)
-    assert found(text) == first == (1, first[1], True)
-    finer = found(text + " MeshSize{:} = 0.05;")
-    assert finer[0] == 2 and finer[1] > first[1]
-    kept = [one.name for one in folder.iterdir() if one != file]
-    assert len(kept) == 1 and kept[0].startswith(".shape.geo.") and kept[0].endswith(".npz")
-    on_root(COMM, lambda: (folder / kept[0]).write_bytes(b"torn") and None)
-    assert found(text + " MeshSize{:} = 0.05;") == (3, *finer[1:])
-    on_root(COMM, lambda: file.write_text('Include "shape.pro"; ' + text) and None)
-    assert meshing._kept(file) is None
+PROGRAMS = {
+    "a command": "SystemCall 'touch {}';",
+    "a command in the background": "NonBlockingSystemCall 'touch {}';",
+    "a process of a field": "Field[1] = ExternalProcess; Field[1].CommandLine = 'touch {}'; Background Field = 1;",
+    "a mesh": "Mesh 2; Save '{}.msh';",
+    "a picture": "Mesh 2; Print '{}.msh';",
+    "a line": "Printf('text') > '{}';",
+    "another line": "Printf('text') >> '{}';",
+    "a folder": "CreateDir '{}';",
+    "a file that is read": "Include 'part.txt';",
+    "a solver": "OnelabRun('name', 'touch {}');",
+}
+
+
+@pytest.mark.parametrize("what", PROGRAMS)
+@pytest.mark.parametrize("suffix", [".geo", ".msh"])
+def test_a_mesh_file_starts_no_program_and_writes_no_file(folder, what, suffix):
+    """One message, and nothing has happened. What ends in .msh and is none is not read at all."""
+    target = folder / "target"
+
+    def write():
+        (folder / "part.txt").write_text(f"SystemCall 'touch {target}';\n")
+        (folder / f"a{suffix}").write_text(
+            OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n" + PROGRAMS[what].format(target) + "\n"
+        )
+
+    on_root(COMM, write)
+    before = on_root(COMM, lambda: sorted(folder.iterdir()))
+    wanted = "starts a program or writes a file" if suffix == ".geo" else r"begins with \$MeshFormat"
+    with pytest.raises(InputError, match=wanted):
+        level_of(folder / f"a{suffix}")
+    assert on_root(COMM, lambda: sorted(folder.iterdir())) == before
+
+
+@pytest.mark.parametrize("suffix", [".geo", ".msh", ".step"])
+def test_options_beside_a_mesh_are_not_taken(folder, suffix):
+    def draw(model):
+        model.occ.addRectangle(0, 0, 0, 1, 1)
+        model.occ.synchronize()
+
+    def write():
+        if suffix == ".geo":
+            (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n")
+        else:
+            saved(folder / f"a{suffix}", draw)
+
+    on_root(COMM, write)
+    level_of(folder / f"a{suffix}")
+    on_root(COMM, lambda: (folder / f"a{suffix}.opt").write_text("Mesh.MeshSizeMax = 0.1;\n") and None)
+    with pytest.raises(InputError, match=rf"a\{suffix}\.opt: options beside a mesh file"):
+        level_of(folder / f"a{suffix}")
+
+
+def test_without_confinement_no_geo_is_read(folder, monkeypatch, capsys):
+    """Where the kernel cannot do it, a .geo is not run; a .msh is read."""
+    monkeypatch.setattr(meshing, "confine", lambda: False)
+    if COMM.rank == 0:
+        (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n")
+        saved(folder / "a.msh", lambda model: (model.occ.addRectangle(0, 0, 0, 1, 1), model.occ.synchronize()))
+        assert meshing._run(str(folder / "a.geo"), str(folder / "1.npz")) == 2
+        assert "libseccomp2" in capsys.readouterr().out
+        assert meshing._run(str(folder / "a.msh"), str(folder / "2.npz")) == 0
 
 
 @pytest.mark.parametrize(("text", "whole", "part"), [

@@ -19,7 +19,7 @@ from fenicsx_obstacle.forms.pairs import Pair, _register, nodal_rule, register
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.launcher import mpirun
 from fenicsx_obstacle.parallel import largest, on_root, total
-from tests.conftest import CLEAN, COMM, membrane
+from tests.conftest import CLEAN, COMM, as_version_02, membrane
 
 SQUARE = {"shape": "rectangle", "cells": 5}
 QUADS = {**SQUARE, "cell": "quadrilateral"}
@@ -183,6 +183,7 @@ def test_folders_of_version_01_are_read_as_they_are(folder):
     saved.save(folder)
 
     def strip():
+        as_version_02(folder)
         with h5py.File(folder / "fields.h5", "a") as file:
             del file["element"]
 
@@ -201,6 +202,7 @@ def _as_p1(plain):
 def test_damage_is_told(folder):
     """A table of nodes that is missing, or that is of another element, is named; a file is no folder."""
     solve(scene_of("P2")).save(folder)
+    on_root(COMM, as_version_02, folder)
 
     def change(edit):
         with h5py.File(folder / "fields.h5", "a") as file:

@@ -94,9 +94,9 @@ class SolverContext:
             self._report = Report(self.problem.data, scene)
             self._report.check()
         if scene.tables.profile:
-            from fenicsx_obstacle.answers.profiles import points_of  # only where a scene names one
+            from fenicsx_obstacle.answers.profiles import check_profiles  # only where a scene names one
 
-            points_of(scene, level)  # rejects points outside before anything is solved
+            check_profiles(scene, level)
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None

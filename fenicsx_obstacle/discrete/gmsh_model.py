@@ -25,6 +25,7 @@ _SIDES: dict[str, list[tuple[int, ...]]] = {"interval": [(0,), (1,)], "quadrilat
 _KINDS = ("point", "curve", "surface", "volume")
 _NO_NAME = "Open CASCADE"  # with which names begin that a CAD file has for bodies without one
 _LISTED = 5  # entities in a message
+SAMPLES = 9  # of a curve; of a surface in each direction
 ROUNDS = 5  # in which a point comes to lie on two surfaces
 
 
@@ -46,6 +47,7 @@ class Arrays:
         cell_entity: On surfaces in space Gmsh's number of the surface of each cell, 0 of a plane; otherwise empty.
         straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
         remarks: What the user should know of the file.
+        content: A hash of all this, and of samples of the geometry.
     """
 
     points: np.ndarray
@@ -61,6 +63,7 @@ class Arrays:
     cell_entity: np.ndarray
     straight: bool | None
     remarks: tuple[str, ...]
+    content: str = ""
 
 
 def arrays_of(model: Any) -> Arrays:
@@ -227,6 +230,17 @@ def on_cad(model: Any, points: np.ndarray, rows: np.ndarray, entities: np.ndarra
             found, _ = model.getClosestPoint(dim, int(entity), points[own].ravel().tolist())
             points[own] = np.array(found).reshape(-1, 3)
     return points
+
+
+def samples(model: Any) -> np.ndarray:
+    """Points on each curve and surface of a geometry, by which two geometries with the same mesh differ."""
+    found = [np.empty(0)]
+    for dim, tag in (*model.getEntities(1), *model.getEntities(2)):
+        ends = np.array(model.getParametrizationBounds(dim, tag)).reshape(2, -1)
+        if ends.shape[1] == dim:  # none where an entity is a mesh
+            grid = np.meshgrid(*(np.linspace(low, high, SAMPLES) for low, high in ends.T))
+            found.append(np.asarray(model.getValue(dim, tag, np.stack(grid, axis=-1).ravel().tolist())))
+    return np.concatenate(found)
 
 
 def _joined(

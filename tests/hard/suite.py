@@ -62,7 +62,7 @@ def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
         if trouble:
             yield _lost(one, f"on {ranks} ranks {trouble}")
             continue
-        with np.load(alone) as first, np.load(file) as second:
+        with np.load(alone, allow_pickle=False) as first, np.load(file, allow_pickle=False) as second:
             for method in (name for name in ("vi", *METHODS) if f"{name}.p" in first):
                 findings = agree_on(dict(first), dict(second), method)
                 wrong = violated(findings)

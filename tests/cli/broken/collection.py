@@ -37,7 +37,7 @@ def prepare(root: Path, environment: Mapping[str, str]) -> None:
     """Make the right files in a folder, by programs as a user runs them (one rank)."""
     make_meshes(root)
     result = str(root / RIGHT / RESULT)
-    solve = [sys.executable, "-m", "fenicsx_obstacle", "solve", "disk_flat", "--cells", "8", "--output", result]
+    solve = [sys.executable, "-P", "-m", "fenicsx_obstacle", "solve", "disk_flat", "--cells", "8", "--output", result]
     subprocess.run(solve, env=environment, check=True, capture_output=True)
 
 
@@ -48,7 +48,7 @@ def make_meshes(root: Path) -> None:
     for name, (binary, version) in FORMATS.items():
         geometry = right / f"{name}.geo"
         geometry.write_text(GEOMETRY.format(binary=binary, version=version))
-        subprocess.run([sys.executable, "-c", MESHING, str(geometry), str(right / f"{name}.msh")], check=True)
+        subprocess.run([sys.executable, "-P", "-c", MESHING, str(geometry), str(right / f"{name}.msh")], check=True)
 
 
 def collect(root: Path) -> list[Broken]:
