@@ -26,7 +26,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from differences import Difference, agreed, differences  # noqa: E402
+from differences import Difference, agreed, differences, expanded, shortened  # noqa: E402
 
 BASELINE = HERE / "baseline"
 SILENCE = 180  # seconds without a result after which the ranks are ended
@@ -87,9 +87,7 @@ def record(code: Path, ranks: int, only: str, repeats: int) -> None:
     lines = {name: line for name, line in read(ranks).items() if not fnmatch(name, only)}
     for name in runs[0]:
         lines[name] = agreed(name, [run[name] for run in runs if name in run], ranks)
-    BASELINE.mkdir(exist_ok=True)
-    text = "".join(json.dumps({"name": name, **line}, sort_keys=False) + "\n" for name, line in sorted(lines.items()))
-    (BASELINE / f"{ranks}.jsonl").write_text(text)
+    write(lines, ranks)
     loose = sum(bool(line.get("loose") or line.get("varies")) for line in lines.values())
     print(f"{ranks} ranks: {len(runs[0])} results recorded, {loose} of {len(lines)} with values that vary")
 
@@ -119,7 +117,23 @@ def read(ranks: int) -> Results:
     """The baseline by name."""
     file = BASELINE / f"{ranks}.jsonl"
     lines = map(json.loads, file.read_text().splitlines()) if file.exists() else ()
-    return {line.pop("name"): line for line in lines}
+    found = {line.pop("name"): line for line in lines}
+    if ranks == 1:
+        return found
+    first = read(1)
+    return {name: expanded(line, first.get(name)) for name, line in found.items()}
+
+
+def write(lines: Results, ranks: int) -> None:
+    """Write the baseline: on several ranks what differs from that of one rank."""
+    if ranks > 1:
+        first = read(1)
+        lines = {name: shortened(line, first.get(name), ranks) for name, line in lines.items()}
+    BASELINE.mkdir(exist_ok=True)
+    text = "".join(
+        json.dumps({"name": name, **line}, separators=(",", ":")) + "\n" for name, line in sorted(lines.items())
+    )
+    (BASELINE / f"{ranks}.jsonl").write_text(text)
 
 
 def main() -> int:

@@ -18,10 +18,10 @@ from fenicsx_obstacle.errors import ObstacleError
 # times and memory
 TIMES = re.compile(r"\d[\d.]*(?:e[-+]?\d+)? ?(s|ms|min|h|MB|GB|minutes|seconds|Poisson solves)\b")
 KRYLOV = re.compile(r"\d+ linear steps")
-SMALL = "--cells 8"
 INPUTS = {
-    "one": '[mesh]\nshape = "rectangle"\ncells = 8\n[effects]\ntension = 1\nload = -4\n[obstacle]\nlower = "c - 0.1*x"\n'
-           '[define]\nc = -0.1\n[[boundary]]\nvalue = 0\n[report]\nforce = "integral(p)"\nmiddle = "at(u, 0.4, 0.4)"\n'
+    "one": '[mesh]\nshape = "rectangle"\ncells = 8\n[effects]\ntension = 1\nload = -4\n[obstacle]\n'
+           'lower = "c - 0.1*x"\n[define]\nc = -0.1\n[[boundary]]\nvalue = 0\n[report]\n'
+           'force = "integral(p)"\nmiddle = "at(u, 0.4, 0.4)"\n'
            '[profile.middle]\nfrom = [0, 0.5]\nto = [1, 0.5]\n',
     "time": '[mesh]\nshape = "interval"\ncells = 16\n[effects]\ntension = 1\nrate = 1\nload = -4\n[obstacle]\n'
             'lower = -0.2\n[[boundary]]\nvalue = 0\n[time]\nend = 1\nsteps = 5\nstart = 0\n',
@@ -140,9 +140,10 @@ def right() -> None:
     command("plot-along", f"solve FOLDER/one.toml {out} --quiet",
             then=("plot FOLDER/out --along 0,0.5:1,0.5 --compare u=-0.1*x",), ranks=ONE)  # fmt: skip
     command("compare", "solve FOLDER/one.toml --output FOLDER/a --quiet",
-            then=("solve FOLDER/one.toml --cells 12 --output FOLDER/b --quiet", "compare FOLDER/a FOLDER/b"))  # fmt: skip
-    command("study", f"study FOLDER/one.toml --vary cells=4,8 {out}", then=(f"study FOLDER/one.toml --vary cells=4,8 {out}",
-            ), ranks=ONE)  # fmt: skip
+            then=("solve FOLDER/one.toml --cells 12 --output FOLDER/b --quiet", "compare FOLDER/a FOLDER/b"),
+            ranks=ALL)  # fmt: skip
+    cells = f"study FOLDER/one.toml --vary cells=4,8 {out}"
+    command("study", cells, then=(cells,), ranks=ONE)
     command("study-eps", f"study disk_flat --vary eps=1e-1..1e-4 --cells 8 {out} --latex FOLDER/out/t.tex", ranks=ONE)
     command(
         "study-grid", f"study FOLDER/one.toml --vary cells=4,8 --vary method=vi,penalty {out} --quiet", ranks=(1, 2)
@@ -159,20 +160,7 @@ def right() -> None:
     command("explain-tol", "explain FOLDER/one.toml --tol 0.2", ranks=ONE, look=False)
     for demo in ("awning", "put", "pollutant", "cloth", "creep", "wall", "foam", "bounce", "lift_off", "hertz_sphere"):
         command(f"explain-{demo}", f"explain DEMOS/{demo}.toml", ranks=ONE, look=False)
-    for name in (
-        "",
-        "solve",
-        "study",
-        "find",
-        "cost",
-        "compare",
-        "plot",
-        "explain",
-        "scenes",
-        "theory",
-        "hard",
-        "demo",
-    ):
+    for name in ("", *commands.commands):
         command(f"help-{name}", f"{name} --help", ranks=ONE, look=False)
 
 

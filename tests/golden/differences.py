@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 TOLERANCE = 1e-9
-# counts of linear steps on several ranks: Gauss-Seidel is that of each rank's own unknowns, and which rank owns a shared
-# vertex differs from one call of `create_mesh` to the next
+# counts of linear steps on several ranks: Gauss-Seidel is that of each rank's own unknowns, and which rank owns a
+# shared vertex differs from one call of `create_mesh` to the next
 KRYLOV = 2
-ROUND_OFF = 0.5  # of what measures or estimates round-off
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", re.IGNORECASE)
 
 
@@ -60,11 +59,33 @@ def agreed(name: str, runs: Sequence[dict[str, Any]], ranks: int) -> dict[str, A
     return {"values": kept, **({"loose": loose} if loose else {}), **({"varies": varies} if varies else {})}
 
 
+def shortened(line: dict[str, Any], first: dict[str, Any] | None, ranks: int) -> dict[str, Any]:
+    """A line of the baseline of several ranks, without the values that agree with those of one rank."""
+    if first is None:
+        return line
+    old, new = first["values"], line["values"]
+    kept = {
+        field: value for field, value in new.items()
+        if distance(old.get(field, "(none)"), value, floor(field, old)) > allowance(field, 1)
+    }  # fmt: skip
+    lacks = [field for field in old if field not in new]
+    rest = {key: value for key, value in line.items() if key != "values"}
+    return {"as_on_one_rank_but": kept, **({"without": lacks} if lacks else {}), **rest}
+
+
+def expanded(line: dict[str, Any], first: dict[str, Any] | None) -> dict[str, Any]:
+    """The line that `shortened` has shortened."""
+    if first is None or "values" in line:
+        return line
+    old = {field: value for field, value in first["values"].items() if field not in line.get("without", [])}
+    return {**line, "values": {**old, **line["as_on_one_rank_but"]}}
+
+
 def allowance(field: str, ranks: int) -> float:
     """How far values may be apart that count as equal: relative, for counts absolute."""
     if "krylov" in field:
         return KRYLOV if ranks > 1 else 0.0
-    return ROUND_OFF if field.startswith("round_off.") else TOLERANCE
+    return TOLERANCE
 
 
 def floor(field: str, values: dict[str, Any]) -> float:

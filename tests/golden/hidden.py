@@ -150,7 +150,8 @@ def other_ways() -> None:
     )
     turned("narrow-form", lambda: Membrane(n=40, load=60).problem(lower=-1e-3, upper=1e-3).solve(eps=1e-9))
     turned("cold", lambda: solve(Scene(mesh={**SQUARE, "cells": 40}, tension=1, load=-9, lower=-0.1), start="cold"))
-    turned("needle", lambda: solve(Scene(mesh={**SQUARE, "cells": 32}, tension=1, lower="0.5 - 80*((x - 0.5)^2 + (y - 0.5)^2)"),
+    needle = "0.5 - 80*((x - 0.5)^2 + (y - 0.5)^2)"
+    turned("needle", lambda: solve(Scene(mesh={**SQUARE, "cells": 32}, tension=1, lower=needle),
            eps=1e-12))  # fmt: skip
     turned(
         "strong-jump",
@@ -192,7 +193,8 @@ def many_ranks() -> None:
             }
             for method in ("penalty", "vi"):
                 add(f"empty/{name}-{cells}-{method}",
-                    lambda folder, d=data, m=method: digest(solve(Scene(**d, lower="-0.1 - 0.1*x"), method=m)))  # fmt: skip
+                    lambda folder, d=data, m=method: digest(solve(Scene(**d, lower="-0.1 - 0.1*x"), method=m))
+                    )  # fmt: skip
         square = {"mesh": {**SQUARE, "cells": cells}, "tension": 1, "load": -4, "lower": -0.1}
         add(f"empty/bound-{cells}", lambda folder, d=square: digest(solve(Scene(**d), bound=True)))
         add(f"empty/p2-{cells}", lambda folder, d=square: digest(solve(Scene(**d), element="P2")))

@@ -19,7 +19,6 @@ L_SHAPE = {"shape": "l-shape", "cells": 8}
 FIXED = [{"value": 0}]
 BOTH = {"lower": "-0.05 - 0.03*x", "upper": "0.04 + 0.02*x"}
 WAVE = "40*sin(2*pi*x)"
-TWO_SIDES = [{"on": "left", "value": 0}]
 REPORT = {"force": "integral(p)", "area": "integral(contact)", "volume": "integral(u)", "steep": "max(slope)"}
 
 

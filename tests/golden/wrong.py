@@ -17,13 +17,14 @@ OPTIONS = [
     "--budget 60s", "--tol 0.1 --budget 60", "--tol 0.1 --budget x", "--of force", "--tol 0.1 --of nothing",
     "--tol 0.1 --uncertainty", "--restart FOLDER", "--set cells", "--set nope.c=1", "--set mesh.cells=many",
     "--set effects.load=sine(x)", "--set mesh.x=[0,nan]", "--set boundary.7.value=1", "--set effects={}", "--log LOUD",
-    "--nonsense 1", "--bound --element Q1", "--tol 0.1 --element Q2", "--plugin FOLDER/none.py", "--output FOLDER/one.toml",
-    "--json FOLDER/none/x.json", "--eps h --method vi --uncertainty --cells 3",
+    "--nonsense 1", "--bound --element Q1", "--tol 0.1 --element Q2", "--plugin FOLDER/none.py",
+    "--output FOLDER/one.toml", "--json FOLDER/none/x.json", "--eps h --method vi --uncertainty --cells 3",
 ]  # fmt: skip
 LINES = [
     "solve", "slove", "--fast", "solve FOLDER/none.toml", "solve FOLDER", "solve nothing", "solve bal", "study ball",
-    "study ball --vary cells", "study ball --vary cells=1,x", "study ball --vary cels=1,2", "study ball --vary cells=4..8:0",
-    "study ball --vary eps=0,1", "study ball --vary eps=1,2 --method vi", "study ball --vary cells=1,2 --vary cells=3",
+    "study ball --vary cells", "study ball --vary cells=1,x", "study ball --vary cels=1,2",
+    "study ball --vary cells=4..8:0", "study ball --vary eps=0,1", "study ball --vary eps=1,2 --method vi",
+    "study ball --vary cells=1,2 --vary cells=3",
     "find ball --vary cells=1..2", "find ball --vary define.s=0.5..0.9 --target force",
     "find ball --vary define.s=0.8..0.9 --target nothing=1", "find ball --vary define.s=0.8..0.9 --target force=1e9",
     "compare FOLDER FOLDER", "compare FOLDER/none FOLDER", "plot FOLDER", "plot FOLDER/none", "scenes nothing",
