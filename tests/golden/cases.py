@@ -16,8 +16,8 @@ COMM = MPI.COMM_WORLD
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
 Values = dict[str, Any]
 # times, memory, versions and places differ from run to run; the last ones say nothing
-VOLATILE = ("seconds", "memory_mb", "versions", "command", "ranks", "poisson_seconds", "poisson_units", "time_spent",
-            "processor_seconds", "yardstick", "title", "converged", "round_off")  # fmt: skip
+VOLATILE = {"seconds", "memory_mb", "versions", "command", "ranks", "poisson_seconds", "poisson_units",
+            "processor_seconds", "title", "converged", "round_off"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def flat(record: Mapping[str, Any], prefix: str = "") -> Values:
     """A nested record with dotted names, without what differs from run to run; short lists of numbers stay lists."""
     values: Values = {}
     for key, value in record.items():
-        if key in VOLATILE or key.endswith("seconds") or value is None:
+        if value is None or key.endswith("seconds") or not VOLATILE.isdisjoint(key.split(".")):
             continue
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):

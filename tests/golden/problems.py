@@ -545,7 +545,8 @@ def lines() -> None:
     mistake("scene-effect", lambda: Scene(mesh={"shape": "disk"}, tensoin=1))
     mistake("scene-mesh", lambda: Scene(mesh={"shape": "disc"}, tension=1))
     mistake("scene-datum", lambda: Scene(mesh={"shape": "disk"}, tension=[1, 2, 3]))
-    mistake("scene-boundary", lambda: Scene(mesh={"shape": "disk"}, tension=1, boundary=[{"on": "left", "value": 0}]))
+    beside = [{"on": "left", "value": 0}]
+    mistake("scene-boundary", lambda: solve(Scene(mesh={"shape": "disk"}, tension=1, boundary=beside)))
     mistake("scene-nowhere", lambda: solve(Scene(mesh={"shape": "disk"}, tension="x", load=-1)))
     mistake("form-bound", lambda: Membrane().problem().solve(bound=True))
     mistake("options", lambda: Membrane().problem(petsc_options={"snes_max_it": 1}).solve())

@@ -75,7 +75,8 @@ PAIRS = {
     "P1-interval": (STRING, "P1"), "P1-triangle": (SQUARE, "P1"), "P1-tetrahedron": (BOX, "P1"),
     "P2-triangle": (SQUARE, "P2"), "Q1-quadrilateral": (QUADS, "Q1"), "Q1-hexahedron": (HEXES, "Q1"),
     "Q2-interval": (STRING, "Q2"), "Q2-quadrilateral": (QUADS, "Q2"), "Q2-hexahedron": (HEXES, "Q2"),
-    "voronoi-triangle": (SQUARE, "P1-voronoi"), "gauss-quadrilateral": (QUADS, "Q1-gauss"),
+    "voronoi-triangle": (SQUARE, "P1-voronoi"), "voronoi-tetrahedron": (BOX, "P1-voronoi"),
+    "gauss-quadrilateral": (QUADS, "Q1-gauss"),
 }  # fmt: skip
 
 
