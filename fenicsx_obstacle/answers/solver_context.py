@@ -275,7 +275,7 @@ class SolverContext:
             return {"reason": uncertainty.REASON}
         three = [*found, uncertainty.quantities(answer.record)]
         jump = jump_inside(self.problem.data)
-        remark = {} if jump is None else {"reason": f"{jump.source} jumps inside cells; lay edges of cells along the jump"}
+        remark = {} if jump is None else {"reason": f"{jump.source} {uncertainty.REASON_JUMP}"}
         said = uncertainty.compared(three, self.problem.level.pair.degree, resolved=jump is None)
         return comm.bcast({**said, **remark, "seconds": time.perf_counter() - start})
 
