@@ -246,6 +246,7 @@ class SolverContext:
     ) -> dict[str, Any]:
         """What coarser meshes say of each quantity, or why they say nothing (collective)."""
         from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
+        from fenicsx_obstacle.discrete.jumps import jump_inside
 
         start, scene, comm = time.perf_counter(), self.scene, self.problem.level.comm
         if (why := uncertainty.reason(scene)) is not None:
@@ -273,7 +274,10 @@ class SolverContext:
         if not found:
             return {"reason": uncertainty.REASON}
         three = [*found, uncertainty.quantities(answer.record)]
-        return comm.bcast({**uncertainty.compared(three), "seconds": time.perf_counter() - start})
+        jump = jump_inside(self.problem.data)
+        remark = {} if jump is None else {"reason": f"{jump.source} {uncertainty.REASON_JUMP}"}
+        said = uncertainty.compared(three, self.problem.level.pair.degree, resolved=jump is None)
+        return comm.bcast({**said, **remark, "seconds": time.perf_counter() - start})
 
     def measured(self, answer: Answer) -> Answer:
         """The answer with its errors, if the scene has an exact solution (collective)."""
