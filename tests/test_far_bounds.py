@@ -50,7 +50,7 @@ def test_its_value_changes_nothing(element, far):
         assert found.force.lower == pytest.approx(near.force.lower, rel=1e-9)
         assert largest(COMM, np.abs(found.u.x.array - near.u.x.array)) < 1e-11
         assert found.iterations == near.iterations
-        assert largest(COMM, np.abs(found.u.x.array - own.g.x.array)[own.edge]) == 0.0
+        assert largest(COMM, np.abs(found.u.x.array - own.g.x.array)[own.edge]) <= 4e-16  # ghosts of g may differ
 
 
 @pytest.mark.parametrize("eps", [1e-4, 1e-12])
