@@ -93,6 +93,27 @@ def test_a_glacier_from_flat_starts(start):
     assert solution.area == pytest.approx(0.4, abs=2e-3)
 
 
+@pytest.mark.parametrize("contrast", [1e2, 1e6])
+def test_a_body_of_two_materials(contrast):
+    """Only a quarter of the foot is stiff, and bears nearly all of the force."""
+    mesh = dmesh.create_unit_square(COMM, 12, 12)
+    V = functionspace(mesh, "Lagrange", 1, 2)
+    u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    E = ufl.conditional(ufl.lt(x[0], 0.25), contrast, 1.0)
+    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1))
+    bc = fem.dirichletbc(np.array([0.0, -0.01]), top, V)
+    foot = dmesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0))
+    tags = dmesh.meshtags(mesh, 1, np.sort(foot), np.full(len(foot), 3, dtype=np.int32))
+    below = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(3)
+    F = E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    down = ufl.as_vector([0.0, -1.0])
+    problem = ObstacleProblem(F, u, bcs=bc, upper=0.0, of=ufl.dot(u, down), measure=below)
+    exact, found = problem.solve(method="vi"), problem.solve()
+    assert found.force.upper == pytest.approx(exact.force.upper, rel=1e-3)
+    assert found.penetration <= 1e-3 * 0.01
+    assert problem.solve().eps == found.eps
+
+
 def test_eps_of_ordinary_forms_stays():
     """One material: a hundredth of the median of D_i/A_ii, as chosen before the solve."""
     form = Form(2, 12, lambda u, x: 1.0, 8.0)
