@@ -232,3 +232,15 @@ def test_an_error_of_one_rank_ends_the_command_on_all(tmp_path: Path) -> None:
     done = run("solve", DEMOS / "ball.toml", "--cells", 4, "--plugin", "mine.py", ranks=2, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "mine.py: ZeroDivisionError" in done.stderr and "(rank 1)" in done.stderr
+
+
+@pytest.mark.parametrize("ghosts", [GHOSTS.none, GHOSTS.shared_facet])
+def test_refined_submeshes_of_several_parts(ghosts: Any) -> None:
+    whole = dmesh.create_unit_square(COMM, 8, 8, ghost_mode=ghosts)
+    cells = dmesh.locate_entities(whole, 2, lambda x: abs(x[0] - 0.5) > 0.2)
+    mesh = dmesh.create_submesh(whole, 2, np.sort(cells).astype(np.int32))[0]
+    scene = Scene(mesh=mesh, tension=1, load=-20, lower=-0.02, boundary=[{"value": 0}])
+    fine = solve(scene.change({"mesh.refine": 1}))
+    half = solve(Scene(mesh={"shape": "rectangle", "x": [0, 0.25], "cells": 2, "refine": 1}, tension=1, load=-20,
+                       lower=-0.02, boundary=[{"value": 0}]))  # fmt: skip
+    assert fine.dofs == 2 * half.dofs and fine.force.lower == pytest.approx(2 * half.force.lower, rel=1e-4)

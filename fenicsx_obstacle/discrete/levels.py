@@ -346,7 +346,7 @@ def _above(
     """The next finer level, new vertices on curved boundaries moved there (collective)."""
     fine = replace(
         level, mesh=new, h=h, named=None, materials=None, bent=None, pair=pair, coarse=level, grids=grids,
-        parents=cells, places=places,
+        parents=cells, places=places, connected=None,
     )  # fmt: skip
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)
