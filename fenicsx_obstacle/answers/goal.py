@@ -1,9 +1,9 @@
 """From a tolerance for one output quantity to a solution: energy, contact force, or a quantity of [report].
 
-The error is estimated on a finer mesh: all cells of the mesh are refined, those at the free boundary once more, those in
-which a datum jumps three times more, and the problem is solved there. The change of the quantity, times `BEYOND` for
-what still finer meshes would change, and the part of the penalty are the estimate. Where it comes from is said by the
-dual weighted residual (`dual_weighted`), and there the mesh is refined. The energy has a guaranteed error instead
+The error is estimated on a finer mesh: all cells of the mesh are refined, those at the free boundary once more, those
+in which a datum jumps three times more, and the problem is solved there. The change of the quantity, times `BEYOND`
+for what still finer meshes would change, and the part of the penalty are the estimate. Where it comes from is said by
+the dual weighted residual (`dual_weighted`), and there the mesh is refined. The energy has a guaranteed error instead
 wherever there is an error bound.
 """
 

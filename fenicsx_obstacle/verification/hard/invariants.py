@@ -192,9 +192,9 @@ def _energies(lower: Solved, upper: Solved, name: str) -> list[Finding]:
 def energy_round_off(s: Solved) -> float:
     """How far the energy is known (collective), from its terms and the operations on them.
 
-    - Slopes in a cell are sums of (w + r) grad phi, rounded relative to the sizes of these terms, not of the slope. With
-      s = (sum of A_ii (|w_i| + |r_i|)^2)^(1/2), by Cauchy's inequality a(u, u)/2 is off by `FEW` s a(u, u)^(1/2) and the
-      square of `FEW` s.
+    - Slopes in a cell are sums of (w + r) grad phi, rounded relative to the sizes of these terms, not of the slope.
+      With s = (sum of A_ii (|w_i| + |r_i|)^2)^(1/2), by Cauchy's inequality a(u, u)/2 is off by
+      `FEW` s a(u, u)^(1/2) and the square of `FEW` s.
     - n terms are added in turn: each sum is rounded by half of machine epsilon of what is added so far, and with like
       terms by the same sign.
     - The state is off by R, and the energy, at its minimum, by R^2.
