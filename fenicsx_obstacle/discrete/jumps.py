@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from fenicsx_obstacle.discrete.cells import corners, own_cells
@@ -15,23 +17,35 @@ INSIDE = 1e-6  # of the way from a vertex to the midpoint: a jump on facets is n
 
 
 def jump_inside(data: Data) -> Field | None:
-    """The first datum of effects and obstacles in the domain that jumps inside a cell; None if none does (collective).
+    """The first datum of effects and obstacles in the domain that jumps inside a cell; None if none does
+    (collective)."""
+    comm = data.level.comm
+    return next((field for field, cells in _jumps(data) if largest(comm, cells) > 0), None)
 
-    From the midpoint of each cell to each of its vertices a segment is halved, and the half is kept at whose ends the
-    datum differs more. A jump between them is left.
-    """
+
+def cells_with_jumps(data: Data) -> np.ndarray:
+    """Whether a datum of effects and obstacles in the domain jumps inside each owned cell (collective)."""
+    none = np.zeros(own_cells(data.level.mesh), dtype=bool)
+    return np.logical_or.reduce([none, *(cells for _, cells in _jumps(data))])
+
+
+def _jumps(data: Data) -> Iterator[tuple[Field, np.ndarray]]:
+    """Each datum that may jump, and whether it does in each owned cell (collective)."""
     level, model = data.level, data.model
     count = own_cells(level.mesh)
     for field in fields_in([model.lower, model.upper, *(effect.inputs for effect in model.effects)]):
         for name, part in (field.parts or {"": field}).items():
             cells = level.groups[name] if field.parts is not None else np.arange(count)
-            if not (part.uniform or part.continuous) and _jumps(data, part, cells):
-                return part
-    return None
+            if not (part.uniform or part.continuous):
+                yield part, np.bincount(_jumping(data, part, cells), minlength=count) > 0
 
 
-def _jumps(data: Data, field: Field, cells: np.ndarray) -> bool:
-    """Whether a datum jumps inside some owned cells (collective)."""
+def _jumping(data: Data, field: Field, cells: np.ndarray) -> np.ndarray:
+    """Those of some owned cells in which a datum jumps (collective).
+
+    From the midpoint of each cell to each of its vertices a segment is halved, and the half is kept at whose ends the
+    datum differs more. A jump between them is left.
+    """
     level = data.level
     ends = corners(level.mesh, cells)
     middle = np.broadcast_to(ends.mean(axis=1, keepdims=True), ends.shape)
@@ -49,4 +63,4 @@ def _jumps(data: Data, field: Field, cells: np.ndarray) -> bool:
         first = np.abs(at_x - at_low) >= np.abs(at_high - at_x)
         low, at_low = np.where(first[:, None], low, x), np.where(first, at_low, at_x)
         high, at_high = np.where(first[:, None], x, high), np.where(first, at_x, at_high)
-    return largest(level.comm, np.abs(at_high - at_low)) > limit
+    return which[np.abs(at_high - at_low) > limit]

@@ -190,14 +190,21 @@ def _energies(lower: Solved, upper: Solved, name: str) -> list[Finding]:
 
 
 def energy_round_off(s: Solved) -> float:
-    """How far the energy is known (collective): slopes are differences of rounded heights, sums are rounded, and
-    the state is off by z."""
-    g = s.ground
-    last = EPSILON * largest(g.comm, np.abs(s.w) + np.abs(s.r))
-    stiff = total(g.comm, s.diagonal)
-    parts = abs(s.energy or 0.0) + s.forces * last / EPSILON
+    """How far the energy is known (collective), from its terms and the operations on them.
+
+    - Slopes in a cell are sums of (w + r) grad phi, rounded relative to the sizes of these terms, not of the slope.
+      With s = (sum of A_ii (|w_i| + |r_i|)^2)^(1/2), by Cauchy's inequality a(u, u)/2 is off by
+      `FEW` s a(u, u)^(1/2) and the square of `FEW` s.
+    - n terms are added in turn: each sum is rounded by half of machine epsilon of what is added so far, and with like
+      terms by the same sign.
+    - The state is off by R, and the energy, at its minimum, by R^2.
+    """
+    g, sizes = s.ground, np.abs(s.w) + np.abs(s.r)
+    terms = abs(s.energy or 0.0) + s.forces * largest(g.comm, sizes)  # at least a(u, u)/2
+    slopes = FEW * np.sqrt(total(g.comm, s.diagonal * sizes**2))
+    rounded = slopes * np.sqrt(2 * terms) + slopes**2
     second = s.R**2 if np.isfinite(s.R) else 0.0
-    return 2 * s.forces * last + stiff * last**2 + EPSILON * np.sqrt(g.problem.level.dofs) * parts + second
+    return rounded + EPSILON / 2 * g.problem.level.dofs * terms + second
 
 
 def same(one: Solved, other: Solved, name: str) -> list[Finding]:
