@@ -42,8 +42,9 @@ Results = dict[str, dict[str, Any]]
 
 def results(code: Path, ranks: int, only: str) -> Results:
     """Run the cases with the package of a checkout: name and values of each."""
-    python = code / ".venv" / "bin" / "python"
+    python = next((path for path in [code / ".venv" / "bin" / "python"] if path.exists()), Path(sys.executable))
     launch = ["mpirun", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
+    environment = {**os.environ, **ENVIRONMENT, "PYTHONPATH": str(code)}  # first: the package of this checkout
     found: Results = {}
     with tempfile.TemporaryDirectory(prefix="golden") as scratch:
         out, skip = Path(scratch) / "results.jsonl", Path(scratch) / "skip"
@@ -52,7 +53,7 @@ def results(code: Path, ranks: int, only: str) -> Results:
             skip.write_text("\n".join(found))
             work = [*launch, str(python), str(HERE / "worker.py"), str(out), str(skip), only]
             with open(Path(scratch) / "errors", "w") as errors:
-                process = subprocess.Popen(work, cwd=scratch, env={**os.environ, **ENVIRONMENT}, stdout=errors,
+                process = subprocess.Popen(work, cwd=scratch, env=environment, stdout=errors,
                                            stderr=errors, start_new_session=True)  # fmt: skip
                 status = _wait(process, out)
             found = {line["name"]: line["values"] for line in map(json.loads, out.read_text().splitlines())}
@@ -161,7 +162,9 @@ def main() -> int:
 
 def _told(found: list[Difference], ranks: int) -> list[Difference]:
     for one in found:
-        print(f"  {ranks}: {one.name}: {one.field}\n     before {one.before}\n     after  {one.after}")
+        before, after = (json.dumps(value) for value in (one.before, one.after))
+        first, then = (" ", " -> ") if len(before) + len(after) < 100 else ("\n     before ", "\n     after  ")
+        print(f"  {ranks}: {one.name}: {one.field}:{first}{before}{then}{after}")
     return found
 
 

@@ -92,7 +92,7 @@ def norms(function: Any) -> list[float]:
     """Sum, Euclidean norm and a sum weighted by place, of the values of a Function on all ranks (collective)."""
     V = function.function_space
     size = V.dofmap.index_map.size_local
-    values = function.x.array[: size * V.dofmap.index_map_bs].reshape(size, -1).astype(float)
+    values = function.x.array[: size * V.dofmap.index_map_bs].reshape(size, V.dofmap.index_map_bs).astype(float)
     x = V.tabulate_dof_coordinates()[:size]
     infinite = ~np.isfinite(values)
     values = np.where(infinite, 0.0, values)
