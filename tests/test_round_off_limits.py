@@ -6,12 +6,12 @@ import sys
 
 import pytest
 
-from fenicsx_obstacle.verification.hard.cases import case
-from fenicsx_obstacle.verification.hard.judge import judge
+from tests.hard.cases import case
+from tests.hard.judge import judge
 
 JUDGED = """
-from fenicsx_obstacle.verification.hard.cases import case
-from fenicsx_obstacle.verification.hard.judge import judge
+from tests.hard.cases import case
+from tests.hard.judge import judge
 rows = judge(case("string_mu_jump").on(1), epsilons=(1e-12, 1e-14), methods=("penalty",))
 print([finding for row in rows for finding in row["findings"] if not finding["held"]])
 """
