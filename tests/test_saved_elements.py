@@ -256,7 +256,7 @@ def test_other_numbers_of_ranks(ranks, element, mesh, folder):
     here.save(folder / "one")
     command = [*mpirun(ranks), sys.executable, "-c", SEVERAL, str(folder)]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=150, env=CLEAN, cwd=Path(__file__).parent, check=False
+        command, capture_output=True, text=True, timeout=150, env=CLEAN, cwd=Path(__file__).parent.parent, check=False
     )
     assert done.returncode == 0, done.stderr
     found = table(Answer.read(folder / "several"))

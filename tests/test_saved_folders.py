@@ -95,7 +95,7 @@ def test_killed_between_two_renames(save, old, tmp_path):
             as_version_02(folder)
         command = [sys.executable, "-c", KILLED.format(save=save.__name__), str(folder), str(count)]
         done = subprocess.run(
-            command, env=CLEAN, cwd=Path(__file__).parent, timeout=60, capture_output=True, check=False
+            command, env=CLEAN, cwd=Path(__file__).parent.parent, timeout=60, capture_output=True, check=False
         )
         assert done.returncode == (9 if count < len(files) else 0), done.stderr
         try:
