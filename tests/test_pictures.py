@@ -351,3 +351,27 @@ def test_a_picture_that_cannot_be_written(disk, folder):
         answer.plot("/proc/nowhere/answer.png")
     with pytest.raises(InputError, match=r"disk.doc: pictures are written as .png, .pdf, .svg"):
         answer.plot(folder / "disk.doc")
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_a_plane_mesh_with_three_coordinates(height, folder, recwarn):
+    """It has the picture of a plane mesh, without warnings."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, 9)] * 2))
+    a = np.arange(81).reshape(9, 9)[:-1, :-1].ravel()[:, None]
+    cells = np.concatenate([a + [0, 1, 10], a + [0, 10, 9]])
+    patch = patch_of({"points": np.column_stack([x, y, 0 * x + height]), "cells": cells, "u": x, "lower": 0 * x - 1,
+                      "pressure": 0 * x, "contact": 0 * x})  # fmt: skip
+    page = blank(6, 4)
+    draw_views(page, list(page.add_gridspec(1, 1)), patch, {"u": pressures(x)}, "surface", "z")
+    page.savefig(folder / "flat.png")
+    assert not [one for one in recwarn if issubclass(one.category, UserWarning | RuntimeWarning)]
+
+
+@pytest.mark.serial
+def test_contact_at_given_values_has_the_pressure_beside_it():
+    """Where u is given as the obstacle itself and a neighbour is pressed, the pressure drawn is not 0."""
+    patch = on_rank_0(solve(membrane(mesh={"shape": "rectangle", "cells": 8}, load=-3, lower=0)))
+    edge = np.isclose(patch.points[:, 0], 0.5) & np.isin(patch.points[:, 1], (0, 1))
+    assert np.count_nonzero(edge) == 2
+    assert np.allclose(patch.fields["pressure"][edge], 3, rtol=0.05)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenicsx_obstacle.show.boundary import Patch, rim
-from fenicsx_obstacle.show.figures import BLUE, VERMILION, blank
+from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank
 from fenicsx_obstacle.show.maps import heights, pressures
 from fenicsx_obstacle.show.render import OBSTACLE
 from fenicsx_obstacle.show.space import cut_at, draw_views
@@ -146,7 +146,7 @@ def _window(points: np.ndarray, nodes: ContactTable) -> tuple[np.ndarray, np.nda
 def _magnified(u: np.ndarray, side: float) -> float:
     """The factor 1, 2 or 5 times a power of ten by which displacements are drawn so that they are seen."""
     spread = float(np.max(np.ptp(u, axis=0))) if len(u) else 0.0
-    if spread == 0 or spread >= VISIBLE * side:
+    if spread <= ROUND_OFF * side or spread >= VISIBLE * side:
         return 1.0
     wanted = VISIBLE * side / spread
     ten = 10.0 ** np.floor(np.log10(wanted))

@@ -45,16 +45,30 @@ def patch_of(arrays: Mapping[str, np.ndarray]) -> Patch:
 def with_levels(patch: Patch, largest_gap: Mapping[str, float] | None = None) -> Patch:
     """The same with the level function of each obstacle: negative at nodes in contact with it, otherwise positive.
 
+    At nodes in contact where u is given no pressure is known: it becomes the mean of the pressed neighbours.
+
     Args:
         patch: The whole mesh, or all cells within `RINGS` of the free boundary.
         largest_gap: Of part of a mesh, the largest distance from each obstacle on the whole of it, by side.
     """
+<<<<<<< HEAD
     names = [name for name in (*SIDES, "gap") if name in patch.fields]
     finite = {name: np.clip(patch.fields[name], -FARTHEST, FARTHEST) for name in names}
     drawn = Patch(patch.points, patch.cells, {**patch.fields, **finite})
     largest = largest_gap or {side: gap(drawn.fields, side).max(initial=0.0) for side in SIDES if side in names}
     levels = {LEVELS[side]: _level(drawn, side, size) for side, size in largest.items()}
     return drawn._replace(fields={**drawn.fields, **levels})
+=======
+    largest = largest_gap or {side: gap(patch.fields, side).max(initial=0.0) for side in SIDES if side in patch.fields}
+    fields, edges = dict(patch.fields), _edges(patch.cells)
+    for side, size in largest.items():
+        pressing, held = pressed(patch.fields, side), _held(patch.fields, side, edges, size)
+        fields[LEVELS[side]] = _level(gap(patch.fields, side), pressing | held, edges)
+        a, b = edges[:, pressing[edges[1]]]
+        near, _ = _mean(a, patch.fields["pressure"][b], len(held))
+        fields["pressure"] = np.where(held & (fields["pressure"] == 0), near, fields["pressure"])
+    return Patch(patch.points, patch.cells, fields)
+>>>>>>> show
 
 
 def free_boundary(patch: Patch) -> list[Patch]:
@@ -112,13 +126,15 @@ def pressed(fields: Mapping[str, np.ndarray], side: str) -> np.ndarray:
     return touching
 
 
-def _level(patch: Patch, side: str, largest_gap: float) -> np.ndarray:
-    a, b = _edges(patch.cells)
-    distance, touching = gap(patch.fields, side), pressed(patch.fields, side)
-    # where the boundary value is the obstacle itself there is no pressure to tell, only contact beside it
-    beside = np.zeros_like(touching)
-    beside[a[touching[b]]] = True
-    touching |= beside & (distance <= 1e-10 * largest_gap)
+def _held(fields: Mapping[str, np.ndarray], side: str, edges: np.ndarray, largest_gap: float) -> np.ndarray:
+    """Whether u is given at each node as the obstacle itself: no pressure tells of contact, only that beside it."""
+    touching, beside = pressed(fields, side), np.zeros(len(fields["u"]), dtype=bool)
+    beside[edges[0, touching[edges[1]]]] = True
+    return beside & ~touching & (gap(fields, side) <= 1e-10 * largest_gap)
+
+
+def _level(distance: np.ndarray, touching: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    a, b = edges
     root = np.where(touching, 0.0, np.sqrt(distance))
     rise = np.zeros_like(root)
     np.maximum.at(rise, a, root[b] - root[a])

@@ -32,13 +32,15 @@ from fenicsx_obstacle.show.figures import (
     steady,
 )
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles, heights, pressures
-from fenicsx_obstacle.show.render import OBSTACLE, UPPER
+from fenicsx_obstacle.show.render import FREE, OBSTACLE, UPPER
 from fenicsx_obstacle.show.space import cut_at, draw_views
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.problems.solution import Solution
 
 
+BELOW = "#8F9BA5"  # what `render.OBSTACLE` looks like below u, which is `render.FREE` with an opacity
+PLANE = 1e-12  # of the extent: a mesh in space is plane where z differs less
 MAX_DRAWN = 1e150  # matplotlib squares what it draws
 # where each family of pressures is computed, and what is done to it besides
 COMPUTED = {"Lagrange": "at nodes", "CR": "at midpoints of edges, averaged at vertices",
@@ -110,7 +112,7 @@ def _drawn(solution: Solution, arrays: dict[str, np.ndarray]) -> tuple[Any, str]
     p = f"contact pressure p, computed {COMPUTED[solution.level.pair.pressure[0]]}, linear between"
     if kind == 2:
         return _line(patch, u, p)
-    if kind == 3 and gdim == 2:
+    if kind == 3 and np.ptp(patch.points[:, 2]) <= PLANE * np.ptp(patch.points, axis=0).max():
         return _flat(patch, u, p)
     return _in_space(patch, u, p, "solid" if kind == 4 else "surface")
 
@@ -152,7 +154,7 @@ def _flat(patch: Patch, u: str, p: str) -> tuple[Any, str]:
     axis = page.add_subplot(right)
     draw_map(axis, patch, scale, u)
     page.colorbar(scale, ax=axis, shrink=0.85).set_label(fill(_cut(p, patch), 42), fontsize=8.5)
-    _legend(page, patch, [side for side in SIDES if _seen(patch, side, page.axes[0].get_zlim())])
+    _legend(page, patch, OUT_OF_CONTACT, [side for side in SIDES if _seen(patch, side, page.axes[0].get_zlim())])
     return page, who
 
 
@@ -173,7 +175,7 @@ def _in_space(patch: Patch, u: str, p: str, kind: str) -> tuple[Any, str]:
         page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(label, 42), fontsize=8.5)
         if kind == "solid":
             axis.set_title(f"cut open at y = {digits(cut_at(patch), np.ptp(patch.points), '.3g')}", fontsize=9)
-    _legend(page, patch, [])
+    _legend(page, patch, FREE)
     return page, who
 
 
@@ -182,9 +184,11 @@ def _cut(pressure: str, patch: Patch) -> str:
     return f"{pressure}, cut at the free boundary" if any(side in patch.fields for side in SIDES) else pressure
 
 
-def _legend(page: Any, patch: Patch, obstacles: Sequence[str]) -> None:
-    swatches = {"out of contact": {"facecolor": OUT_OF_CONTACT, "edgecolor": "0.2", "linewidth": 0.5}}
-    for side in obstacles:
-        swatches[f"{side} obstacle"] = {"facecolor": OBSTACLE, "alpha": 1.0 if side == "lower" else UPPER}
+def _legend(page: Any, patch: Patch, free: str, obstacles: Sequence[str] = ()) -> None:
+    swatches = {"out of contact": {"facecolor": free, "edgecolor": "0.2", "linewidth": 0.5}}
+    for side in obstacles:  # the lower one is seen through u
+        swatches[f"{side} obstacle"] = (
+            {"facecolor": BELOW} if side == "lower" else {"facecolor": OBSTACLE, "alpha": UPPER}
+        )
     legend_below(page, swatches, "free boundary" if free_boundary(patch) else "")
     page.get_layout_engine().set(wspace=0.08)  # for the name of the upright axis

@@ -192,7 +192,7 @@ def _draw_lines(plotter: Any, lines: Any, radius: float, **look: Any) -> None:
 
 def _paint(plotter: Any, mesh: Any, **look: Any) -> None:
     if mesh.n_cells:
-        plotter.add_mesh(mesh.extract_surface(), ambient=0.5, diffuse=0.55, specular=0.08, specular_power=20, **look)
+        plotter.add_mesh(mesh.extract_surface(), ambient=0.78, diffuse=0.3, specular=0.05, specular_power=20, **look)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from fenicsx_obstacle.show.render import View
 
 HEIGHT = 0.42  # of the graph of u, in units of its widest side
 MARGIN = 0.12  # of the box above and below the graph, in units of the range of u
+THINNEST = 0.01  # of the widest side of a box
 VISIBLE = 0.01  # of the height of the box
 ZOOM = {"graph": 1.2, "surface": 0.95, "solid": 0.95}  # of the box within its place on the page
 LIGHT = np.array([-0.25, -0.45, 0.86])
@@ -44,6 +45,9 @@ def draw_views(page: Any, places: Sequence[Any], patch: Patch, scales: Mapping[s
     if kind == "graph":
         margin = MARGIN * (upper[2] - lower[2] or 1.0)
         lower[2], upper[2] = lower[2] - margin, upper[2] + margin
+    widest = np.max(upper - lower)
+    thin = (upper - lower < THINNEST * widest) * THINNEST * widest
+    lower, upper = lower - thin, upper + thin
     size = upper - lower
     scale = np.ones(3) / max(size[:2] if kind == "graph" else size)
     if kind == "graph":
