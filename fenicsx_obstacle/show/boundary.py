@@ -51,24 +51,17 @@ def with_levels(patch: Patch, largest_gap: Mapping[str, float] | None = None) ->
         patch: The whole mesh, or all cells within `RINGS` of the free boundary.
         largest_gap: Of part of a mesh, the largest distance from each obstacle on the whole of it, by side.
     """
-<<<<<<< HEAD
     names = [name for name in (*SIDES, "gap") if name in patch.fields]
     finite = {name: np.clip(patch.fields[name], -FARTHEST, FARTHEST) for name in names}
-    drawn = Patch(patch.points, patch.cells, {**patch.fields, **finite})
-    largest = largest_gap or {side: gap(drawn.fields, side).max(initial=0.0) for side in SIDES if side in names}
-    levels = {LEVELS[side]: _level(drawn, side, size) for side, size in largest.items()}
-    return drawn._replace(fields={**drawn.fields, **levels})
-=======
-    largest = largest_gap or {side: gap(patch.fields, side).max(initial=0.0) for side in SIDES if side in patch.fields}
-    fields, edges = dict(patch.fields), _edges(patch.cells)
+    fields, edges = {**patch.fields, **finite}, _edges(patch.cells)
+    largest = largest_gap or {side: gap(fields, side).max(initial=0.0) for side in SIDES if side in names}
     for side, size in largest.items():
-        pressing, held = pressed(patch.fields, side), _held(patch.fields, side, edges, size)
-        fields[LEVELS[side]] = _level(gap(patch.fields, side), pressing | held, edges)
+        pressing, held = pressed(fields, side), _held(fields, side, edges, size)
+        fields[LEVELS[side]] = _level(gap(fields, side), pressing | held, edges)
         a, b = edges[:, pressing[edges[1]]]
-        near, _ = _mean(a, patch.fields["pressure"][b], len(held))
+        near, _ = _mean(a, fields["pressure"][b], len(held))
         fields["pressure"] = np.where(held & (fields["pressure"] == 0), near, fields["pressure"])
     return Patch(patch.points, patch.cells, fields)
->>>>>>> show
 
 
 def free_boundary(patch: Patch) -> list[Patch]:
