@@ -75,6 +75,15 @@ def test_paraview_file_names_every_field(disk, folder):
     assert names == {"u", "pressure", "contact", "upper", "gap", "error"}
 
 
+def test_pyvista_reads_what_is_at_rest(disk, folder):
+    """Its reader asks each file for a time."""
+    pyvista = pytest.importorskip("pyvista", reason="pyvista is of the extra 'plot'")
+    answer = solve(disk, cells=8)
+    answer.save(folder / "answer")
+    read = on_root(COMM, lambda: pyvista.read(folder / "answer" / "fields.xdmf").n_points)
+    assert read == answer.dofs
+
+
 def test_saving_replaces_whole_folders(disk, folder):
     """The old folder goes when the new one is whole; nothing else is left behind."""
     for cells in (4, 8):
