@@ -359,7 +359,7 @@ def test_a_plane_mesh_with_three_coordinates(height, folder, recwarn):
     """It has the picture of a plane mesh, without warnings."""
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, 9)] * 2))
     a = np.arange(81).reshape(9, 9)[:-1, :-1].ravel()[:, None]
-    cells = np.concatenate([a + [0, 1, 10], a + [0, 10, 9]])
+    cells = np.concatenate([np.add(a, [0, 1, 10]), np.add(a, [0, 10, 9])])
     patch = patch_of({"points": np.column_stack([x, y, 0 * x + height]), "cells": cells, "u": x, "lower": 0 * x - 1,
                       "pressure": 0 * x, "contact": 0 * x})  # fmt: skip
     page = blank(6, 4)
