@@ -1,7 +1,7 @@
 """What bounds are worth where data jump, oscillate or have poles inside cells: words, bound, true error, effectivity.
 
-    .venv/bin/python benchmarks/certificates.py
-    .venv/bin/python benchmarks/certificates.py --contrasts 2,1e3,1e6 --tol 0.03 --budget "1e5 unknowns"
+    .venv/bin/python -m benchmarks.certificates
+    .venv/bin/python -m benchmarks.certificates --contrasts 2,1e3,1e6 --tol 0.03 --budget "1e5 unknowns"
 
 The first table has 16 cells a side; the second has layers and discs of some contrasts after adaptive refinement. True
 errors are integrated on cells that are cut along the jumps, without the code of the estimator. Scenes that have no
@@ -18,9 +18,9 @@ from typing import Any, Protocol
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.verification.hard.families.curves import CIRCLES, Inclusion, Pole
-from fenicsx_obstacle.verification.hard.families.elements import Field
-from fenicsx_obstacle.verification.hard.families.layers import SPELLINGS, Layers, Waves
+from tests.random.families.curves import CIRCLES, Inclusion, Pole
+from tests.random.families.elements import Field
+from tests.random.families.layers import SPELLINGS, Layers, Waves
 
 MESH = {"shape": "rectangle", "cells": 16}
 UNIFORM: list[dict[str, Any]] = [{"bound": True}, {"bound": True, "element": "P2"}]

@@ -1,7 +1,7 @@
 """Bounds and adaptive meshes at inner corners and edges in space, against the energy of a much finer adaptive mesh.
 
-    .venv/bin/python benchmarks/corners_3d.py --unknowns 1e5
-    .venv/bin/python benchmarks/corners_3d.py --edges 8.5e5 --unknowns 4e5
+    .venv/bin/python -m benchmarks.corners_3d --unknowns 1e5
+    .venv/bin/python -m benchmarks.corners_3d --edges 8.5e5 --unknowns 4e5
 
 An upper obstacle of constant height over Fichera's corner and over an L-shaped prism. With v_h in K, the energy J
 satisfies ||u - v_h||^2 <= 2 (J(v_h) - J(u)). J(u) is extrapolated from adaptive meshes, J = J(u) + c N^(-2/3), and the
@@ -31,7 +31,7 @@ from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import on_root, peak_memory_mb
-from fenicsx_obstacle.verification.hard.families.solid_meshes import octants, scattered, tetrahedra
+from tests.random.families.solid_meshes import octants, scattered, tetrahedra
 
 COMM = MPI.COMM_WORLD
 Row = tuple[int, float, float]

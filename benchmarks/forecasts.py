@@ -1,7 +1,7 @@
 """Forecasts of `explain --tol` compared with what `solve --tol` then takes, each in a process of its own.
 
-    .venv/bin/python benchmarks/forecasts.py
-    .venv/bin/python benchmarks/forecasts.py ball:P2:1e-3 nsv:P1:0.01 nsv:P1:1e-3:volume
+    .venv/bin/python -m benchmarks.forecasts
+    .venv/bin/python -m benchmarks.forecasts ball:P2:1e-3 nsv:P1:0.01 nsv:P1:1e-3:volume
 
 Cases are SCENE:ELEMENT:TOLERANCE, and :NAME for the tolerance of a quantity. Ratios are forecast over fact. Seconds are
 processor times. A row ends with the time of the forecast, and with elapsed over processor time of both processes.
@@ -21,7 +21,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.studies.forecast import forecast
-from fenicsx_obstacle.verification.hard.families.solid_meshes import octants, tetrahedra
+from tests.random.families.solid_meshes import octants, tetrahedra
 
 CASES = (
     "ball:P1:0.012 nsv:P1:0.01 torsion_disk:P1:0.005 disk_flat:P1:0.01 smooth_square:P1:0.006 halfplane:P1:0.005 "

@@ -15,7 +15,7 @@ from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.boundary import Patch, patch_of
 from fenicsx_obstacle.show.figures import figure
 from fenicsx_obstacle.show.maps import draw_domain, triangles
-from fenicsx_obstacle.verification.hard.cases import Case, cases
+from tests.hard.cases import Case, cases
 
 COLUMNS = 12
 BANDS = 10  # of heights

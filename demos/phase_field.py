@@ -71,6 +71,10 @@ surface = 3 * G_c / 8 * (d / ell + ell * ufl.inner(ufl.grad(d), ufl.grad(d))) * 
 # The forms of both problems are derivatives of the same energy. The problem for the damage is an `ObstacleProblem`. The
 # argument `lower=d_old` makes the damage irreversible. `d_old` is a Function, and each call of `damage.solve()` uses
 # the current values of this Function. The problem for the displacement is an ordinary linear problem.
+#
+# The damage is solved with `method="vi"`, which keeps $d_{\text{old}} \le d \le 1$ to round-off. The default method
+# penetrates the obstacles by $\varepsilon p$: $d$ would decrease a little in each step, and exceed 1. With that method
+# copy the values between the obstacles, `d_old.x.array[:] = np.clip(d.x.array, d_old.x.array, 1.0)`.
 
 # %%
 damage = ObstacleProblem(ufl.derivative(elastic + surface, d, test), d, lower=d_old, upper=1.0)

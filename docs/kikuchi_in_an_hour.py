@@ -32,10 +32,12 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle import Scene, contact_pressure, penalty, solve, solve_form, study
+from fenicsx_obstacle import Scene, checkout, contact_pressure, penalty, solve, solve_form, study
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.show.figures import COLOURS
-from fenicsx_obstacle.verification.theory.constants import Stability
+
+checkout.add_tests("the seminar")
+from tests.theory.constants import Stability  # noqa: E402
 
 COMM = MPI.COMM_WORLD
 plt.rcParams.update({"axes.prop_cycle": plt.cycler(color=COLOURS), "figure.constrained_layout.use": True})
@@ -486,7 +488,7 @@ keep(page, "7_layer")
 #
 # **Exercise 8.1.** Start from the set of all nodes in place of the empty set. Does each set still contain the next one?
 #
-# **Exercise 8.2.** Write (3.4)\* for the 3 x 3 matrix of `CYCLE` in `verification/theory/iteration.py` and observe its
+# **Exercise 8.2.** Write (3.4)\* for the 3 x 3 matrix of `CYCLE` in `tests/theory/iteration.py` and observe its
 # cycle.
 
 # %%

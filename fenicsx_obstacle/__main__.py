@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
 import threading
+import warnings
 from pathlib import Path
 from typing import Any
 
+from fenicsx_obstacle.errors import interrupted
+
 AGAIN = 5.0  # seconds after which an interrupt that a library has swallowed comes again
+PATIENCE = 5.0  # seconds after which a rank with an error ends those that have none
+OUT_OF_MEMORY = "Error: out of memory: take fewer cells, or set a limit of memory with --budget"
+NO_CACHE = "; compiled forms are kept there: set XDG_CACHE_HOME to a folder that can be written"
+COMPILER_OPTIONS = (
+    "dolfinx_jit_parameters.json", "dolfinx_jit_options.json", "ffcx_parameters.json", "ffcx_options.json",
+)  # fmt: skip
 _received: list[int] = []  # signals
+_status_file = ""  # of the launcher
 _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK") if k in os.environ), 0)
-
-
-def _kept() -> str:
-    """A remark about the saved rows of an interrupted command."""
-    has_rows = sys.argv[1:2] in (["study"], ["cost"], ["find"])
-    return "; finished rows are kept, and the same command continues from them" if has_rows else ""
 
 
 try:
@@ -25,17 +30,18 @@ try:
 
     from fenicsx_obstacle.cli import commands
     from fenicsx_obstacle.console import guard_streams, lost_output
-    from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError
+    from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError, PenetrationWarning
 except KeyboardInterrupt:
     if _RANK == 0:
-        sys.stderr.write(f"interrupted{_kept()}\n")
+        sys.stderr.write(interrupted(signal.SIGINT, sys.argv[1:]) + "\n")
     os._exit(128 + signal.SIGINT)
 
 
 def main() -> None:
     """Run the command line; does not return."""
     guard_streams()
-    left = os.environ.pop("OBSTACLE_STATUS", "")  # a file; processes that this one starts have a status of their own
+    global _status_file
+    _status_file = os.environ.pop("OBSTACLE_STATUS", "")  # processes that this one starts have a status of their own
     arguments = sys.argv[1:]
     petsc = arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     arguments = arguments[: len(arguments) - len(petsc) - 1] if "--" in arguments else arguments
@@ -45,40 +51,50 @@ def main() -> None:
     why = lost_output() if status == 0 else None
     if why is not None:
         status = _fail(f"Error: standard output: {why}; files are complete", LOST_OUTPUT)
-    sys.exit(0 if left and _leave(status, left) else status)
+    sys.exit(0 if _status_file and _leave(status) else status)
 
 
 def _run(arguments: list[str], petsc: list[str]) -> int:
     try:
         if set(arguments) - {"-h", "--help", "--version"} and not {"-h", "--help"} & set(arguments):
             _begin(petsc)
+        warnings.simplefilter("ignore", PenetrationWarning)  # it is among the remarks on a solution
         result = commands.main(arguments, prog_name="fenicsx-obstacle", standalone_mode=False)
         _name_unread(petsc)
         if _received:  # not noticed until the end
             raise KeyboardInterrupt
     except ObstacleError as error:
-        return _fail(f"Error: {error}", error.exit_status)
+        return _fail_together(f"Error: {error}", error.exit_status)
     except click.ClickException as error:
         usage = error.ctx.get_usage() + "\n" if isinstance(error, click.UsageError) and error.ctx else ""
-        return _fail(f"{usage}Error: {error.format_message()}", 2)
+        return _fail_together(f"{usage}Error: {error.format_message()}", 2)
     except (click.Abort, KeyboardInterrupt, ImportError) as error:
         # a compiled module that is interrupted while it loads says that it failed
         if isinstance(error, ImportError) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise
         signal.setitimer(signal.ITIMER_REAL, 0)
         number = _received[-1] if _received else signal.SIGINT
-        word = "interrupted" if number == signal.SIGINT else "terminated"
         if _several():  # the other ranks may not end in MPI's way; the launcher prints the message
             os._exit(128 + number)
-        return _fail(f"{word}{_kept()}", 128 + number)
+        return _fail(interrupted(number, sys.argv[1:]), 128 + number)
+    except MemoryError:
+        return _fail_together(OUT_OF_MEMORY, 2)
     except RuntimeError as error:
+        last = ["", *str(error).strip().splitlines()][-1]
+        if str(error).startswith("Failed just-in-time"):  # of DOLFINx, on all ranks
+            return _fail(f"Error: {last}{NO_CACHE}", 2)
         if type(error).__module__ != "petsc4py.PETSc":
             raise
-        return _fail(f"Error: PETSc: {str(error).strip().splitlines()[-1]} (see the options after --)", 2)
+        if getattr(error, "ierr", 0) == 55:  # PETSC_ERR_MEM
+            return _fail_together(OUT_OF_MEMORY, 2)
+        return _fail_together(f"Error: PETSc: {last}{' (see the options after --)' if petsc else ''}", 2)
     except OSError as error:  # such as a cache of compiled forms that cannot be written
-        if _several():  # the others may be waiting: the hook ends them
-            raise
-        return _fail(f"Error: {error.filename}: {error.strerror}" if error.filename else f"Error: {error}", 2)
+        if error.errno == errno.ENOMEM:
+            return _fail_together(OUT_OF_MEMORY, 2)
+        cache = os.getenv("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
+        hint = NO_CACHE if error.filename and (cache + "/fenics").startswith(str(error.filename)) else ""
+        message = f"Error: {error.filename}: {error.strerror}{hint}" if error.filename else f"Error: {error}"
+        return _fail_together(message, 2)
     return result if isinstance(result, int) else 0
 
 
@@ -104,11 +120,27 @@ def _fail(message: str, status: int) -> int:
     return status
 
 
-def _leave(status: int, file: str) -> bool:
+def _fail_together(message: str, status: int) -> int:
+    """Print the message of an error that all ranks have; one that this rank alone has ends the others, which may be
+    waiting for it."""
+    if _several():
+        from mpi4py import MPI
+
+        from fenicsx_obstacle.parallel import all_come
+
+        if not all_come(MPI.COMM_WORLD, PATIENCE):
+            click.echo(f"{message} (rank {MPI.COMM_WORLD.rank})", err=True)
+            if _status_file:
+                _leave(status)
+            MPI.COMM_WORLD.Abort(status)
+    return _fail(message, status)
+
+
+def _leave(status: int) -> bool:
     """Leave the exit status in the file that the launcher `obstacle` reads; whether that was possible."""
     try:
         if status != 0:
-            Path(file).write_text(str(status))
+            Path(_status_file).write_text(str(status))
     except OSError:
         return False
     return True
@@ -125,11 +157,27 @@ def _begin(petsc: list[str]) -> None:
         raise click.ClickException(f"after -- come PETSc's options, such as -penalty_pc_type lu, not {petsc[0]}")
     import petsc4py
 
-    petsc4py.init([sys.argv[0], *petsc])
+    # files named .petscrc or petscrc of the current folder may be anybody's; that of the home is the user's own
+    own = Path("~/.petscrc").expanduser()
+    given = ["-options_file", str(own)] if own.is_file() else []
+    petsc4py.init([sys.argv[0], "-skip_petscrc", *given, *petsc])
+    _ignore_folder()
     from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 
     abort_on_uncaught_errors(MPI.COMM_WORLD)
     _catch_signals()
+
+
+def _ignore_folder() -> None:
+    """Take no options of compilers from the current folder, and say so."""
+    found = [name for name in COMPILER_OPTIONS if os.path.lexists(name)]
+    if not found:
+        return
+    from fenicsx_obstacle.releases import load_compiler_options
+
+    load_compiler_options(Path("/"))
+    if _RANK == 0:
+        click.echo(f"{', '.join(found)} in this folder: not taken; your own options are in ~/.config", err=True)
 
 
 def _catch_signals() -> None:
@@ -148,7 +196,7 @@ def _interrupt(number: int, _frame: Any) -> None:
     if number != signal.SIGALRM:
         _received.append(number)
     signal.setitimer(signal.ITIMER_REAL, AGAIN)
-    if (processes := sys.modules.get("fenicsx_obstacle.verification.processes")) is not None:
+    if (processes := sys.modules.get("tests.processes")) is not None:
         processes.end_all()
     raise KeyboardInterrupt
 

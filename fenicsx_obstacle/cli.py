@@ -24,8 +24,8 @@ class _Ordered(click.Group):
 def commands() -> None:
     """Obstacle problems by the penalty finite element method, on FEniCSx and PETSc.
 
-    Options take precedence over the scene; brackets show defaults. All commands run under mpirun;
-    './obstacle --ranks N COMMAND' starts it. PETSc options follow --.
+    Options take precedence over the scene; brackets show defaults. All commands run under mpirun, as 'mpirun -n N
+    fenicsx-obstacle COMMAND'; in a clone './obstacle --ranks N COMMAND' starts it. PETSc options follow --.
     """
 
 
@@ -306,12 +306,15 @@ def scenes(name: str | None) -> None:
               help="Folder for pictures and JSON lines.  [out/theory]")  # fmt: skip
 @options("json", "quiet", "log")
 def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
-    """Check Kikuchi's statements: claimed, observed, and a verdict.
+    """In a clone: check Kikuchi's statements: claimed, observed, and a verdict.
 
     NO is the number of a theorem, example or equation, such as 3.3 or 5.5. Without it all are checked.
     """
+    from fenicsx_obstacle.checkout import add_tests
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.verification.show.theory import show_theory
+
+    add_tests("theory")
+    from tests.theory.show import show_theory
 
     check_places(output, json_file)
     say = (lambda text: None) if quiet or json_file == "-" else tell
@@ -334,17 +337,20 @@ def hard(
     name: str | None, count: int | None, truths: bool, seed: int | None, broken: bool, faults: bool, output: Path,
     json_file: str | None, quiet: bool,
 ) -> int:  # fmt: skip
-    """Solve hard scenes, and check every result against the theory.
+    """In a clone: solve hard scenes, and check every result against the theory.
 
     NAME is a scene or a family; without it all are solved. With --random it is a family of random scenes. Verdicts:
     right, rejected or FAILED; the last one means exit status 3. Random scenes that are finished are kept: the same
     command continues.
     """
+    from fenicsx_obstacle.checkout import add_tests
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.verification.show.broken import show_broken
-    from fenicsx_obstacle.verification.show.faults import show_faults
-    from fenicsx_obstacle.verification.show.hard import show_hard
-    from fenicsx_obstacle.verification.show.random_scenes import show_random
+
+    add_tests("hard")
+    from tests.cli.broken.show import show_broken
+    from tests.cli.faults.show import show_faults
+    from tests.hard.show import show_hard
+    from tests.random.show import show_random
 
     if (name is not None or count is not None) + broken + faults > 1 or (
         count is None and (truths or seed is not None)

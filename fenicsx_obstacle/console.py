@@ -18,6 +18,7 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.errors import NOT_REACHED
+from fenicsx_obstacle.text import printable
 
 STARTED = time.perf_counter()  # of a command
 
@@ -38,6 +39,15 @@ class _GuardedStream(io.FileIO):
         return memoryview(data).nbytes
 
 
+class _PrintableText(io.TextIOWrapper):
+    """Text without control characters; a progress bar begins with a carriage return, which stays."""
+
+    def write(self, text: str, /) -> int:
+        bar = len(text) - len(text.lstrip("\r"))
+        super().write(text[:bar] + printable(text[bar:]))
+        return len(text)
+
+
 _streams: dict[str, _GuardedStream] = {}
 
 
@@ -55,7 +65,7 @@ def guard_streams() -> None:
         if stream is not getattr(sys, f"__{name}__") or not isinstance(stream, io.TextIOWrapper):
             continue
         _streams[name] = _GuardedStream(number, "w", closefd=False)
-        text = io.TextIOWrapper(io.BufferedWriter(_streams[name]), encoding=stream.encoding, errors="backslashreplace",
+        text = _PrintableText(io.BufferedWriter(_streams[name]), encoding=stream.encoding, errors="backslashreplace",
                                 line_buffering=name == "stderr" or stream.isatty())  # fmt: skip
         setattr(sys, name, text)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Sequence
 from typing import Any
 
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, printable
 
 LOST_OUTPUT = 1
 """Exit status where standard output could not be written: the disk is full, or the reader has closed its pipe."""
@@ -23,11 +25,18 @@ class ObstacleError(Exception):
 
     exit_status = 1
 
+    def __str__(self) -> str:
+        return printable(super().__str__())
+
 
 class InputError(ObstacleError):
     """The user's scene, file or option is wrong. The message names the place and the remedy."""
 
     exit_status = 2
+
+
+class PenetrationWarning(UserWarning):
+    """A given eps is so large that u penetrates an obstacle by a visible share of its range."""
 
 
 class NotConverged(ObstacleError):
@@ -64,3 +73,15 @@ class NotConverged(ObstacleError):
 
 def _rebuild(solver: str, reason: str, iterations: int, eps: float | None, h: float) -> NotConverged:
     return NotConverged(solver, reason, iterations, eps=eps, h=h)
+
+
+def interrupted(number: int, arguments: Sequence[str]) -> str:
+    """What a command that a signal has ended says.
+
+    Args:
+        number: The signal.
+        arguments: Of the command.
+    """
+    word = "interrupted" if number == signal.SIGINT else "terminated"
+    has_rows = list(arguments[:1]) in (["study"], ["cost"], ["find"])
+    return word + ("; finished rows are kept, and the same command continues from them" if has_rows else "")

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import json
 import os
+import pickle
 import resource
 import shutil
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,19 +31,38 @@ Value = TypeVar("Value")
 def agree(comm: MPI.Comm) -> Iterator[None]:
     """Raise the same error on all ranks, if any rank raises one in the block (collective).
 
-    The block itself must not be collective: a rank that raised has left it.
+    All code of callers is called in such a block: callables, monitors and data of plug-ins. The block itself must not
+    be collective: a rank that raised has left it.
 
     Raises:
-        ObstacleError: On every rank, the error of the lowest rank that had one.
+        Exception: On every rank, the error of the lowest rank that had one.
     """
-    mine: ObstacleError | None = None
+    mine: Exception | None = None
     try:
         yield
-    except ObstacleError as error:
+    except Exception as error:
         mine = error
-    first = first_given(comm, mine)
+    raised = comm.allgather(None if mine is None else _portable(mine))
+    first = next((rank for rank, error in enumerate(raised) if error is not None), None)
     if first is not None:
-        raise first
+        raise mine if first == comm.rank and mine is not None else raised[first]
+
+
+def _portable(error: Exception) -> Exception:
+    """An error that ranks can send each other: itself, or its words."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return ObstacleError(f"{type(error).__name__}: {error}")
+    return error
+
+
+def all_come(comm: MPI.Comm, seconds: float) -> bool:
+    """Whether all ranks call this within a time, which is how long it waits."""
+    waiting, end = comm.Ibarrier(), time.monotonic() + seconds
+    while not (done := waiting.Test()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return done
 
 
 def first_given(comm: MPI.Comm, mine: Value | None) -> Value | None:
@@ -51,21 +74,16 @@ def on_root(comm: MPI.Comm, action: Callable[..., Any], *args: Any) -> Any:
     """Call `action` on rank 0 and give every rank its result, or its error (collective).
 
     Raises:
-        ObstacleError: On every rank, what `action` raised; an OSError becomes an InputError.
+        Exception: On every rank, what `action` raised; an OSError becomes an InputError.
     """
     result: Any = None
-    error: ObstacleError | None = None
-    if comm.rank == 0:
-        try:
-            result = action(*args)
-        except OSError as e:
-            error = InputError(f"{e.filename}: {e.strerror}" if e.filename else str(e))
-        except ObstacleError as e:
-            error = e
-    result, error = comm.bcast((result, error))
-    if error is not None:
-        raise error
-    return result
+    with agree(comm):
+        if comm.rank == 0:
+            try:
+                result = action(*args)
+            except OSError as e:
+                raise InputError(f"{e.filename}: {e.strerror}" if e.filename else str(e)) from e
+    return comm.bcast(result)
 
 
 @contextmanager
@@ -79,7 +97,7 @@ def new_files(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
     """
 
     def finish() -> None:
-        for file in sorted(scratch.iterdir(), reverse=True):
+        for file in sorted(scratch.iterdir()):  # answer.json comes first: with the others of before it is rejected
             file.replace(folder / file.name)
         scratch.rmdir()
 
@@ -136,6 +154,7 @@ def make_folder(folder: Path, option: str = "--output") -> list[Path]:
     """
     missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     try:
+        _check_name(folder)
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         remove_empty(missing)
@@ -143,6 +162,11 @@ def make_folder(folder: Path, option: str = "--output") -> list[Path]:
             raise InputError(f"{folder}: is a file, or lies in a file; choose another place with {option}") from None
         raise InputError(f"{folder}: {error.strerror}; choose another place with {option}") from None
     return missing
+
+
+def _check_name(path: Path) -> None:
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "a name holds no NUL", str(path))
 
 
 def remove_empty(folders: Sequence[Path]) -> None:
@@ -173,17 +197,34 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         InputError: If it cannot be written; an earlier file of this name stays.
     """
-    scratch = path if _is_device(path) else path.with_name(f".{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_text(text, encoding="utf-8", errors="backslashreplace")
-        if scratch != path:
-            scratch.replace(path)
+        with nullcontext(path) if _is_device(path) else replaced(path) as target:
+            target.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
-        if scratch != path:
-            with suppress(OSError):
-                scratch.unlink()
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """A new file beside another, of a name that nobody can know; after the block it takes its place (one rank).
+
+    If the block raises an error, an earlier file stays.
+
+    Raises:
+        OSError: If it cannot be made.
+    """
+    _check_name(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".new-{token_hex(8)}{path.suffix}")
+    # nothing that is there already, such as a link to a file elsewhere, is written to
+    os.close(os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
+    try:
+        yield scratch
+        scratch.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            scratch.unlink()
+        raise
 
 
 def write_lines(path: Path, records: Iterable[Mapping[str, Any]]) -> None:

@@ -14,6 +14,8 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -125,9 +127,9 @@ def geometry_degree(mesh: dmesh.Mesh) -> int:
 
 
 def dof_nodes(V: fem.FunctionSpace) -> np.ndarray:
-    """Row of `mesh.geometry.x` of each local dof of a P1 space."""
+    """Row of `mesh.geometry.x` of each local dof of a P1 space; 0 of one that no local cell has."""
     dofs, nodes = cell_dofs(V), geometry_dofs(V.mesh)
-    found = np.empty(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.int32)
+    found = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=np.int32)
     found[dofs.ravel()] = nodes.ravel()
     return found
 
@@ -171,6 +173,18 @@ def form(expression: ufl.Form, *, reordered: bool = False) -> Any:
             raise
     _remove_stale_sources(JIT_WAIT - 1)
     return fem.form(expression, **options)
+
+
+def load_compiler_options(place: Path) -> None:
+    """Let DOLFINx and FFCx read their options now, with this folder in place of the current one (local)."""
+    here = Path.cwd()
+    os.chdir(place)
+    try:  # both keep what they have read
+        jit.get_options() if hasattr(jit, "get_options") else jit.get_parameters()  # the latter before 0.6
+        name = "options" if find_spec("ffcx.options") else "parameters"
+        getattr(import_module(f"ffcx.{name}"), f"get_{name}")()
+    finally:
+        os.chdir(here)
 
 
 def _with_shared_tags(form: ufl.Form) -> ufl.Form:

@@ -20,11 +20,30 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def of_outputs(words: str) -> str:
+    """How far errors of output quantities are guaranteed, from the words of the error bound that they follow from: with
+    sampled data they are estimated."""
+    return words.replace("certified", "estimated" if " sampled " in words else "guaranteed", 1)
+
+
 def one_line(text: str, longest: int = LONGEST) -> str:
     """A user's text in one line, without control or formatting characters, cut if it is long."""
     shown = "".join(" " if _is_control(character) else character for character in text[: 20 * longest])
     shown = " ".join(shown.split())
     return shown if len(shown) <= longest else shown[: longest - 4].rstrip() + " ..."
+
+
+# what moves the cursor, changes colours or the order of what is read; lines and tabs stay
+_NOT_PRINTED = {
+    code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
+    for code in (*range(32), *range(127, 160), 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))
+    if chr(code) not in "\n\t"
+}
+
+
+def printable(text: str) -> str:
+    """A text whose control characters cannot reach a terminal: they are written as escapes."""
+    return text.translate(_NOT_PRINTED)
 
 
 def title_of(title: str, name: str) -> str:

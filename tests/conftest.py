@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import sys
 import time
@@ -10,14 +11,23 @@ import traceback
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
-import numpy as np
-import pytest
-from dolfinx import mesh as dmesh
-from mpi4py import MPI
-from petsc4py import PETSc
+from fenicsx_obstacle.launcher import environment
 
-from fenicsx_obstacle import Scene, releases
+CLEAN = environment()  # of processes that tests start
+os.environ.update(CLEAN)  # before MPI starts, also where pytest is called directly
+if "PYTEST_XDIST_WORKER" in os.environ:  # started by a process in which MPI runs
+    for name in os.environ.keys() - CLEAN.keys():
+        del os.environ[name]
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from dolfinx import mesh as dmesh  # noqa: E402
+from mpi4py import MPI  # noqa: E402
+from petsc4py import PETSc  # noqa: E402
+
+from fenicsx_obstacle import Scene, releases  # noqa: E402
 
 COMM = MPI.COMM_WORLD
 HOOKS = COMM.Dup()  # the tests' own collective calls must not meet those of the hooks
@@ -28,10 +38,6 @@ MORE_ON_SEVERAL_RANKS = 2 if COMM.size > 1 else 0
 ALL_SERIAL = pytest.StashKey[bool]()
 DEMOS = Path(__file__).parent.parent / "demos"
 BENCHMARKS = DEMOS.parent / "benchmarks"
-if "PYTEST_XDIST_WORKER" in os.environ:
-    # workers are started by a process in which MPI runs; what it has set would keep their own mpirun from starting
-    for name in ("OMPI_APP_CTX_NUM_PROCS", "OMPI_MCA_ess", "OMPI_MCA_orte_ess_num_procs", "OMPI_MCA_pmix"):
-        os.environ.pop(name, None)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -50,16 +56,20 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--half", type=int, choices=(0, 1), help="Run every second of the slow tests; if none is chosen, of all."
-    )
+        "--by-file", action="store_true",
+        help="The tests of those files whose name belongs to this number of ranks.",
+    )  # fmt: skip
+
+
+def ranks_of(file: Path) -> int:
+    """2 or 3: on how many ranks the tests of a file run, beside one."""
+    return 2 + crc32(file.name.encode()) % 2
 
 
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    half = config.getoption("--half")
-    if half is not None:
-        halved = [item for item in items if "slow" in item.keywords] or items
-        left_out = set(halved[1 - half :: 2])
+    if config.getoption("--by-file"):
+        left_out = {item for item in items if ranks_of(item.path) != COMM.size}
         config.hook.pytest_deselected(items=list(left_out))
         items[:] = [item for item in items if item not in left_out]
     if COMM.size > 1:
@@ -127,6 +137,14 @@ def ball() -> Scene:
 @pytest.fixture
 def disk() -> Scene:
     return Scene.read(DEMOS / "disk.toml")
+
+
+def as_version_02(folder: Path) -> None:
+    """Make a saved answer one of version 0.2, which does not state the contents of its files (one rank)."""
+    file = folder / "answer.json"
+    record = json.loads(file.read_text())
+    del record["files"]
+    file.write_text(json.dumps(record))
 
 
 def slow_except(cases: Iterable[Any], *quick: Any) -> list[Any]:

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.scenes import catalogue
+from tests.conftest import COMM, membrane, slow_except
 
 CORNER = "r^(2/3)*sin(2/3*where(theta < 0, theta + 2*pi, theta))"
 L_SHAPE = Scene(

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import COMM
 
 from fenicsx_obstacle import Scene, solve
-from fenicsx_obstacle.verification.hard.families.solid_meshes import octants, tetrahedra
+from tests.conftest import COMM
+from tests.random.families.solid_meshes import octants, tetrahedra
 
 BALL = "r^2/6 + 0.6^3/(3*r) - 0.6^2/2"
 SIDES = [-1, 1]

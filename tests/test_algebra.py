@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import sympy as sp
-from conftest import COMM
 
 from fenicsx_obstacle.forms.pairs import pairs
-from fenicsx_obstacle.verification.theory import algebra
-from fenicsx_obstacle.verification.theory.algebra import SQUARE, TRIANGLE, kite, linear, products
-from fenicsx_obstacle.verification.theory.statement import find
+from tests.conftest import COMM
+from tests.theory import algebra
+from tests.theory.algebra import SQUARE, TRIANGLE, kite, linear, products
+from tests.theory.statement import find
 
 x, y, t = sp.symbols("x y t", real=True)
 q0, q1, q2, q3 = q = sp.symbols("q0:4", real=True)

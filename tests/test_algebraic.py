@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, by_hand, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -14,6 +13,7 @@ from fenicsx_obstacle.discrete import galerkin, kernels
 from fenicsx_obstacle.discrete.galerkin import COARSEST, GalerkinProblem, coarse_problems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+from tests.conftest import COMM, by_hand, slow_except
 
 R = 0.6979651482233736  # of the contact set of the ball
 BALL = {

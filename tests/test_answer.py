@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve, study
 from fenicsx_obstacle.parallel import largest, on_root, total
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 KEYS = """scene method element ranks cells cells_total dofs h h_max eps converged reason newton_iterations
 krylov_iterations newton_total krylov_total seconds poisson_seconds poisson_units memory_mb energy errors penetration
@@ -73,6 +73,15 @@ def test_paraview_file_names_every_field(disk, folder):
     tree = ElementTree.parse(folder / "answer" / "fields.xdmf")
     names = {attribute.get("Name") for attribute in tree.iter("Attribute")}
     assert names == {"u", "pressure", "contact", "upper", "gap", "error"}
+
+
+def test_pyvista_reads_what_is_at_rest(disk, folder):
+    """Its reader asks each file for a time."""
+    pyvista = pytest.importorskip("pyvista", reason="pyvista is of the extra 'plot'")
+    answer = solve(disk, cells=8)
+    answer.save(folder / "answer")
+    read = on_root(COMM, lambda: pyvista.read(folder / "answer" / "fields.xdmf").n_points)
+    assert read == answer.dofs
 
 
 def test_saving_replaces_whole_folders(disk, folder):

@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, membrane
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -28,6 +27,7 @@ from fenicsx_obstacle import (
 )
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.releases import functionspace
+from tests.conftest import COMM, membrane
 
 
 def bowl(x):

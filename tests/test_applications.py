@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, slow_except
 from scipy import integrate, optimize, sparse, special
 from scipy.sparse.linalg import splu
 
 from fenicsx_obstacle import Scene, solve, study
 from fenicsx_obstacle.parallel import on_root
+from tests.conftest import COMM, DEMOS, slow_except
 
 K = 200e6  # yield stress in shear of the demos, Pa
 G = 80e9  # their shear modulus, Pa

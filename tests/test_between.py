@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from conftest import COMM
 
 from fenicsx_obstacle import InputError, Scene, solve
+from tests.conftest import COMM
 
 SPOT = "hypot(x - 0.503, y - 0.497) < 0.004"
 BAD = {

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from conftest import COMM, slow_except
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
@@ -14,6 +13,7 @@ from fenicsx_obstacle.discrete.transfer import to_parents
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes
+from tests.conftest import COMM, slow_except
 
 MESHES = {
     "rectangle": {"shape": "rectangle", "cells": 8},

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from hypothesis import given, settings
@@ -25,6 +24,7 @@ from fenicsx_obstacle.estimation.simplices import halved_rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
 from fenicsx_obstacle.scenes import catalogue
+from tests.conftest import COMM, membrane, slow_except
 
 SQUARE = {"shape": "rectangle", "cells": 16}
 ROUND_OFF = 1e-12

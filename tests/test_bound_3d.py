@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from conftest import COMM
 
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.surface_data import _slopes_on_facets
 from fenicsx_obstacle.parallel import largest
+from tests.conftest import COMM
 
 SIDES = [-1, 1]
 BOX = {"shape": "box", "x": SIDES, "y": SIDES, "z": SIDES, "cells": 4, "perturb": 0.2}

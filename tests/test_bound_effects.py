@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import COMM
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
+from tests.conftest import COMM
 
 OVER = "max(0.8*x + 0.6*y - 0.45, 0)"
 CONTACT = f"{OVER}^2/2"

@@ -1,9 +1,9 @@
 """Estimates of the error where nothing is proved: they drive adaptive meshes, and say what is missing."""
 
 import pytest
-from conftest import COMM
 
 from fenicsx_obstacle import Scene, solve
+from tests.conftest import COMM
 
 SQUARE = {"shape": "rectangle", "cells": 8, "perturb": 0.2}
 

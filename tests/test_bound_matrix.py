@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import COMM
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene, releases, solve
+from tests.conftest import COMM
 
 CERTIFIED = "certified on the polygon of the mesh"
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS, membrane, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, Scene, compare, releases, solve, solve_form
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 
 def square(cells=32):

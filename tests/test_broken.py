@@ -3,39 +3,56 @@
 A share of what `./obstacle hard --broken` tries, on the ranks of this session.
 """
 
+import re
 import shutil
 from pathlib import Path
 
 import pytest
-from conftest import COMM
-from test_cli import CLEAN
 
-from fenicsx_obstacle import solve
+from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.verification.broken.case import Broken, complaint
-from fenicsx_obstacle.verification.broken.collection import RIGHT, collect, make_meshes
-from fenicsx_obstacle.verification.broken.inside import attempt
-from fenicsx_obstacle.verification.broken.options import RESULT
-from fenicsx_obstacle.verification.broken.run import _alone
+from tests.cli.broken.case import Broken, complaint
+from tests.cli.broken.collection import RIGHT, collect, make_meshes
+from tests.cli.broken.inside import attempt
+from tests.cli.broken.lines import LINES, scene_text
+from tests.cli.broken.options import RESULT
+from tests.cli.broken.run import _alone
+from tests.conftest import CLEAN, COMM
 
-EVERY = 12
+FILES = re.compile(r"(scene|mesh) file: |.* torn at ")  # that no message describes further, and that take long to read
+
+
+def kinds(case):
+    """What a case is the first of: the words that its message must hold, its place, and what is wrong there."""
+    words = (tuple(case.names), *case.arguments[:1])
+    return {words} if FILES.match(case.name) else {words, *case.name.split(": ")}
+
+
+def of_each_kind(cases):
+    """The cases that are the first of some kind."""
+    seen, found = set(), []
+    for case in cases:
+        if kinds(case) - seen:
+            found.append(case)
+        seen |= kinds(case)
+    return found
 
 
 @pytest.mark.slow
-def test_a_share_of_all_cases(folder):
-    """Each twelfth, and all kinds are among them."""
+def test_cases_of_each_kind(folder):
+    """Each message, each place, and each wrong value at one place at least; of torn mesh files some."""
     on_root(COMM, make_meshes, folder)
     solve(catalogue.scene("disk_flat"), cells=8).save(folder / RIGHT / RESULT)
-    cases = [case for case in collect(folder) if not case.petsc]
-    assert len(cases) > 900
-    wrong = []
-    for number, case in enumerate(cases[::EVERY]):
+    everything = [case for case in collect(folder) if not case.petsc]
+    cases, wrong = of_each_kind(everything), []
+    assert len(everything) > 900 and len(cases) > 300
+    for number, case in enumerate(cases):
         place = folder / str(number)
         on_root(COMM, case.lay_out, place)
         status, said, seconds = attempt(case, place)
         wrong.append(on_root(COMM, complaint, case, status, said, seconds, place))
-    assert not [f"{case.name}: {what}" for case, what in zip(cases[::EVERY], wrong, strict=True) if what is not None]
+    assert not [f"{case.name}: {what}" for case, what in zip(cases, wrong, strict=True) if what is not None]
 
 
 @pytest.mark.serial
@@ -63,3 +80,19 @@ def test_complaints(tmp_path):
     Path(place / "out").mkdir()
     assert complaint(case, 2, good, 0.1, place) == "left out behind"
     shutil.rmtree(place)
+
+
+def test_messages_name_the_table(folder):
+    """Obstacles that cross and a u that nothing holds, in a scene and for a user's form: the table to change."""
+    with pytest.raises(InputError, match=r"\[obstacle\] lower is above upper: by 0.25"):
+        solve(Scene.read(on_root(COMM, scene_with, folder, {"[obstacle] lower": '"x - 0.25"'})))
+    nothing = {key: None for key in LINES if "bound" in key or "obst" in key}
+    with pytest.raises(InputError, match=r"\[\[boundary\]\] value"):
+        solve(Scene.read(on_root(COMM, scene_with, folder, nothing)))
+
+
+def scene_with(folder, changed):
+    """A scene file with some lines changed."""
+    file = folder / "scene.toml"
+    file.write_text(scene_text({**LINES, **changed}))
+    return file

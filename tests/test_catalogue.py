@@ -6,16 +6,16 @@ from math import log, pi
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 from scipy.optimize import brentq
-from test_cli import run
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
-from fenicsx_obstacle.verification.theory.statement import RATE_MARGIN, slope
+from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.test_cli import run
+from tests.theory.statement import RATE_MARGIN, slope
 
 STEP = 3e-4  # of differences
 VARIANTS = {

@@ -5,14 +5,14 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane, slow_except
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
-from test_bound import distance
 
 from fenicsx_obstacle import InputError, Scene, polynomials, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.certification import Certification
+from tests.conftest import COMM, membrane, slow_except
+from tests.test_bound import distance
 
 SQUARE = {"shape": "rectangle", "cells": 8}
 AROUND = {"shape": "rectangle", "x": [-1, 1], "y": [-1, 1], "cells": 8}

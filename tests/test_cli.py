@@ -9,16 +9,13 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from conftest import DEMOS, slow_except
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.arguments import values_of
-from fenicsx_obstacle.verification.processes import mpirun
+from fenicsx_obstacle.launcher import mpirun
+from tests.conftest import CLEAN, DEMOS, slow_except
 
 pytestmark = pytest.mark.serial
-
-# what this process's MPI has put into the environment would confuse the mpirun started here
-CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}
 
 
 def run(*arguments, ranks=1, cwd=None, env=None):
@@ -201,7 +198,7 @@ def loads_none_of(modules, *arguments):
 
 
 def test_help_imports_nothing_heavy():
-    heavy = {"dolfinx", "petsc4py", "mpi4py", "numpy", "ufl", "matplotlib", "fenicsx_obstacle.verification"}
+    heavy = {"dolfinx", "petsc4py", "mpi4py", "numpy", "ufl", "matplotlib", "tests"}
     if find_spec("dolfinx_solver") is not None:  # DOLFINx as pip installs it must find MPI loaded
         heavy.remove("mpi4py")
     said = loads_none_of(heavy, "--help")
@@ -213,19 +210,19 @@ def test_a_solve_loads_nothing_to_draw_with(tmp_path):
 
     Nor is anything loaded that checks the program itself.
     """
-    unwanted = {"matplotlib", "pyvista", "scipy", "tqdm", "gmsh", "fenicsx_obstacle.verification"}
+    unwanted = {"matplotlib", "pyvista", "scipy", "tqdm", "gmsh", "tests"}
     said = loads_none_of(unwanted, "solve", DEMOS / "disk.toml", "--output", tmp_path / "out")
     assert "./obstacle plot" in said
 
 
-def test_the_library_loads_no_verification():
-    """All public names, and a solve from Python, without the package that only `theory` and `hard` need."""
+def test_the_library_loads_no_suites():
+    """All public names, and a solve from Python, without the suites that only `theory` and `hard` need."""
     code = (
         "import sys, fenicsx_obstacle as f\n"
         "assert all(hasattr(f, name) for name in f.__all__)\n"
         "f.solve('ball', cells=8)\n"
         "assert 'fenicsx_obstacle.problems.solution' in sys.modules\n"
-        "assert 'fenicsx_obstacle.verification' not in sys.modules"
+        "assert 'tests' not in sys.modules"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
     assert done.returncode == 0, done.stderr

@@ -4,7 +4,6 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.adapt import Refinement
@@ -15,6 +14,7 @@ from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.studies.reference_solution import ExactReference
+from tests.conftest import COMM, DEMOS, membrane
 
 PRESSED = {"load": 4, "upper": 0.05}
 SCENES = {

@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
@@ -21,9 +20,9 @@ from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.show.figures import heading
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.text import one_line
-from fenicsx_obstacle.verification.faults.kill import _session
-from fenicsx_obstacle.verification.hard.suite import reason
-from fenicsx_obstacle.verification.processes import DEFAULTS, FIXED, OF_ROOT, clean
+from tests.cli.faults.kill import _session
+from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
+from tests.hard.suite import reason
 
 LAUNCHER = DEMOS.parent / "obstacle"
 HELD = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "boundary": []}
@@ -188,7 +187,7 @@ def test_a_tolerance_that_the_budget_does_not_allow():
 
 def launched(ranks, *arguments, **options):
     ranked = [] if ranks == 1 else ["--ranks", str(ranks)]
-    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": clean(), "timeout": 60, **options}
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": CLEAN, "timeout": 60, **options}
     return subprocess.run([LAUNCHER, *ranked, *map(str, arguments)], text=True, check=False, **options)
 
 
@@ -213,7 +212,7 @@ def test_status_4_reaches_the_shell(ranks, tmp_path):
 )  # fmt: skip
 def test_rejected_input_has_the_last_word_on_two_ranks(arguments, words, tmp_path):
     """mpirun adds nothing to the message, status 2 reaches the shell, and no temporary file is left."""
-    done = launched(2, *arguments, cwd=tmp_path, env={**clean(), "TMPDIR": str(tmp_path)})
+    done = launched(2, *arguments, cwd=tmp_path, env={**CLEAN, "TMPDIR": str(tmp_path)})
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("Error: ") == 1
     assert words in done.stderr.splitlines()[-1]
@@ -246,7 +245,7 @@ def test_output_that_cannot_be_written(arguments, how, tmp_path):
     os.close(reading)
     outlet = {"full": "/dev/full", "closed pipe": f"/dev/fd/{writing}", "none": "&-"}[how]
     shell = f'exec "$@" >{outlet}' if how != "closed pipe" else f'exec "$@" >&{writing}'
-    done = subprocess.run(["bash", "-c", shell, "bash", *command], stderr=subprocess.PIPE, text=True, env=clean(),
+    done = subprocess.run(["bash", "-c", shell, "bash", *command], stderr=subprocess.PIPE, text=True, env=CLEAN,
                           cwd=tmp_path, pass_fds=[writing], timeout=60, check=False)  # fmt: skip
     os.close(writing)
     assert done.returncode == (0 if how == "none" else 1), done.stderr
@@ -259,7 +258,7 @@ def test_output_that_cannot_be_written(arguments, how, tmp_path):
 def test_signals_end_all_processes(ranks, number, tmp_path):
     """SIGTERM and SIGHUP to the launcher alone: 128 + number, rows are kept, no process is left."""
     study = ["study", "disk_flat", "--vary", "cells=4,6,400", "--method", "vi", "--output", str(tmp_path)]
-    process = subprocess.Popen([LAUNCHER, "--ranks", str(ranks), *study], stdout=subprocess.DEVNULL, env=clean(),
+    process = subprocess.Popen([LAUNCHER, "--ranks", str(ranks), *study], stdout=subprocess.DEVNULL, env=CLEAN,
                                stderr=subprocess.PIPE, text=True, start_new_session=True)  # fmt: skip
     rows = tmp_path / "rows.jsonl"
     deadline = time.monotonic() + 60
@@ -273,21 +272,6 @@ def test_signals_end_all_processes(ranks, number, tmp_path):
     while _session(process.pid) and time.monotonic() < deadline:  # helpers of mpirun end a moment later
         time.sleep(0.05)
     assert not _session(process.pid)
-
-
-@pytest.mark.serial
-def test_processes_have_the_environment_of_the_launcher():
-    """What `obstacle` exports before it starts mpirun is what `hard` gives its own processes."""
-    fixed, defaults = {}, {}
-    for line in re.findall(r"^\s*export (.*)$", LAUNCHER.read_text(), re.MULTILINE):
-        for key, default, quoted, plain in re.findall(r'(\w+)=(?:"\$\{\w+:-([^}]*)\}"|"([^"]*)"|(\S+))', line):
-            if default:
-                defaults[key] = default
-            else:
-                fixed[key] = quoted or plain
-    fixed.pop("DEBIAN_FRONTEND")
-    assert defaults == DEFAULTS
-    assert fixed == {**FIXED, **OF_ROOT}
 
 
 @pytest.mark.serial

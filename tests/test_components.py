@@ -7,7 +7,6 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
@@ -15,6 +14,7 @@ from fenicsx_obstacle import InputError, Scene, releases, solve, solve_form
 from fenicsx_obstacle.discrete.components import components
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.meshes import coarsest
+from tests.conftest import COMM
 
 KINDS = {2: "interval", 3: "triangle", 4: "tetrahedron"}
 

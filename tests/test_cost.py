@@ -6,17 +6,18 @@ import time
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
-from test_cli import CLEAN, run
-from test_rows import kill
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes import catalogue, meshes
+from fenicsx_obstacle.show.cost_tables import duration, megabytes
 from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
+from tests.conftest import CLEAN, COMM, DEMOS, membrane
+from tests.test_cli import run
+from tests.test_rows import kill
 
 SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
 
@@ -33,6 +34,14 @@ def line(name, order, *, first=0.1, rows=5, element="P1", lucky=()):
 
 
 EXACT = {"choice": "", "exact": True}
+
+
+@pytest.mark.parametrize("exponent", np.arange(-3, 9, 0.5))
+def test_units_have_no_exponents(exponent):
+    """Two digits and a unit, from milliseconds to years, from MB to PB."""
+    for text in (duration(1.19 * 10**exponent), megabytes(5.6 * 10**exponent)):
+        assert "e+" not in text and text.split()[1] in ("s", "min", "h", "days", "MB", "GB", "TB")
+    assert (megabytes(5.6e6), megabytes(560e3), duration(119.0)) == ("5.6 TB", "560 GB", "120 s")
 
 
 def test_price_of_a_digit_is_ten_to_the_order():

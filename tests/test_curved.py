@@ -4,7 +4,6 @@ import h5py
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS
 from dolfinx import fem, io
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
@@ -13,6 +12,7 @@ from fenicsx_obstacle import Elasticity, InputError, ObstacleProblem, Scene, rel
 from fenicsx_obstacle.discrete.levels import at_surface
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.meshes import build
+from tests.conftest import COMM, DEMOS
 
 RADIUS = 40.0  # of the roller and of the sphere, in units of the half-width of contact
 LAW = {"young": 1 - 0.3**2, "poisson": 0.3}  # E* = 1

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import slow_except
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.discrete.data_within_steps import _Search
+from tests.conftest import slow_except
 
 CELLS = 16
 TOLERANCE = 2e-3

@@ -1,8 +1,7 @@
 """(3.7)-(3.8): digits of the contact pressure at small eps."""
 
-from conftest import COMM
-
-from fenicsx_obstacle.verification.theory.digits import EPS, GAP, PLAIN, RESIDUAL, digits
+from tests.conftest import COMM
+from tests.theory.digits import EPS, GAP, PLAIN, RESIDUAL, digits
 
 
 def test_digits():

@@ -7,12 +7,12 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.parallel import write_text
-from fenicsx_obstacle.verification.faults.disk import ALONE, COMMANDS, FULL, _refused, _run
-from fenicsx_obstacle.verification.faults.kill import interrupts
+from tests.cli.faults.disk import ALONE, COMMANDS, FULL, _refused, _run
+from tests.cli.faults.kill import interrupts
+from tests.conftest import CLEAN
 
 pytestmark = pytest.mark.serial
 

@@ -13,11 +13,9 @@ from unittest import SkipTest
 import click
 import matplotlib
 import pytest
-from conftest import DEMOS, slow_except
 from sybil import Sybil
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown import CodeBlockParser, SkipParser
-from test_cli import CLEAN
 
 from fenicsx_obstacle import Answer, Scene, __all__, solve
 from fenicsx_obstacle.cli import commands
@@ -26,6 +24,7 @@ from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import tables
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, FUNCTIONS
 from fenicsx_obstacle.scenes.report import FIELDS
+from tests.conftest import CLEAN, DEMOS, slow_except
 
 pytestmark = pytest.mark.serial
 

@@ -5,9 +5,9 @@ import pytest
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
-from test_elastic import COMM, DEPTH, RADIUS, Hertz
 
 from fenicsx_obstacle import Elasticity, InputError, ObstacleProblem, ball_gap, plane_gap, releases
+from tests.test_elastic import COMM, DEPTH, RADIUS, Hertz
 
 E, NU = 3.0, 0.3
 

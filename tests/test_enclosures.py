@@ -4,7 +4,6 @@ from math import factorial
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.scenes.derivative_bounds import ORDER
 from fenicsx_obstacle.scenes.enclosures import Cells
 from fenicsx_obstacle.scenes.mean_value_forms import linear
+from tests.conftest import COMM, membrane
 
 SCENE = membrane(load=1).change({"mesh.cells": 1})
 NUMBERS = st.sampled_from(["0", "1", "2", "0.25", "-1.5", "1e-3", "pi"])

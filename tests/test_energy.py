@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
@@ -11,6 +10,7 @@ from fenicsx_obstacle import ObstacleProblem, Scene, releases
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.parallel import largest, total
+from tests.conftest import COMM
 
 SQUARE = {"shape": "rectangle", "cells": 6}
 SUPPORTS = [

@@ -6,9 +6,7 @@ import sys
 from contextlib import closing
 
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 from dolfinx import fem
-from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -16,7 +14,8 @@ from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.scenes import tables
 from fenicsx_obstacle.show.explain import explain, explained, integrals
 from fenicsx_obstacle.solvers.choose import nested
-from fenicsx_obstacle.verification.hard.cases import case
+from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
+from tests.hard.cases import case
 
 OF_BODIES = {"elasticity", *tables.OF_BODIES}  # which scalar scenes cannot name
 SCENES = {

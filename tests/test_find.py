@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mpi4py import MPI
-from test_cli import run
 
 from fenicsx_obstacle import InputError, Scene, find, solve, study
+from tests.test_cli import run
 
 COMM = MPI.COMM_WORLD
 BEARING = {  # the journal bearing, cut open along its groove and unrolled

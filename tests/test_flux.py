@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, membrane
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Solution, releases, solve
+from tests.conftest import COMM, membrane
 
 STRING = {"mesh": {"shape": "interval", "cells": 8}, "load": -1, "lower": -10, "boundary": [{"value": 0}]}
 POINTS = np.array([[0.21, 0.13], [0.47, 0.52], [0.83, 0.37], [0.71, 0.94]])

@@ -4,8 +4,6 @@ import time
 from contextlib import closing
 
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
-from test_cli import run as command
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.adapt import Adaptation, Work, adaptation
@@ -15,7 +13,9 @@ from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.forecast import _words, forecast_text
 from fenicsx_obstacle.studies import forecast as module
 from fenicsx_obstacle.studies.forecast import BEYOND, closest, continued, forecast
-from fenicsx_obstacle.verification.hard.families.solid_meshes import octants, tetrahedra
+from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.random.families.solid_meshes import octants, tetrahedra
+from tests.test_cli import run as command
 
 BALL = "r^2/6 + 0.6^3/(3*r) - 0.6^2/2"
 CEILING = {"tension": 1, "load": 1, "upper": 0.12, "boundary": [{"value": 0}], "report": {"volume": "integral(u)"}}

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, by_hand, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -13,6 +12,7 @@ from fenicsx_obstacle import Scene, releases, solve
 from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
+from tests.conftest import COMM, by_hand, slow_except
 
 BOXES = {1: dmesh.create_unit_interval, 2: dmesh.create_unit_square, 3: dmesh.create_unit_cube}
 MEETING = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2]], dtype=float)

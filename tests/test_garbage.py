@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 import ufl
-from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import ObstacleProblem, releases
+from tests.conftest import COMM
 
 CELLS, TIMES = 128, 6
 PROBLEM = 700 * CELLS**2 / COMM.size  # bytes of one, measured

@@ -7,22 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 from mpi4py import MPI
-from test_cli import CLEAN
 
 from fenicsx_obstacle import InputError, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import smallest_eps
-from fenicsx_obstacle.verification.hard.cases import FOLDER, Case, case, cases, named
-from fenicsx_obstacle.verification.hard.invariants import beside_inequality, falling, of_one, same, violated
-from fenicsx_obstacle.verification.hard.judge import METHODS, judge, take
-from fenicsx_obstacle.verification.hard.ranks import agree_on, fields_of
-from fenicsx_obstacle.verification.hard.row import FAILED, FLOOR, REJECTED, RIGHT
-from fenicsx_obstacle.verification.hard.suite import rows_of
-from fenicsx_obstacle.verification.hard.units import Units, all_units
+from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
+from tests.hard.cases import FOLDER, Case, case, cases, named
+from tests.hard.invariants import beside_inequality, falling, of_one, same, violated
+from tests.hard.judge import METHODS, judge, take
+from tests.hard.ranks import agree_on, fields_of
+from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT
+from tests.hard.suite import rows_of
+from tests.hard.units import Units, all_units
 
 FEW = (1e-2, 1e-8, 1e-14)
 

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.widget import slider
+from tests.conftest import COMM, membrane
 
 INTERVAL = {"shape": "interval", "cells": 8}
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 
 from fenicsx_obstacle import NotConverged, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -10,8 +9,9 @@ from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.solvers.linear import defaults
 from fenicsx_obstacle.solvers.newton import solve_penalty
-from fenicsx_obstacle.verification.hard.cases import case
-from fenicsx_obstacle.verification.theory.iteration import (
+from tests.conftest import COMM, membrane
+from tests.hard.cases import case
+from tests.theory.iteration import (
     COLD,
     CYCLE,
     CYCLE_EPS,
@@ -25,7 +25,7 @@ from fenicsx_obstacle.verification.theory.iteration import (
     linear_step,
     nesting,
 )  # fmt: skip
-from fenicsx_obstacle.verification.theory.samples import Small
+from tests.theory.samples import Small
 
 SQUARES = {"shape": "rectangle", "cell": "quadrilateral", "cells": 8}
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.options import SolverOptions
-from fenicsx_obstacle.verification.theory.limits import approach, extremes
-from fenicsx_obstacle.verification.theory.samples import sample
+from tests.conftest import COMM, membrane
+from tests.theory.limits import approach, extremes
+from tests.theory.samples import sample
 
 
 def test_ends_of_the_hypotheses():

@@ -6,13 +6,13 @@ from decimal import Context, Decimal, setcontext
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, slow_except
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, releases, solve, solve_form
 from fenicsx_obstacle.discrete import residence
 from fenicsx_obstacle.parallel import largest, smallest
+from tests.conftest import COMM, slow_except
 
 INTERVAL = {"shape": "interval", "cells": 20}
 SQUARE = {"shape": "rectangle", "cells": 12}

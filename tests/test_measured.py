@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 from mpi4py import MPI
 
 from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Table, releases, solve
 from fenicsx_obstacle.parallel import on_root
+from tests.conftest import COMM, membrane
 
 SIZE = 33  # points along a side of the measured square
 FILES = {

@@ -7,16 +7,17 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, slow_except
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import InputError, Scene, Solution, solve, study
 from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.files import content_of
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
+from tests.conftest import COMM, slow_except
 
 FORMATS = [(2.2, 0, 0), (2.2, 1, 1), (4.1, 1, 0), (4.1, 0, 1)]  # version, binary, also what is in no group
 
@@ -366,6 +367,103 @@ def test_nodes_with_gaps_and_without_cells(folder):
     assert set(level.facets) == {"8"} and facets(level, "8") == 1
 
 
+BOXES = {
+    "touch": ([(0, 0, 0, 1, 1, 1), (1, 0, 0, 1, 1, 1)], 1),
+    "partly": ([(0, 0, 0, 1, 1, 1), (1, 0.25, 0.25, 1, 0.5, 0.5)], 1),
+    "three": ([(0, 0, 0, 1, 1, 1), (1, 0, 0, 1, 1, 1), (0, 1, 0, 2, 1, 1)], 3),
+    "apart": ([(0, 0, 0, 1, 1, 1), (2, 0, 0, 1, 1, 1)], 0),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_bodies_of_a_step_file_that_touch_share_nodes(folder, name):
+    boxes, common = BOXES[name]
+
+    def assembly(model):
+        for box in boxes:
+            model.occ.addBox(*box)
+        model.occ.synchronize()
+
+    level = level_of(file_of(folder, assembly, "assembly.step"))
+    assert level.connected.count == (1 if common else 2)
+    assert set(level.groups) == {str(number + 1) for number in range(len(boxes))}
+    size = total(COMM, volumes(corners(level.mesh)[: own_cells(level.mesh)]))
+    assert np.isclose(size, sum(np.prod(box[3:]) for box in boxes), rtol=1e-9)
+    assert any("share nodes" in remark for remark in level.remarks) == (common > 0)
+    if not common:
+        assert set(level.facets) == {str(number) for number in range(1, 13)}  # as they are in the file
+
+
+def test_bodies_of_a_step_file_that_overlap(folder):
+    def assembly(model):
+        model.occ.addRectangle(0, 0, 0, 1, 1)
+        model.occ.addRectangle(0.5, 0.25, 0, 1, 0.5)
+        model.occ.synchronize()
+
+    with pytest.raises(InputError, match=r"surfaces 1 and 2 overlap at \(0.75, 0.5, .*BooleanDifference"):
+        level_of(file_of(folder, assembly, "overlap.step"))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("suffix", ["geo", "msh"])
+def test_the_default_element_of_files_is_that_of_their_cells(folder, dim, suffix):
+    """Q1 on quadrilaterals and hexahedra, with the same solution as where it is named."""
+
+    def cells(model):
+        model.occ.addRectangle(0, 0, 0, 2, 1)
+        if dim == 3:
+            model.occ.extrude([(2, 1)], 0, 0, 1, [2], recombine=True)
+        model.occ.synchronize()
+        for curve in model.getEntities(1):
+            model.mesh.setTransfiniteCurve(curve[1], 4)
+        for surface in model.getEntities(2):
+            model.mesh.setTransfiniteSurface(surface[1])
+            model.mesh.setRecombine(*surface)
+        for volume in model.getEntities(3):
+            model.mesh.setTransfiniteVolume(volume[1])
+
+    text = (
+        "Point(1) = {0, 0, 0}; Point(2) = {2, 0, 0}; Point(3) = {2, 1, 0}; Point(4) = {0, 1, 0}; Line(1) = {1, 2};"
+        "Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1}; Line Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};"
+        "Transfinite Line{1, 2, 3, 4} = 4; Transfinite Surface{1}; Recombine Surface{1};"
+    ) + "Extrude{0, 0, 1}{Surface{1}; Layers{3}; Recombine;}" * (dim == 3)
+    if suffix == "geo":
+        path = folder / "cells.geo"
+        on_root(COMM, lambda: path.write_text(text.replace(";", ";\n")) and None)
+    else:
+        path = file_of(folder, cells, "cells.msh")
+    scene = Scene(mesh={"file": str(path)}, tension=1, load=-9, lower=-0.05, boundary=[{"value": 0}])
+    found, named = solve(scene), solve(scene.change({"solve.element": "Q1"}))
+    assert found.record["element"] == named.record["element"] == "Q1"
+    assert found.force.lower > 0 and found.force.lower == named.force.lower
+    found.save(folder / "saved")
+    assert Solution.read(folder / "saved").force == found.force
+
+
+def test_groups_of_cells_and_of_curves_with_one_number(folder):
+    """normal_flux and jump are of curves only; of other quantities the message names a way out."""
+
+    def square(model):
+        two_squares(model)
+        outer = [tag for _, tag in model.getBoundary(model.getEntities(2), combined=True, oriented=False)]
+        model.removePhysicalGroups()
+        model.addPhysicalGroup(1, outer, 1)
+        for tag in (1, 2):
+            model.addPhysicalGroup(2, [tag], tag)
+
+    path = file_of(folder, square)
+    scene = Scene(mesh={"file": str(path)}, tension={"1": 1, "2": 5}, load={"1": -3, "2": -6}, lower=-0.02,
+                  boundary=[{"on": "1", "value": 0}],
+                  report={"force": "integral(p)", "reaction": 'integral(normal_flux, "1")',
+                          "load": "9"})  # fmt: skip
+    report = solve(scene).report
+    # what the edge takes, the contact force and the load balance
+    assert np.isclose(-report["reaction"], report["force"] - report["load"], rtol=1e-6)
+    for wrong in ('integral(u, "1")', 'integral(2*u + p, "1")'):
+        with pytest.raises(InputError, match=r"'1' is the name of cells and of facets.*Physical Curve"):
+            solve(scene.change({"report.force": wrong}))
+
+
 def test_bodies_that_were_not_fragmented(folder):
     """Two rectangles with a common edge are one domain only if they share its nodes; until then there is no answer."""
 
@@ -428,27 +526,123 @@ def test_straight_boundaries_are_known_from_the_geometry(folder, name):
         assert level_of(folder / "shape.geo", refine=1).polygonal is expected
 
 
-def test_the_mesh_of_a_geo_is_kept_as_long_as_its_text_stays(folder, monkeypatch):
-    """Gmsh meshes each text once; what may depend on other files is not kept."""
+SIZED = {  # ways by which a .geo depends on another file, which says the size
+    "include": ("side.txt", 'Include "side.txt"; {}', "Mesh.MeshSizeMax = {};"),
+    "merge": ("side.geo", 'Merge "side.geo"; {}', "Mesh.MeshSizeMax = {};"),
+    "bounding box": ("side.geo", 'MergeWithBoundingBox "side.geo"; {}', "Mesh.MeshSizeMax = {};"),
+    "field": ("side.dat", "{} Field[1] = Structured; Field[1].FileName = '@'; Field[1].TextFormat = 1;"
+              "Background Field = 1; Mesh.MeshSizeExtendFromBoundary = 0; Mesh.MeshSizeFromPoints = 0;",
+              "-1 -1 -1\n5 5 5\n2 2 2\n{0} {0} {0} {0} {0} {0} {0} {0}"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".geo", ".GEO"])
+@pytest.mark.parametrize("way", SIZED)
+def test_a_mesh_is_of_the_files_as_they_are(folder, way, suffix):
+    """Whatever file a .geo reads: when that changes the mesh does, and its content; the text of the .geo stays."""
+    name, text, beside = SIZED[way]
+    file = folder / f"shape{suffix}"
+
+    def found(size):
+        def write():
+            program = text.format("Rectangle(1) = {0, 0, 0, 2, 1};").replace("@", str(folder / name))
+            file.write_text(f"{OCC}{program}\n")
+            (folder / name).write_text(beside.format(size) + "\n")
+
+        on_root(COMM, write)
+        return level_of(file).dofs, on_root(COMM, content_of, file)
+
+    coarse, fine, again = found(0.5), found(0.1), found(0.5)
+    assert fine[0] > 2 * coarse[0] and fine[1] != coarse[1] and again == coarse
+    assert on_root(COMM, lambda: {one.name for one in folder.iterdir()}) == {file.name, name}
+
+
+def test_the_geometry_is_part_of_the_content(folder):
+    """Two ellipses with the same vertices: the refined meshes differ."""
+    found = []
+    for middle in (1.0, 1.2):
+        text = f"""Point(1) = {{0, 0, 0, 9}}; Point(2) = {{1, 0, 0, 9}}; Point(3) = {{.5, {middle}, 0, 9}};
+            Line(1) = {{1, 2}}; Bezier(2) = {{2, 3, 1}}; Transfinite Curve {{1, 2}} = 3; Curve Loop(1) = {{1, 2}};
+            Plane Surface(1) = {{1}};"""
+        on_root(COMM, lambda text=text: (folder / "a.geo").write_text(text) and None)
+        found.append(on_root(COMM, content_of, folder / "a.geo"))
+    assert found[0] != found[1]
+
+
+def test_a_study_reads_a_mesh_once(folder, monkeypatch):
+    """The rows of a study are of one mesh, even if its file changes meanwhile."""
     runs, run = [], meshing.subprocess.run
     monkeypatch.setattr(meshing.subprocess, "run", lambda *given, **more: runs.append(given) or run(*given, **more))
-    file, text = folder / "shape.geo", OCC + "Rectangle(1) = {0, 0, 0, 2, 1};"
+    on_root(COMM, lambda: (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n") and None)
+    scene = Scene(mesh={"file": str(folder / "a.geo")}, tension=1, load=-1, lower=-0.05)
+    rows = study(scene, {"refine": [0, 1, 2]})
+    assert len(rows) == 3 and COMM.bcast(len(runs)) == 1
+    solve(scene)
+    assert COMM.bcast(len(runs)) == 2
 
-    def found(text):
-        on_root(COMM, lambda: file.write_text(text + "\n") and None)
-        level = level_of(file)
-        return COMM.bcast(len(runs)), level.dofs, level.straight
 
-    first = found(text)
-    assert found(text) == first == (1, first[1], True)
-    finer = found(text + " MeshSize{:} = 0.05;")
-    assert finer[0] == 2 and finer[1] > first[1]
-    kept = [one.name for one in folder.iterdir() if one != file]
-    assert len(kept) == 1 and kept[0].startswith(".shape.geo.") and kept[0].endswith(".npz")
-    on_root(COMM, lambda: (folder / kept[0]).write_bytes(b"torn") and None)
-    assert found(text + " MeshSize{:} = 0.05;") == (3, *finer[1:])
-    on_root(COMM, lambda: file.write_text('Include "shape.pro"; ' + text) and None)
-    assert meshing._kept(file) is None
+PROGRAMS = {
+    "a command": "SystemCall 'touch {}';",
+    "a command in the background": "NonBlockingSystemCall 'touch {}';",
+    "a process of a field": "Field[1] = ExternalProcess; Field[1].CommandLine = 'touch {}'; Background Field = 1;",
+    "a mesh": "Mesh 2; Save '{}.msh';",
+    "a picture": "Mesh 2; Print '{}.msh';",
+    "a line": "Printf('text') > '{}';",
+    "another line": "Printf('text') >> '{}';",
+    "a folder": "CreateDir '{}';",
+    "a file that is read": "Include 'part.txt';",
+    "a solver": "OnelabRun('name', 'touch {}');",
+}
+
+
+@pytest.mark.parametrize("what", PROGRAMS)
+@pytest.mark.parametrize("suffix", [".geo", ".msh"])
+def test_a_mesh_file_starts_no_program_and_writes_no_file(folder, what, suffix):
+    """One message, and nothing has happened. What ends in .msh and is none is not read at all."""
+    target = folder / "target"
+
+    def write():
+        (folder / "part.txt").write_text(f"SystemCall 'touch {target}';\n")
+        (folder / f"a{suffix}").write_text(
+            OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n" + PROGRAMS[what].format(target) + "\n"
+        )
+
+    on_root(COMM, write)
+    before = on_root(COMM, lambda: sorted(folder.iterdir()))
+    wanted = "starts a program or writes a file" if suffix == ".geo" else r"begins with \$MeshFormat"
+    with pytest.raises(InputError, match=wanted):
+        level_of(folder / f"a{suffix}")
+    assert on_root(COMM, lambda: sorted(folder.iterdir())) == before
+
+
+@pytest.mark.parametrize("suffix", [".geo", ".msh", ".step"])
+def test_options_beside_a_mesh_are_not_taken(folder, suffix):
+    def draw(model):
+        model.occ.addRectangle(0, 0, 0, 1, 1)
+        model.occ.synchronize()
+
+    def write():
+        if suffix == ".geo":
+            (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n")
+        else:
+            saved(folder / f"a{suffix}", draw)
+
+    on_root(COMM, write)
+    level_of(folder / f"a{suffix}")
+    on_root(COMM, lambda: (folder / f"a{suffix}.opt").write_text("Mesh.MeshSizeMax = 0.1;\n") and None)
+    with pytest.raises(InputError, match=rf"a\{suffix}\.opt: options beside a mesh file"):
+        level_of(folder / f"a{suffix}")
+
+
+def test_without_confinement_no_geo_is_read(folder, monkeypatch, capsys):
+    """Where the kernel cannot do it, a .geo is not run; a .msh is read."""
+    monkeypatch.setattr(meshing, "confine", lambda: False)
+    if COMM.rank == 0:
+        (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n")
+        saved(folder / "a.msh", lambda model: (model.occ.addRectangle(0, 0, 0, 1, 1), model.occ.synchronize()))
+        assert meshing._run(str(folder / "a.geo"), str(folder / "1.npz")) == 2
+        assert "libseccomp2" in capsys.readouterr().out
+        assert meshing._run(str(folder / "a.msh"), str(folder / "2.npz")) == 0
 
 
 @pytest.mark.parametrize(("text", "whole", "part"), [

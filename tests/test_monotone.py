@@ -1,10 +1,10 @@
 """(2.8)-(2.13) and (3.2)-(3.3): which penalty operators are monotone."""
 
 import pytest
-from conftest import COMM
 
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.verification.theory.monotone import Line, hat, penalties, ramp
+from tests.conftest import COMM
+from tests.theory.monotone import Line, hat, penalties, ramp
 
 
 def test_statement():

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 from PIL import Image
 
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.answers.iterates import iterates
 from fenicsx_obstacle.show.newton import animate_newton
+from tests.conftest import COMM, membrane
 
 STIFF = {"cells": 16, "eps": 1e-6}
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import matplotlib
 import matplotlib.pyplot as plt
 import pytest
-from conftest import COMM, DEMOS, slow_except
+
+from tests.conftest import COMM, DEMOS, slow_except
 
 NOTEBOOK = Path(__file__).parent.parent / "docs" / "kikuchi_in_an_hour.py"
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 from subprocess import run
 
 import pytest
-from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
+from tests.conftest import COMM, membrane
 
 WRONG = {
     r"SolverOptions: eps = 0: must be positive and finite": {"eps": 0},

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, membrane
 from dolfinx import fem, io
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -14,6 +13,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import Answer, InputError, Scene, releases, solve
 from fenicsx_obstacle.discrete.cells import corners, facet_corners, sides
 from fenicsx_obstacle.parallel import largest, smallest, total
+from tests.conftest import COMM, membrane
 
 STIFF = 3.0
 

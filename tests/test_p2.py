@@ -4,7 +4,6 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
@@ -15,6 +14,7 @@ from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.simplices import lattice
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes import catalogue
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 PLANE = ("ball", "biactive", "biactive_power", "cone", "disk_flat", "disk_mu_jump", "halfplane", "nsv", "ring_wedge",
          "smooth_square", "torsion_disk", "two_obstacle_square")  # fmt: skip

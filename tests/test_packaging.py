@@ -8,10 +8,10 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from test_cli import CLEAN
 
 import fenicsx_obstacle
 from fenicsx_obstacle import releases
+from tests.conftest import CLEAN
 
 pytestmark = pytest.mark.serial
 
@@ -35,8 +35,6 @@ def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
     for name in (
         "py.typed",
         "catalogue/ball.toml",
-        "verification/hard/scenes/suite.toml",
-        "verification/hard/scenes/stretched.geo",
     ):
         assert f"fenicsx_obstacle/{name}" in names
     assert any(name.endswith("LICENSE") for name in names)
@@ -53,6 +51,15 @@ def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
     said = run(place / "bin" / "python", "-c", code, "solve", "ball", "--cells", "16", cwd=tmp_path)
     assert said.startswith(str(found)) and "contact area" in said
     assert (tmp_path / "out" / "ball" / "answer.json").exists()
+    assert not any("test" in Path(name).parts[0] for name in names)
+    for command in (("theory",), ("theory", "3.27"), ("hard", "torsion_3"), ("hard", "--random", "2"), ("demo",)):
+        words = [place / "bin" / "python", "-c", code, *command]
+        done = subprocess.run(words, capture_output=True, text=True, env=CLEAN, cwd=tmp_path, check=False)
+        assert done.returncode == 2, done.stderr
+        sentence = (
+            f"Error: {command[0]} runs in a clone of the project, where demos/ and tests/ are; call ./obstacle there"
+        )
+        assert done.stderr.splitlines() == [sentence]
 
 
 def test_missing_libraries_are_named():

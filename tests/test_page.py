@@ -8,10 +8,10 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.show.report import report_answer, report_study
+from tests.conftest import COMM, membrane
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = """--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking

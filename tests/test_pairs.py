@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, DEMOS, slow_except
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,6 +16,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.solvers.newton import penalty_pressure
 from fenicsx_obstacle.studies.orders import order
+from tests.conftest import COMM, DEMOS, slow_except
 
 DISK = Scene.read(DEMOS / "disk.toml")
 SQUARE = {"shape": "rectangle", "cells": 6}

@@ -7,7 +7,6 @@ import sys
 import h5py
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.io import folder as folder_module
@@ -15,6 +14,7 @@ from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import gathered, on_root
 from fenicsx_obstacle.show.boundary import free_boundary, patch_of
 from fenicsx_obstacle.show.free_boundary import near_free_boundary, write_free_boundary
+from tests.conftest import COMM, DEMOS
 
 
 @pytest.mark.parametrize("name, changes", [

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
@@ -11,6 +10,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import InputError, contact_pressure, nodal_rule, penalty, releases
 from fenicsx_obstacle.forms.penalty import penalty_energy
 from fenicsx_obstacle.parallel import total
+from tests.conftest import COMM
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.io.folder import gather
@@ -14,6 +13,7 @@ from fenicsx_obstacle.show.figures import blank, figure
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, pressures
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.space import draw_views
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
 
@@ -359,7 +359,7 @@ def test_a_plane_mesh_with_three_coordinates(height, folder, recwarn):
     """It has the picture of a plane mesh, without warnings."""
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, 9)] * 2))
     a = np.arange(81).reshape(9, 9)[:-1, :-1].ravel()[:, None]
-    cells = np.concatenate([np.add(a, [0, 1, 10]), np.add(a, [0, 10, 9])])
+    cells = np.concatenate([a + np.array(corners) for corners in ([0, 1, 10], [0, 10, 9])])
     patch = patch_of({"points": np.column_stack([x, y, 0 * x + height]), "cells": cells, "u": x, "lower": 0 * x - 1,
                       "pressure": 0 * x, "contact": 0 * x})  # fmt: skip
     page = blank(6, 4)

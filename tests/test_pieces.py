@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_enclosures import CORNERS, FORMULAS, SCENE, area
 
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -12,6 +11,7 @@ from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Division, pieces_of, range_of
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.scenes.fields import FormulaField
+from tests.test_enclosures import CORNERS, FORMULAS, SCENE, area
 
 pytestmark = pytest.mark.serial
 

@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane
 
 from fenicsx_obstacle import InputError, Scene, study
 from fenicsx_obstacle.answers.time_history import Frame
@@ -15,8 +14,9 @@ from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.show.time_history import _chosen
-from fenicsx_obstacle.verification.show.theory import drawing
-from fenicsx_obstacle.verification.theory.statement import Curve, Found, Panel
+from tests.conftest import COMM, DEMOS, membrane
+from tests.theory.show import drawing
+from tests.theory.statement import Curve, Found, Panel
 
 BUMP = {"load": -4, "lower": "-c", "define": {"c": 0.1}}
 

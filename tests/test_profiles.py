@@ -5,7 +5,6 @@ import csv
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import COMM, membrane
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.profiles import as_columns, profiles_of
@@ -14,6 +13,7 @@ from fenicsx_obstacle.show.profiles import _drawn, draw_rows
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.studies.rows import as_csv
+from tests.conftest import COMM, membrane
 
 LINE = {"line": {"from": [0.0, 0.25], "to": [1.0, 0.75], "n": 9}}
 

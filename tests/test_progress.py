@@ -10,8 +10,10 @@ import sys
 import termios
 
 import pytest
-from conftest import DEMOS, slow_except
-from test_cli import CLEAN, mpirun, run
+
+from fenicsx_obstacle.launcher import mpirun
+from tests.conftest import CLEAN, DEMOS, slow_except
+from tests.test_cli import run
 
 pytestmark = pytest.mark.serial
 STUDY = ["study", str(DEMOS / "disk.toml"), "--cells", "8", "--vary", "eps=1e-1,1e-3", "--output"]

@@ -7,8 +7,6 @@ import sys
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import COMM, DEMOS
-from test_cli import CLEAN, run
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.cli import commands
@@ -16,7 +14,9 @@ from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.show import demo as demo_module
 from fenicsx_obstacle.show.report import report_study
-from fenicsx_obstacle.verification.theory.statement import statements
+from tests.conftest import CLEAN, COMM, DEMOS
+from tests.test_cli import run
+from tests.theory.statement import statements
 
 ROOT = DEMOS.parent
 

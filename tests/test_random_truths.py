@@ -5,35 +5,35 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.adapt import solve
-from fenicsx_obstacle.verification.hard.families.anisotropic import Anisotropic
-from fenicsx_obstacle.verification.hard.families.axial import Axial
-from fenicsx_obstacle.verification.hard.families.bearings import Bearing, Bearings
-from fenicsx_obstacle.verification.hard.families.concentrated import LoadedLine, LoadedString
-from fenicsx_obstacle.verification.hard.families.conditions import KINDS as TERMS
-from fenicsx_obstacle.verification.hard.families.conditions import Conditions, Term
-from fenicsx_obstacle.verification.hard.families.curves import CIRCLES, Inclusion, Pole
-from fenicsx_obstacle.verification.hard.families.discs import Rings
-from fenicsx_obstacle.verification.hard.families.drifts import Radial, Strip
-from fenicsx_obstacle.verification.hard.families.elements import Field
-from fenicsx_obstacle.verification.hard.families.equilibria import Feeble
-from fenicsx_obstacle.verification.hard.families.files import torsion
-from fenicsx_obstacle.verification.hard.families.films import Film
-from fenicsx_obstacle.verification.hard.families.integrals import Circle, Pieces, energy_error
-from fenicsx_obstacle.verification.hard.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
-from fenicsx_obstacle.verification.hard.families.sectors import Corner, Sectors
-from fenicsx_obstacle.verification.hard.families.smooth import Polynomial
-from fenicsx_obstacle.verification.hard.families.solid_meshes import inscribed_ball, solid
-from fenicsx_obstacle.verification.hard.families.solids import KINDS as SOLIDS
-from fenicsx_obstacle.verification.hard.families.solids import Solid
-from fenicsx_obstacle.verification.hard.families.touching import KINDS as CONTACTS
-from fenicsx_obstacle.verification.hard.families.touching import Touching
-from fenicsx_obstacle.verification.hard.families.varying import Varying
+from tests.conftest import COMM
+from tests.random.families.anisotropic import Anisotropic
+from tests.random.families.axial import Axial
+from tests.random.families.bearings import Bearing, Bearings
+from tests.random.families.concentrated import LoadedLine, LoadedString
+from tests.random.families.conditions import KINDS as TERMS
+from tests.random.families.conditions import Conditions, Term
+from tests.random.families.curves import CIRCLES, Inclusion, Pole
+from tests.random.families.discs import Rings
+from tests.random.families.drifts import Radial, Strip
+from tests.random.families.elements import Field
+from tests.random.families.equilibria import Feeble
+from tests.random.families.files import torsion
+from tests.random.families.films import Film
+from tests.random.families.integrals import Circle, Pieces, energy_error
+from tests.random.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
+from tests.random.families.sectors import Corner, Sectors
+from tests.random.families.smooth import Polynomial
+from tests.random.families.solid_meshes import inscribed_ball, solid
+from tests.random.families.solids import KINDS as SOLIDS
+from tests.random.families.solids import Solid
+from tests.random.families.touching import KINDS as CONTACTS
+from tests.random.families.touching import Touching
+from tests.random.families.varying import Varying
 
 SQUARE = {"shape": "rectangle", "cells": 16, "diagonal": "right", "perturb": 0.0}
 

@@ -2,21 +2,17 @@
 
 import json
 import math
-import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, membrane, slow_except
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.distance import distance_to_simplices
 from fenicsx_obstacle.scenes import meshes
-
-# what this process's MPI has put into the environment would confuse the one started here
-CLEAN = {key: value for key, value in os.environ.items() if not key.startswith(("OMPI_COMM", "PMIX", "PRTE", "PMI_"))}
+from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 
 # on the unit interval, square or cube with u = 3*x and tension 2, for any mesh
 FIGURES = {

@@ -12,13 +12,15 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import DEMOS
-from test_cli import CLEAN, mpirun, run
 
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.__main__ import _run
 from fenicsx_obstacle.cli import commands
+from fenicsx_obstacle.launcher import mpirun
+from fenicsx_obstacle.studies import rows as rows_module
 from fenicsx_obstacle.studies.rows import RowStore, row_key
+from tests.conftest import CLEAN, DEMOS
+from tests.test_cli import run
 
 pytestmark = pytest.mark.serial
 
@@ -121,10 +123,10 @@ def test_key_depends_on_everything_that_matters(tmp_path):
     same, other = row_key(disk, "h", 1), row_key(disk.change({"define.c": 0.25}), "h", 1)
     assert same == row_key(Scene.read(DEMOS / "disk.toml"), "h", 1)
     assert len({same, other, row_key(disk, "h", 2), row_key(disk, "eps", 1)}) == 4
-    (tmp_path / "a.msh").write_text("one")
-    scene = Scene(mesh={"file": str(tmp_path / "a.msh")}, tension=1)
+    _xdmf(tmp_path, 1)
+    scene = Scene(mesh={"file": str(tmp_path / "a.xdmf")}, tension=1)
     before = row_key(scene, "h", 1)
-    (tmp_path / "a.msh").write_text("two")
+    _xdmf(tmp_path, 2)
     assert row_key(scene, "h", 1) != before
 
 
@@ -188,3 +190,119 @@ def test_set_vary_grid_and_latex(tmp_path):
         wrong = run("solve", DEMOS / "disk.toml", "--set", mistake, "--output", tmp_path / "out")
         assert wrong.returncode == 2, mistake
         assert wrong.stderr.startswith("Error: ")
+
+
+SIZED = """
+[mesh]
+file = "{}"
+[effects]
+tension = 1
+load = -1
+[obstacle]
+lower = -0.05
+[[boundary]]
+value = 0
+"""
+MINE = """
+from fenicsx_obstacle.effects.effect import Effect, register
+@register
+class Mine(Effect):
+    \"\"\"k u on the left side; unit of k: force per length^3.\"\"\"
+    key = "mine"; equation = "mine u"; left = True; term = "+ int mine u v"; unit = "force/length^3"
+    def terms(self, u, v, data): return {0} * data.cellwise(self.value, least=0.0) * u * v * data.dx
+    def energy(self, u, data): return {0} * data.cellwise(self.value, least=0.0) * u**2 / 2 * data.dx
+"""
+
+
+def _geo(folder, size):
+    (folder / "a.geo").write_text('SetFactory("OpenCASCADE");\nInclude "size.txt";\nRectangle(1) = {0, 0, 0, 1, 1};\n')
+    (folder / "size.txt").write_text(f"Mesh.MeshSizeMax = {size};\n")
+    (folder / "a.toml").write_text(SIZED.format("a.geo"))
+
+
+def _xdmf(folder, width):
+    from dolfinx import io, mesh
+    from mpi4py import MPI
+
+    found = mesh.create_unit_square(MPI.COMM_SELF, 6, 6)
+    found.geometry.x[:, 0] *= width
+    with io.XDMFFile(MPI.COMM_SELF, str(folder / "a.xdmf"), "w") as file:
+        file.write_mesh(found)
+    (folder / "a.toml").write_text(SIZED.format("a.xdmf"))
+
+
+def _plugin(folder, factor):
+    (folder / "mine.py").write_text(MINE.format(factor))
+    (folder / "a.toml").write_text(
+        SIZED.format("").replace('file = ""', 'shape = "rectangle"\ncells = 8').replace("load", "mine = 20\nload")
+    )
+
+
+@pytest.mark.parametrize("change", [_geo, _xdmf, _plugin])
+def test_rows_are_of_the_contents_of_files(change, tmp_path):
+    """Included files, the .h5 of an .xdmf and the code of a plug-in: once these change a row is computed again."""
+    study = ["study", "a.toml", "--vary", "effects.load=-1,-2", "--output", "out", "--json", "out.json", "--quiet"]
+    if change is _plugin:
+        study += ["--plugin", "mine.py"]
+    energies = []
+    for value in (0.3, 0.1, 0.3):
+        change(tmp_path, value)
+        done = run(*study, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        energies.append([json.loads(line)["energy"] for line in (tmp_path / "out.json").read_text().splitlines()])
+    assert energies[0] == energies[2]  # found again, to the last digit
+    assert all(abs(a / b - 1) > 1e-3 for a, b in zip(*energies[:2], strict=True))
+    if change is not _xdmf:  # HDF5 files have a date inside
+        assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == 4
+
+
+ROWS = {
+    "a row without its content": {"energy": 3.0},
+    "a wrong energy": {"energy": "much"},
+    "no contact": {"contact": None},
+    "a run that is a text": {"run": "first"},
+}
+
+
+@pytest.mark.parametrize("forged", [False, True], ids=["damaged", "forged"])
+@pytest.mark.parametrize("what", ROWS)
+def test_wrong_fields_of_rows(what, forged, tmp_path):
+    """One message; a row that was changed is never taken."""
+    study = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6", "--output", str(tmp_path), "--quiet"]
+    assert run(*study).returncode == 0
+    lines = []
+    for line in (tmp_path / "rows.jsonl").read_text().splitlines():
+        row = {**json.loads(line), **ROWS[what]}
+        content = row.pop("content")
+        lines.append(json.dumps({**row, "content": rows_module._content(row) if forged else content}))
+    (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
+    done = run(*study)
+    if forged and what == "a row without its content":  # another number is a number
+        return
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "rows.jsonl" in done.stderr, done.stderr
+
+
+def test_rows_of_version_02_are_kept_but_not_taken(tmp_path):
+    (tmp_path / "rows.jsonl").write_text('{"key": "a", "run": 1, "value": 1}\n')
+    store = RowStore(tmp_path)
+    assert store.find("a") is None
+    store.add("a", {"value": 2})
+    store.close()
+    store = RowStore(tmp_path)
+    assert store.find("a") == {"key": "a", "run": 1, "value": 2}
+    store.close()
+
+
+@pytest.mark.parametrize("name", ["rows.jsonl", ".lock"])
+def test_rows_are_written_into_no_other_file(name, tmp_path):
+    """A link in a folder of someone else leads nowhere; nor does a pipe wait."""
+    (tmp_path / "mine").write_text("mine\n")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "mine")
+    with pytest.raises(InputError, match="choose another folder"):
+        RowStore(tmp_path / "out")
+    assert (tmp_path / "mine").read_text() == "mine\n"
+    (tmp_path / "out" / name).unlink()
+    os.mkfifo(tmp_path / "out" / name)
+    with pytest.raises(InputError, match="is no file"):
+        RowStore(tmp_path / "out")

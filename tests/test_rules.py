@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, nodal_rule, releases
+from tests.conftest import COMM
 
 CELLS = {
     "interval": lambda: dmesh.create_unit_interval(COMM, 5),

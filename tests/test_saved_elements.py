@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 import pytest
 import ufl
-from conftest import COMM, membrane
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
@@ -18,7 +17,9 @@ from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.forms.pairs import Pair, _register, nodal_rule, register
 from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.launcher import mpirun
 from fenicsx_obstacle.parallel import largest, on_root, total
+from tests.conftest import CLEAN, COMM, as_version_02, membrane
 
 SQUARE = {"shape": "rectangle", "cells": 5}
 QUADS = {**SQUARE, "cell": "quadrilateral"}
@@ -182,6 +183,7 @@ def test_folders_of_version_01_are_read_as_they_are(folder):
     saved.save(folder)
 
     def strip():
+        as_version_02(folder)
         with h5py.File(folder / "fields.h5", "a") as file:
             del file["element"]
 
@@ -200,6 +202,7 @@ def _as_p1(plain):
 def test_damage_is_told(folder):
     """A table of nodes that is missing, or that is of another element, is named; a file is no folder."""
     solve(scene_of("P2")).save(folder)
+    on_root(COMM, as_version_02, folder)
 
     def change(edit):
         with h5py.File(folder / "fields.h5", "a") as file:
@@ -230,8 +233,8 @@ def test_a_part_of_the_ranks_reads(folder):
 SEVERAL = """
 import sys
 import numpy as np
-from conftest import COMM
-from test_saved_elements import table
+from tests.conftest import COMM
+from tests.test_saved_elements import table
 from fenicsx_obstacle import Answer, Scene, solve
 folder = sys.argv[1]
 saved = solve(Scene.read(folder + "/scene.toml"), eps=1e-6)
@@ -247,15 +250,13 @@ Answer.read(folder + "/one").save(folder + "/through")
 @pytest.mark.parametrize("ranks, element, mesh", [(2, "P2", SQUARE), (2, "Q1-gauss", QUADS), (3, "Q2", QUADS)])
 def test_other_numbers_of_ranks(ranks, element, mesh, folder):
     """Written on several ranks and read on one; written on one, read and written again on several, read on one."""
-    from test_cli import CLEAN, mpirun
-
     scene = scene_of(element, mesh)
     (folder / "scene.toml").write_text(scene.toml())
     here = solve(scene, eps=1e-6)
     here.save(folder / "one")
     command = [*mpirun(ranks), sys.executable, "-c", SEVERAL, str(folder)]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=150, env=CLEAN, cwd=Path(__file__).parent, check=False
+        command, capture_output=True, text=True, timeout=150, env=CLEAN, cwd=Path(__file__).parent.parent, check=False
     )
     assert done.returncode == 0, done.stderr
     found = table(Answer.read(folder / "several"))

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.show.explain import explain
+from tests.conftest import COMM, membrane
 
 BASE = '[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = 1\n'
 EDGE = "[[boundary]]\nvalue = 0\n"

@@ -3,14 +3,14 @@
 from contextlib import closing
 
 import pytest
-from conftest import COMM
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import smallest
-from fenicsx_obstacle.verification.hard.unsolvable import Unsolvable, attempt, problems
+from tests.conftest import COMM
+from tests.hard.unsolvable import Unsolvable, attempt, problems
 
 PROBLEMS = {problem.name: problem for problem in problems()}
 

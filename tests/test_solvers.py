@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import BENCHMARKS, COMM, DEMOS, MORE_ON_SEVERAL_RANKS, membrane, slow_except
 from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene, solve
@@ -14,6 +13,7 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers import newton
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import CYCLING
+from tests.conftest import BENCHMARKS, COMM, DEMOS, MORE_ON_SEVERAL_RANKS, membrane, slow_except
 
 sys.path.insert(0, str(DEMOS))
 TRUE_MAXIMUM = 6.0e-4  # nodal error of the discrete solution on 64 cells; what is more is the solver's

@@ -5,13 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import COMM
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.verification.theory.constants import Stability
-from fenicsx_obstacle.verification.theory.statement import slope
+from tests.conftest import COMM
+from tests.theory.constants import Stability
+from tests.theory.statement import slope
 
 RIGHT, CROSSED, SQUARES = {}, {"diagonal": "crossed"}, {"cell": "quadrilateral"}
 FAMILIES = {

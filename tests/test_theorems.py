@@ -4,12 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, slow_except
 
 from fenicsx_obstacle import Scene, study
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.studies.orders import order
+from tests.conftest import COMM, DEMOS, slow_except
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import pytest
-from conftest import COMM, slow_except
 
-from fenicsx_obstacle.verification.show.theory import conclusion, split, table
-from fenicsx_obstacle.verification.theory import in_eps, in_h, totals
-from fenicsx_obstacle.verification.theory.mesh_sequences import JUMP, VI, MeshSequence, errors, gap
-from fenicsx_obstacle.verification.theory.statement import Finding, find
+from tests.conftest import COMM, slow_except
+from tests.theory import in_eps, in_h, totals
+from tests.theory.mesh_sequences import JUMP, VI, MeshSequence, errors, gap
+from tests.theory.show import conclusion, split, table
+from tests.theory.statement import Finding, find
 
 HALFPLANE = MeshSequence("halfplane", "halfplane", JUMP, cells=(16, 32, 64))
 

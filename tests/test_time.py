@@ -7,7 +7,6 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import COMM, DEMOS, MORE_ON_SEVERAL_RANKS, slow_except
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.optimize import brentq
@@ -16,6 +15,7 @@ from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.answers.time_history import TimeHistory
 from fenicsx_obstacle.solvers.steps import difference, extrapolation
+from tests.conftest import COMM, DEMOS, MORE_ON_SEVERAL_RANKS, slow_except
 
 INTERVAL = {"shape": "interval", "cells": 16}
 METHODS = ["penalty", "vi"]

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import COMM, membrane
 from dolfinx import fem
 
 from fenicsx_obstacle import Scene, solve
@@ -16,6 +15,7 @@ from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.oscillation import _energies, _parts, poincare
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import add_ghosts
+from tests.conftest import COMM, membrane
 
 FINE = 64
 POINTS = np.array([(x, y) for y in np.linspace(0, 1, FINE + 1) for x in np.linspace(0, 1, FINE + 1)])

@@ -124,5 +124,5 @@ class Answer(Solution):
             return answer
         from fenicsx_obstacle.answers.frames import load_course
 
-        time_history = on_root(comm, lambda: load_course(folder))
+        time_history = on_root(comm, lambda: load_course(folder, len(saved.points)))
         return replace(answer, time_history=time_history.renumbered(saved.points, points_of(answer)))

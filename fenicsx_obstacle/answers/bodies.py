@@ -13,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.profiles import points_of
+from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -80,7 +80,7 @@ class BodyContext:
         self.body = Body(scene, level)
         self._report = BodyReport(self.body)
         self._report.check()
-        points_of(scene, self.body.level)  # rejects points outside before anything is solved
+        check_profiles(scene, self.body.level)
         self.setup_seconds = time.perf_counter() - started - self.mesh_seconds
 
     def renewed(self, scene: Scene) -> BodyContext:
@@ -135,7 +135,7 @@ class BodyContext:
         }  # fmt: skip
         if body.level.remarks:
             record["mesh_remarks"] = list(body.level.remarks)
-        if remarks := [*body.law.remarks, *contact_remarks(body, solution)]:
+        if remarks := [*record.get("remarks", ()), *body.law.remarks, *contact_remarks(body, solution)]:
             record["remarks"] = remarks
         if scene.report:
             record["report"] = self._report.of(solution, known)

@@ -7,16 +7,16 @@ import json
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_groups, renumbered, to_arrays
+from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_arrays, renumbered, to_arrays
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.time_discretization import INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
-from fenicsx_obstacle.parallel import agree, gathered, on_root
+from fenicsx_obstacle.parallel import agree, gathered, on_root, replaced
 from fenicsx_obstacle.solvers.steps import Steps
 
 NAME = "checkpoint.h5"
@@ -43,13 +43,10 @@ def write(folder: Path, level: Level, steps: Steps, time_history: TimeHistory) -
         }
         arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
         content = to_hdf5(arrays)
-        scratch = folder / f".{NAME}.part"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            scratch.write_bytes(content)
-            scratch.replace(folder / NAME)
+            with replaced(folder / NAME) as scratch:
+                scratch.write_bytes(content)
         except OSError as error:
-            scratch.unlink(missing_ok=True)
             raise InputError(f"{folder / NAME}: cannot be written: {error.strerror}") from None
 
     on_root(comm, save)
@@ -92,15 +89,22 @@ def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps
 def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], list[Frame]]:
     try:
         content = io.BytesIO(place.read_bytes())
-    except OSError as error:
-        raise InputError(f"{place}: no state to continue from: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{place}: no state to continue from: {getattr(error, 'strerror', error)}") from None
     try:
-        with h5py.File(content) as file:
-            stored = {name: values[()] for name, values in file.items() if name not in ("frames", "rows")}
-            rows = json.loads(file["rows"][()])
-            frames = from_groups(file.get("frames", {}).values())
-        if not {"points", "times", "u0"} <= set(stored):
+        found = arrays(content)
+        frames = {name.removeprefix("frames/"): found.pop(name) for name in [*found] if name.startswith("frames/")}
+        rows, times = json.loads(found.pop("rows").item()), found["times"]
+        count, past = len(found["points"]), [f"u{k}" for k in range(len(times))]
+        if not past or times.dtype.kind != "f" or times.shape != (len(past),):
             raise ValueError("it holds no state")
-    except (OSError, ValueError, KeyError, AttributeError) as error:
+        for name in ("points", "velocity", *past):
+            if name in found or name in past:
+                shape, kind = found[name].shape, found[name].dtype.kind
+                if kind != "f" or shape[:1] != (count,) or (name == "points" and shape != (count, 3)):
+                    raise ValueError(f"'{name}' has shape {shape}")
+        if not isinstance(rows, list) or not all(isinstance(row, dict) and {"step", "t"} <= set(row) for row in rows):
+            raise ValueError("its rows are none")
+        return found, rows, from_arrays(frames, count)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: is damaged: {error}") from None
-    return stored, rows, frames

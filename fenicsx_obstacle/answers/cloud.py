@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import h5py
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
@@ -22,6 +20,7 @@ from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.parallel import largest, new_files, on_root, total
 from fenicsx_obstacle.releases import cell_name
@@ -94,10 +93,9 @@ class Cloud:
         """
 
         def load() -> list[np.ndarray]:
-            content = io.BytesIO(file.read_bytes())
             try:
-                with h5py.File(content) as stored:
-                    return [stored[one.name][()] for one in fields(cls)]
+                found = arrays(file)
+                return [found[one.name] for one in fields(cls)]
             except (OSError, ValueError, KeyError) as error:
                 raise InputError(f"{file}: is damaged: {error}") from None
 

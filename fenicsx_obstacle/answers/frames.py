@@ -6,10 +6,9 @@ import csv
 from collections.abc import Mapping
 from pathlib import Path
 
-import h5py
-
-from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_csv, from_groups, to_arrays, to_csv
+from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_arrays, from_csv, to_arrays, to_csv
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import FRAMES, Array, to_hdf5, xdmf
 
 
@@ -27,8 +26,12 @@ def files_of(time_history: TimeHistory, mesh: Mapping[str, Array]) -> dict[str, 
     return files
 
 
-def load_course(folder: Path) -> TimeHistory:
+def load_course(folder: Path, count: int) -> TimeHistory:
     """Rows and frames (one rank).
+
+    Args:
+        folder: Of a saved answer.
+        count: Number of nodes, each of which has a value in each field.
 
     Raises:
         InputError: If they are not there, or damaged.
@@ -37,8 +40,7 @@ def load_course(folder: Path) -> TimeHistory:
     try:
         rows = from_csv((folder / "history.csv").read_text(encoding="utf-8"))
         if (folder / FRAMES[0]).exists():
-            with h5py.File(folder / FRAMES[0]) as file:
-                frames = from_groups(file.values())
-    except (OSError, ValueError, KeyError, AttributeError, csv.Error) as error:
+            frames = from_arrays(arrays(folder / FRAMES[0]), count)
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise InputError(f"{folder}: the saved answer is damaged: its time history: {error}") from None
     return TimeHistory(rows, tuple(frames))

@@ -1,9 +1,10 @@
 """From a tolerance for one output quantity to a solution: energy, contact force, or a quantity of [report].
 
-The error is estimated on a finer mesh: all cells of the mesh are refined, those at the free boundary once more, and the
-problem is solved there. The change of the quantity, times `BEYOND` for what still finer meshes would change, and the
-part of the penalty are the estimate. Where it comes from is said by the dual weighted residual (`dual_weighted`), and
-there the mesh is refined. The energy has a guaranteed error instead wherever there is an error bound.
+The error is estimated on a finer mesh: all cells of the mesh are refined, those at the free boundary once more, those
+in which a datum jumps three times more, and the problem is solved there. The change of the quantity, times `BEYOND`
+for what still finer meshes would change, and the part of the penalty are the estimate. Where it comes from is said by
+the dual weighted residual (`dual_weighted`), and there the mesh is refined. The energy has a guaranteed error instead
+wherever there is an error bound.
 """
 
 from __future__ import annotations
@@ -22,16 +23,18 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.jumps import cells_with_jumps
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.dual_weighted import adjoint_of, contributions, energy_contributions
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.text import nearest
+from fenicsx_obstacle.text import nearest, of_outputs
 
 BEYOND = 4 / 3  # of order 2 in h, halved cells remove three quarters of the error
 AT_FREE_BOUNDARY = 1  # further refinements there: h/4
+AT_JUMPS = 3  # where data jump inside cells: h/16, as finer meshes may have a jump at the same wrong place
 LEAST_SHARE = 0.05  # of the sum of the absolute values of all contributions: they cancel by chance
 NOT_DIFFERENTIABLE = ("area", "penetration")
 ENERGY = "energy"
@@ -131,7 +134,7 @@ class GoalAdaptation(Adaptation):
 
     Attributes:
         goal: The quantity.
-        words: 'estimated', or 'guaranteed' with the words of the bound.
+        words: 'estimated', or how far the error of the energy is guaranteed.
         estimate: Of its error on the last mesh.
     """
 
@@ -212,7 +215,7 @@ class GoalAdaptation(Adaptation):
         assert bound is not None and bound.indicator is not None
         if bound.energy is None or not bound.certified:
             return None
-        self.words = bound.words.replace("certified", "guaranteed", 1)
+        self.words = of_outputs(bound.words)
         low, high = bound.energy
         half = (high - low) / 2
         return answer, Estimate(low + half, half, 0.0, bound.indicator, answer.dofs, answer.dofs)
@@ -243,12 +246,14 @@ class GoalAdaptation(Adaptation):
         values = [self.goal.value(answer.record)]
         try:
             below, cells, fine = context, np.ones(own_cells(answer.level.mesh), dtype=bool), answer
-            while len(finer) <= AT_FREE_BOUNDARY and total(self.comm, np.count_nonzero(cells)) > 0:
+            while len(finer) <= AT_JUMPS and total(self.comm, np.count_nonzero(cells)) > 0:
                 below = below.refined(cells)
                 finer.append(below)
                 fine = below.answer(options, errors=False)
                 values.append(self.goal.value(fine.record))
-                cells = at_free_boundary(fine)
+                cells = cells_with_jumps(below.problem.data)
+                if len(finer) <= AT_FREE_BOUNDARY:
+                    cells |= at_free_boundary(fine)
             return answer, self._compared(context, answer, finer, fine, values)
         finally:
             for one in reversed(finer):

@@ -31,27 +31,30 @@ from fenicsx_obstacle.estimation.quadrature import DEGREE
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.text import of_outputs
 
 BILINEAR = ("tension", "foundation")  # effects that are part of a
 
 
 def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
-    """The answer with `record["bound"]["outputs"]`: value and guaranteed error of each linear quantity (collective).
+    """The answer with `record["bound"]["outputs"]`: value and error of each linear quantity, and whether the error is
+    guaranteed or, with sampled data, estimated (collective).
 
-    Empty where the bound is not certified, or no quantity is such an integral.
+    Empty where the bound is an indicator, or no quantity is such an integral.
 
     Args:
         answer: With a bound.
         context: Made it.
     """
-    bound, scene, found = answer.bound, context.scene, dict[str, dict[str, float]]()
+    bound, scene, found = answer.bound, context.scene, dict[str, dict[str, float | str]]()
     assert bound is not None
     if bound.certified and not context.problem.model.radial:
         for name, formula in scene.report.items():
             raw = _dual(scene, name, formula, context.problem.level)
             error = None if raw is None else _error(scene, raw, name, context, bound.total)
             if error is not None:
-                found[name] = {"value": answer.record["report"][name], "error": error}
+                value = answer.record["report"][name]
+                found[name] = {"value": value, "error": error, "words": of_outputs(bound.words)}
     return replace(answer, record={**answer.record, "bound": {**answer.record["bound"], "outputs": found}})
 
 

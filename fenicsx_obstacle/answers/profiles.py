@@ -52,6 +52,17 @@ def points_of(scene: Scene, level: Level) -> dict[str, np.ndarray]:
     return found
 
 
+def check_profiles(scene: Scene, level: Level) -> None:
+    """Reject profiles before anything is solved (collective).
+
+    Raises:
+        InputError: As `points_of`, or if a formula of comparison is not finite at a point.
+    """
+    for name, points in points_of(scene, level).items():
+        for t in (None,) if scene.time is None else (0.0, scene.time.end):
+            _formulas(scene, points, scene.tables.profile[name].compare, compare_place(name), t)
+
+
 def profiles_of(answer: Answer) -> dict[str, Profile]:
     """The solution along all profiles of its scene, with their formulas of comparison (collective).
 
@@ -81,13 +92,19 @@ def compared(
     Raises:
         InputError: If a formula is not finite at a point.
     """
-    x, values = _in_space(profile.points).T, {} if t is None else {"t": t}
+    return replace(profile, formulas=_formulas(scene, profile.points, given, place, t))
+
+
+def _formulas(
+    scene: Scene, points: np.ndarray, given: Mapping[str, float | str], place: str, t: float | None
+) -> dict[str, np.ndarray]:
+    x, values = _in_space(points).T, {} if t is None else {"t": t}
     formulas = {key: scene.at_points(scene.formula(one, f"{place} {key}"), x, values) for key, one in given.items()}
     for key, one in formulas.items():
         if not np.isfinite(one).all():
-            where = ", ".join(f"{x:.6g}" for x in profile.points[np.argmin(np.isfinite(one))])
+            where = ", ".join(f"{x:.6g}" for x in points[np.argmin(np.isfinite(one))])
             raise InputError(f"{scene.source}: {place} {key} = {given[key]}: is not finite at ({where})")
-    return replace(profile, formulas=formulas)
+    return formulas
 
 
 def moments_of(

@@ -94,9 +94,9 @@ class SolverContext:
             self._report = Report(self.problem.data, scene)
             self._report.check()
         if scene.tables.profile:
-            from fenicsx_obstacle.answers.profiles import points_of  # only where a scene names one
+            from fenicsx_obstacle.answers.profiles import check_profiles  # only where a scene names one
 
-            points_of(scene, level)  # rejects points outside before anything is solved
+            check_profiles(scene, level)
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None
@@ -246,6 +246,7 @@ class SolverContext:
     ) -> dict[str, Any]:
         """What coarser meshes say of each quantity, or why they say nothing (collective)."""
         from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
+        from fenicsx_obstacle.discrete.jumps import jump_inside
 
         start, scene, comm = time.perf_counter(), self.scene, self.problem.level.comm
         if (why := uncertainty.reason(scene)) is not None:
@@ -273,7 +274,10 @@ class SolverContext:
         if not found:
             return {"reason": uncertainty.REASON}
         three = [*found, uncertainty.quantities(answer.record)]
-        return comm.bcast({**uncertainty.compared(three), "seconds": time.perf_counter() - start})
+        jump = jump_inside(self.problem.data)
+        remark = {} if jump is None else {"reason": f"{jump.source} {uncertainty.REASON_JUMP}"}
+        said = uncertainty.compared(three, self.problem.level.pair.degree, resolved=jump is None)
+        return comm.bcast({**said, **remark, "seconds": time.perf_counter() - start})
 
     def measured(self, answer: Answer) -> Answer:
         """The answer with its errors, if the scene has an exact solution (collective)."""
@@ -351,7 +355,7 @@ class SolverContext:
         self,
         options: SolverOptions,
         outcome: Outcome,
-        counts: dict[str, int],
+        counts: dict[str, Any],
         method: Method,
         state: State,
         seconds: float,
@@ -369,6 +373,8 @@ class SolverContext:
             **figures, **course_of(outcome, spent, level.comm), **counts, "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
         }  # fmt: skip
+        if remarks := [*figures.get("remarks", ()), *counts.get("remarks", ())]:
+            record["remarks"] = remarks
         if bound is not None:
             record["bound"] = {**bound.record, "effectivity": None}
             if eps is not None and (problem.below is None) != (problem.above is None):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.paraview import BY_CELL
 from fenicsx_obstacle.text import nearest
 
 Row = Mapping[str, Any]
@@ -68,10 +69,19 @@ def to_arrays(frames: Sequence[Frame]) -> dict[str, np.ndarray]:
     return {f"{number:04d}/{name}": values for number, fields in groups for name, values in fields.items()}
 
 
-def from_groups(groups: Iterable[Any]) -> list[Frame]:
-    """Frames from the groups of `to_arrays`."""
-    return [Frame(float(one["t"][()]), {name: values[()] for name, values in one.items() if name != "t"})
-            for one in groups]  # fmt: skip
+def from_arrays(found: Mapping[str, np.ndarray], count: int) -> list[Frame]:
+    """Frames from the datasets of `to_arrays`, with so many values in each field.
+
+    Raises:
+        LookupError, TypeError, ValueError: If they are none.
+    """
+    frames: dict[str, dict[str, np.ndarray]] = {}
+    for path, values in found.items():
+        number, name = path.split("/")
+        if values.dtype.kind != "f" or (name not in ("t", *BY_CELL) and values.shape[:1] != (count,)):
+            raise ValueError(f"'{path}' has shape {values.shape} of {values.dtype}, not {count} numbers")
+        frames.setdefault(number, {})[name] = values
+    return [Frame(float(one.pop("t")), one) for one in frames.values()]
 
 
 def renumbered(frames: Sequence[Frame], old: np.ndarray, new: np.ndarray | None) -> list[Frame]:

@@ -2,8 +2,10 @@
 
 Nested iteration has a problem on each coarser mesh already, with a state near its solution. Two of them are solved to
 the end, with eps scaled as h^2. With [time] the scene is solved on two coarser meshes, with steps scaled as h. Where
-the changes from mesh to mesh have a consistent ratio, Richardson extrapolation says how far the last value is from the
-limit for h and eps to 0.
+the changes from mesh to mesh have a ratio that the element can have, Richardson extrapolation says how far the last
+value is from the limit for h and eps to 0 (Roache 1994; Eca and Hoekstra 2014: without such an order the estimate rests
+on the largest change). Where a datum jumps inside cells nothing is settled: each mesh has the jump elsewhere, three
+nested ones perhaps at the same wrong place, and the values do not tell.
 """
 
 from __future__ import annotations
@@ -29,16 +31,16 @@ MESHES = 3
 EPS_TIMES = (16.0, 4.0)  # that of the finest mesh: eps is scaled as h^2
 FEWEST = 4  # cells along x on the coarsest of them
 ROUND_OFF = 1e-9  # relative change that is the solver's tolerance
-ORDERS = (0.4, 4.0)  # observed orders that count as consistent; above, and between meshes, contact sets have jumped
+LEAST = 0.4  # observed order that counts as one
+ABOVE = 0.1  # an order is observed up to this beyond twice the degree, the highest that an output quantity can have
 HIGHEST = 2.0  # order that is believed at most
-HIGHEST_OF_AREA = 1.5  # of the contact area, whose changes are erratic: it depends on where the set ends within a cell
 SAFETY = 1.5  # times what extrapolation says
-WITHOUT_ORDER = 1.0  # times the larger change, where the changes become smaller without a consistent ratio
 SHRINKS = 0.85  # last change over the one before, from which on it does not become smaller
 GROWS = 0.03  # last change over the value, from which on a value that grows is called unbounded
 REASON = "it takes two coarser meshes: a number of cells that 4 divides, 16 or more, or --refine 2 for a file"
 REASON_STEPS = "it takes two solves with fewer steps: a number of steps under [time] that 4 divides"
 REASON_TOLERANCE = "it takes steps that are scaled as h, and [time] tolerance chooses them; give their number instead"
+REASON_JUMP = "jumps inside cells; lay edges of cells along the jump"
 Values = dict[str, float | None]
 
 
@@ -50,7 +52,7 @@ class Uncertainty:
         values: On the three meshes, the finest last.
         change: From the last mesh but one to the last.
         error: Estimated distance of the last value from its limit for h and eps to 0; None where nothing is settled.
-        order: Observed order in h; None where the three values have none.
+        order: Observed order in h; None where the three values have none that the element can have.
         verdict: settled; 'not settled', where changes do not become smaller; or 'unbounded', where the value grows by
             changes of one sign that do not become smaller.
     """
@@ -62,8 +64,8 @@ class Uncertainty:
     verdict: str
 
     @classmethod
-    def of(cls, values: Sequence[float], highest: float = HIGHEST) -> Uncertainty:
-        """What three values on meshes whose h halves say of the last; no order above `highest` is believed."""
+    def of(cls, values: Sequence[float], degree: int = 1) -> Uncertainty:
+        """What three values on meshes whose h halves say of the last, with elements of this degree."""
         coarse, middle, fine = values
         before, last = middle - coarse, fine - middle
         size, a, b = max(map(abs, values)), abs(before), abs(last)
@@ -74,10 +76,10 @@ class Uncertainty:
         if b >= SHRINKS * a:
             grows = same and abs(fine) > abs(middle) > abs(coarse) and b >= GROWS * size
             return cls(*found, None, None, "unbounded" if grows else "not settled")
-        order, next_one = (math.log2(a / b) if same and b > 0 else None), max(b, a / 2**highest)
-        if order is None or not ORDERS[0] <= order <= ORDERS[1]:
-            return cls(*found, WITHOUT_ORDER * next_one, None, "settled")
-        return cls(*found, SAFETY * next_one / (2 ** min(order, highest) - 1), order, "settled")
+        order = math.log2(a / b) if same else None
+        if order is None or not LEAST <= order <= 2 * degree + ABOVE:
+            return cls(*found, max(b, a / 2), None, "settled")  # as of order 1 after the change before
+        return cls(*found, SAFETY * max(b, a / 2**HIGHEST) / (2 ** min(order, HIGHEST) - 1), order, "settled")
 
 
 def quantities(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -86,24 +88,29 @@ def quantities(record: Mapping[str, Any]) -> dict[str, Any]:
     return {"energy": record["energy"], **contact, "report": dict(record.get("report") or {})}
 
 
-def compared(found: Sequence[Any], *, bounded: bool = False, highest: float = HIGHEST) -> Any:
+def compared(found: Sequence[Any], degree: int = 1, *, resolved: bool = True, bounded: bool = False) -> Any:
     """The uncertainty of values on three meshes, by the same fields; values that are not finite on some mesh have none.
 
     Args:
         found: On each mesh.
-        bounded: Whether they are known to be.
-        highest: Order that is believed at most.
+        degree: Of the element.
+        resolved: Whether all data are resolved by the meshes; nothing is settled otherwise.
+        bounded: Whether the values are known to be.
     """
     if isinstance(found[0], Mapping):
-        parts = {}
-        for key in found[0]:
-            top = HIGHEST_OF_AREA if bounded and key == "area" else HIGHEST
-            parts[key] = compared([one[key] for one in found], bounded=bounded or key == "contact", highest=top)
+        parts = {
+            key: compared([one[key] for one in found], degree, resolved=resolved, bounded=bounded or key == "contact")
+            for key in found[0]
+        }
+        if "penetration" in parts and parts["penetration"]["error"] is not None:
+            parts["penetration"]["error"] = abs(found[-1]["penetration"])  # its limit is 0
         return {key: part for key, part in parts.items() if part}
     if any(value is None for value in found):
         return None
-    said = Uncertainty.of(found, highest)
-    return asdict(replace(said, verdict="not settled") if bounded and said.error is None else said)
+    said = Uncertainty.of(found, degree)
+    if not resolved or (bounded and said.error is None):
+        said = replace(said, error=None, order=None, verdict="not settled")
+    return asdict(said)
 
 
 def on_coarser_meshes(

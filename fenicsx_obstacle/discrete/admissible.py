@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from dolfinx import fem
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.fields import OfFunction
+from fenicsx_obstacle.discrete.solvability import PRESCRIBE
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 
-ROUND_OFF = 1e-10  # relative to the values: obstacle and boundary value may come from different formulas
+EPSILON = float(np.finfo(float).eps)
+# obstacle and boundary value may come from different formulas
+ROUND_OFF = 1e-10  # relative to the range of u
+IRREVERSIBLE = (
+    "if one is an earlier solution, which the penalty method puts beyond its obstacles by eps*p, copy it by "
+    "np.clip(solution.u.x.array, solution.lower.x.array, solution.upper.x.array)"
+)
+AROUND = 1e-12  # relative to the obstacle in the cells around a node
 
 
 def check_admissible(data: Data) -> None:
@@ -24,26 +36,71 @@ def check_admissible(data: Data) -> None:
     dofs, values = data.fixed
     holds = any(effect.holds or effect.gives_way for effect in data.model.effects)
     if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
-        raise InputError(
-            f"{source}: u is given nowhere, and there is no obstacle: prescribe u on a part of the boundary"
-        )
+        raise InputError(f"{source}: u is given nowhere, and there is no obstacle: {PRESCRIBE}")
     _check_parts(data)
-    u_values = [f.x.array for f in (data.lower, data.upper) if f is not None] + [values.x.array[dofs]]
-    if data.thin:
-        u_values = [part[np.isfinite(part)] for part in u_values]
-    high, low = largest(comm, np.concatenate(u_values)), smallest(comm, np.concatenate(u_values))
-    tolerance = ROUND_OFF * (high - low) + 8 * float(np.finfo(float).eps) * max(abs(high), abs(low))
-    if data.lower is not None and data.upper is not None:
-        crossing = data.lower.x.array - data.upper.x.array
-        _refuse_gap(data, crossing, tolerance, f"{source}: lower is above upper")
-    for obstacle, sign, word in ((data.lower, 1, "lower"), (data.upper, -1, "upper")):
+    given, (lower, upper) = values.x.array[dofs], (data.lower, data.upper)
+    if lower is not None and upper is not None:
+        _refuse_crossing(data, lower, upper, given)
+    for obstacle, sign, word in ((lower, 1, "lower"), (upper, -1, "upper")):
         if obstacle is None:
             continue
         beyond = np.full(len(values.x.array), -np.inf)
         beyond[dofs] = sign * (obstacle.x.array - values.x.array)[dofs]
         side = "below" if word == "lower" else "above"
-        _refuse_beyond(data, beyond, tolerance, values, obstacle, f"lies {side} the {word} obstacle")
+        clear = _beyond_round_off(data, beyond, np.append(given, _extreme(data, obstacle)), [obstacle])
+        _refuse_beyond(data, clear, values, obstacle, f"lies {side} the {word} obstacle")
         obstacle.x.array[beyond > 0] = values.x.array[beyond > 0]
+
+
+def _refuse_crossing(data: Data, lower: fem.Function, upper: fem.Function, given: np.ndarray) -> None:
+    """Reject obstacles that cross (collective)."""
+    certain = np.append(given, [_extreme(data, lower), _extreme(data, upper)])
+    found = worst(data, _beyond_round_off(data, lower.x.array - upper.x.array, certain, [lower, upper]))
+    if found is not None:
+        place = f"{data.model.source}: lower" if data.model.lower is None else data.model.lower.source
+        message = f"{place} is above upper: by {found[0]:.3g} at {data.place(found[1])}"
+        if any(isinstance(one, OfFunction) for one in (data.model.lower, data.model.upper)):
+            message += f"; {IRREVERSIBLE}"
+        raise InputError(message)
+
+
+def _extreme(data: Data, obstacle: fem.Function) -> float:
+    """The largest height of a lower obstacle, the least one of an upper obstacle: u is there or beyond (collective)."""
+    found = largest if obstacle is data.lower else smallest
+    return found(data.level.comm, obstacle.x.array)
+
+
+def _beyond_round_off(
+    data: Data, excess: np.ndarray, certain: np.ndarray, obstacles: Sequence[fem.Function]
+) -> np.ndarray:
+    """What is more than round-off of an excess at local dofs, otherwise -inf (collective).
+
+    Round-off is relative to the heights that u certainly has, and to those of the obstacles in the cells around a node.
+    Obstacles elsewhere may be as far off as they like.
+
+    Args:
+        data: Its obstacles.
+        excess: How far heights are beyond others.
+        certain: Heights that u has.
+        obstacles: One or both.
+    """
+    comm, heights = data.level.comm, certain[np.isfinite(certain)]
+    high, low = largest(comm, heights), smallest(comm, heights)
+    tolerance = 0.0 if low > high else ROUND_OFF * (high - low) + 8 * EPSILON * max(abs(high), abs(low))
+    if largest(comm, excess) <= tolerance:
+        return np.full(len(excess), -np.inf)
+    around = np.max([_heights_around(data, np.abs(obstacle.x.array)) for obstacle in obstacles], axis=0)
+    return np.where(excess > tolerance + AROUND * around, excess, -np.inf)
+
+
+def _heights_around(data: Data, heights: np.ndarray) -> np.ndarray:
+    """The largest finite one of some heights at local dofs in the cells around each of these (local)."""
+    finite = np.where(np.isfinite(heights), heights, 0.0)
+    if data.level.scalar is not data.level:  # of contact nodes
+        return finite
+    cells, found = releases.cell_dofs(data.level.V), finite.copy()
+    np.maximum.at(found, cells, finite[cells].max(axis=1, initial=0.0)[:, None])
+    return found
 
 
 def _check_parts(data: Data) -> None:
@@ -64,11 +121,9 @@ def _check_parts(data: Data) -> None:
             raise InputError(f"{data.model.source}: {part.name} {key} has no effect where u is given, by {others}")
 
 
-def _refuse_beyond(
-    data: Data, beyond: np.ndarray, tolerance: float, values: fem.Function, obstacle: fem.Function, where: str
-) -> None:
+def _refuse_beyond(data: Data, beyond: np.ndarray, values: fem.Function, obstacle: fem.Function, where: str) -> None:
     """Reject boundary values beyond an obstacle, naming the table that gives the value (collective)."""
-    found = worst(data, beyond, tolerance)
+    found = worst(data, beyond)
     if found is not None:
         _, point, dof = found
         mine = None
@@ -83,14 +138,7 @@ def giver(data: Data, dof: int) -> str:
     return next(place for place, dofs in reversed(data.givers) if dof in dofs)
 
 
-def _refuse_gap(data: Data, excess: np.ndarray, tolerance: float, message: str) -> None:
-    """All ranks raise if the largest excess is above the tolerance, naming its place (collective)."""
-    found = worst(data, excess, tolerance)
-    if found is not None:
-        raise InputError(f"{message}: by {found[0]:.3g} at {data.place(found[1])}")
-
-
-def worst(data: Data, excess: np.ndarray, tolerance: float) -> tuple[float, np.ndarray, int | None] | None:
+def worst(data: Data, excess: np.ndarray, tolerance: float = 0.0) -> tuple[float, np.ndarray, int | None] | None:
     """The largest excess above the tolerance, its place, and the dof there on ranks that have it (collective).
 
     Of places alike it is the first by coordinates, whatever the partition.

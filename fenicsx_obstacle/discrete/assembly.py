@@ -56,7 +56,7 @@ class Forms:
         self.eps = fem.Constant(data.level.mesh, PETSc.ScalarType(1.0))
         pair = data.level.pair
         self.v = ufl.TestFunction(V)
-        self.thickness, self._finite = 1.0, [self.below, self.above]
+        self.thickness = 1.0
         self._set_contact_measure()
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
@@ -79,7 +79,6 @@ class Forms:
         self.rule = data.level.pair.rule(releases.cell_name(data.level.mesh))
         if data.thin:
             self.measure, self.rule, self.thickness = data.parts.all("contact"), data.parts.rule, data.extent
-            self._finite = [None if gap is None else fem.Function(data.level.V) for gap in self._finite]
 
     def _unknown(self) -> tuple[Any, fem.Function]:
         """u in UFL, and the Function by which forms are differentiated."""
@@ -124,9 +123,14 @@ class Forms:
 
     def set_reference(self) -> None:
         """Called when r has changed."""
-        for far, gap in zip(self._finite, (self.below, self.above), strict=True):
-            if far is not None and gap is not None and far is not gap:
-                far.x.array[:] = np.clip(gap.x.array, -FAR, FAR)
+        for side, finite in self._finite.items():
+            finite.x.array[:] = np.clip(getattr(self, side).x.array, -FAR, FAR)
+
+    @cached_property
+    def _finite(self) -> dict[str, fem.Function]:
+        """The distances of the obstacles from r in the forms, where 0 times infinity must not occur."""
+        sides = [side for side in ("below", "above") if getattr(self, side) is not None]
+        return {side: fem.Function(self.data.level.V) for side in sides}
 
     def elastic(self, out: PETSc.Vec) -> None:
         """out = a(w + r, .) - f."""
@@ -216,7 +220,8 @@ class Forms:
     def _form(self, name: str) -> Any:
         """Compiled on first use (collective): the fast path needs none of these."""
         if name not in self._made:
-            gaps: dict[str, Any] = dict(zip(("lower", "upper"), self._finite, strict=True))
+            gaps: dict[str, Any] = {"lower": self._finite.get("below"), "upper": self._finite.get("above")}
+            Forms.set_reference(self)
             if self.multiplier is not None:
                 gaps = {side: None if gap is None else gap + self.eps * self.multiplier for side, gap in gaps.items()}
             gaps["eps"] = self.eps if self.thickness == 1.0 else self.eps / self.thickness

@@ -17,6 +17,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.discrete.halving import EDGES, Numbers
+from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before, total
@@ -73,7 +74,7 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     corner, sides = x[releases.geometry_dofs(mesh)], np.array(EDGES[dim])
     middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
     middle[halves] = corner[:, sides].mean(axis=2)
-    points = np.vstack([x[releases.dof_nodes(V)[:count]], middle[: edges.size_local][mine]])
+    points = np.vstack([points_of_nodes(V)[:count, :gdim], middle[: edges.size_local][mine]])
     with marks.localForm() as local:
         chosen = np.where(local.array_r[halves[:own]] > 0, order[halves[:own]], -1)
     parents, places = _bisected(chosen) if dim == 3 else _cut(order[halves[:own]], chosen >= 0)

@@ -74,7 +74,7 @@ def own_cells(mesh: dmesh.Mesh) -> int:
 
 def given_cells(mesh: dmesh.Mesh) -> np.ndarray:
     """The number of each owned cell among the cells of all ranks that `create_mesh` was given."""
-    return np.asarray(mesh.topology.original_cell_index)[: own_cells(mesh)]
+    return np.asarray(mesh.topology.original_cell_index, dtype=np.int64)[: own_cells(mesh)]
 
 
 def sides(mesh: dmesh.Mesh, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -85,7 +85,7 @@ def sides(mesh: dmesh.Mesh, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     Returns:
         Cell, number of the facet in it, and share in the facet, of each side.
     """
-    table = cell_facets(mesh)
-    shares = np.bincount(table.ravel(), minlength=table.max(initial=-1) + 1)
-    cells, numbers = np.nonzero(np.isin(table[: own_cells(mesh)], facets))
-    return cells, numbers, 1.0 / shares[table[cells, numbers]]
+    table = cell_facets(mesh)[: own_cells(mesh)]
+    cells, numbers = np.nonzero(np.isin(table, facets))
+    outside = np.isin(table[cells, numbers], dmesh.exterior_facet_indices(mesh.topology))
+    return cells, numbers, np.where(outside, 1.0, 0.5)

@@ -33,7 +33,10 @@ from fenicsx_obstacle.text import counted
 NEAR, FEW_DIGITS, LARGEST = 1e-5, 1e-6, 1e-2
 OVERLAP = 1e-3  # of a facet's width
 INSIDE = 1e-4  # barycentric coordinate of a point that is inside a cell
-_REMEDY = "in Gmsh use BooleanFragments (OpenCASCADE) or Coherence"
+_REMEDY = (
+    "in a .geo add, before the physical groups, BooleanFragments{ Volume{:}; Delete; }{} with "
+    'SetFactory("OpenCASCADE") (of plane parts Surface{:}), and otherwise Coherence; then make the mesh again'
+)
 _CELLS = {
     (2, 1): "an interval",
     (3, 2): "a triangle",

@@ -29,6 +29,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import check_real, foreign
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair, pairs
@@ -39,7 +40,8 @@ from fenicsx_obstacle.text import shown
 KINK = 0.8  # least length of the mean of unit normals: two facets whose normals differ by 74 degrees
 HELD = 1e-6  # least length of a unit normal's part in free directions; below it the node is held
 ROUND_OFF = 1e-14  # of a unit normal
-BEYOND = 1e-10  # relative to the largest gap or displacement: what a held node may be beyond an obstacle
+BEYOND = 1e-10  # relative to displacements and the obstacle there: what a held node may be beyond it
+PLACE = 1e-14  # of the size of the body: round-off of a gap
 
 
 class VectorLevel(Level):
@@ -58,10 +60,10 @@ class VectorLevel(Level):
     def dofs(self) -> int:
         return self.V.dofmap.index_map.size_global * self.components
 
-    @property
+    @cached_property
     def nodes(self) -> np.ndarray:
-        """Coordinates of the local nodes, shape (3, nodes)."""
-        return np.ascontiguousarray(self.V.tabulate_dof_coordinates().T)
+        """Coordinates of the local nodes, shape (3, nodes) (first use is collective)."""
+        return np.ascontiguousarray(points_of_nodes(self.V).T)
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -72,24 +74,20 @@ class VectorLevel(Level):
         found = VectorLevel(
             self.mesh, level.h, level.facets, level.groups, level.shape, self.pair, remarks=level.remarks
         )
-        found.__dict__.update(V=self.V, _collapsed=self._collapsed)
+        found.__dict__.update(V=self.V, Q=self.Q)
         return found
-
-    @cached_property
-    def _collapsed(self) -> tuple[fem.FunctionSpace, np.ndarray]:
-        """The scalar space of this degree, and the node of V of each of its local dofs (first use is collective)."""
-        space, dofs = self.V.sub(0).collapse()
-        return space, np.asarray(dofs) // self.components
 
     @cached_property
     def Q(self) -> fem.FunctionSpace:
         """Gaps and pressures: the scalar space of the same degree (first use is collective)."""
-        return self._collapsed[0]
+        return releases.functionspace(self.mesh, "Lagrange", self.pair.degree)
 
-    @property
+    @cached_property
     def node_of(self) -> np.ndarray:
         """The node of V of each local dof of Q."""
-        return self._collapsed[1]
+        found = np.arange(self.Q.dofmap.index_map.size_local + self.Q.dofmap.index_map.num_ghosts)
+        found[releases.cell_dofs(self.Q)] = releases.cell_dofs(self.V)
+        return found
 
     @cached_property
     def _on_scalars(self) -> Level:
@@ -145,9 +143,7 @@ def over(level: Level) -> VectorLevel:
     """The vector-valued space over a scalar one, whose functions are its components (collective)."""
     found = VectorLevel(level.mesh, level.h, level.facets, level.groups, pair=level.pair)
     V = releases.functionspace(level.mesh, "Lagrange", level.pair.degree, level.mesh.geometry.dim)
-    node_of = np.empty(len(level.V.tabulate_dof_coordinates()), dtype=np.int64)
-    node_of[releases.cell_dofs(level.V)] = releases.cell_dofs(V)
-    found.__dict__.update(V=V, _collapsed=(level.V, node_of), _on_scalars=level)
+    found.__dict__.update(V=V, Q=level.V, _on_scalars=level)
     return found
 
 
@@ -455,12 +451,7 @@ class VectorData(Data):
     @cached_property
     def contact(self) -> ContactNodes:
         """Normals and weights (first use is collective)."""
-        flags = fem.Function(self.level.V)
-        dofs, _ = self.fixed
-        flags.x.array[dofs] = 1.0
-        flags.x.scatter_forward()
-        fixed = np.flatnonzero(flags.x.array > 0.5)
-        return ContactNodes(self.level, self._of, self._u, self._weight, fixed, self.model.source)
+        return ContactNodes(self.level, self._of, self._u, self._weight, self.fixed[0], self.model.source)
 
     def _thin_obstacle(self, obstacles: Mapping[int, Field], none: float) -> fem.Function:
         level, contact, given = self.level, self.contact, self.fixed[1].x.array
@@ -480,11 +471,12 @@ class VectorData(Data):
         Raises:
             HeldBeyond: With the place where they are farthest beyond it; of places alike the first by coordinates.
         """
+        comm, there = self.level.comm, g[self.contact.held_nodes]
+        size = max(largest(comm, np.abs(given)), 0.0) + np.where(np.isfinite(there), np.abs(there), 0.0)
         beyond = side * self.contact.excess_where_held(g, given)
-        comm = self.level.comm
-        size = max(largest(comm, np.abs(given)), largest(comm, np.abs(g[np.isfinite(g)])))
+        beyond[beyond <= BEYOND * size + PLACE * self.extent] = -np.inf
         most = largest(comm, beyond)
-        if most > BEYOND * size:
+        if most > 0:
             worst = self.contact.held_nodes[beyond >= most * (1 - 1e-9)]
             points = (min(self.level.nodes.T[worst].tolist(), default=None),)
             point = np.array(min(one for (one,) in comm.allgather(points) if one is not None))

@@ -17,7 +17,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners
 from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.mesh_tags import check_both_sides
 from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
@@ -31,6 +33,12 @@ if TYPE_CHECKING:
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
 ROUND_OFF = 1e-14  # of the largest coordinate of a point: its others are 0 up to that
+NO_BOUND = 1e20  # an obstacle of this absolute value or beyond is none; PETSc.INFINITY is this, or 4.5e307
+
+
+def with_infinities(g: np.ndarray) -> np.ndarray:
+    """Values of an obstacle as they were given, with inf and -inf where they mean that there is none."""
+    return np.where(np.abs(g) >= NO_BOUND, np.copysign(np.inf, g), g)
 
 
 class Weighted:
@@ -200,6 +208,12 @@ class Data:
         Raises:
             InputError: If it is not finite somewhere, or given for the cells of each material, which share nodes.
         """
+        function = self._interpolant(field, more)
+        self.refuse_infinite(function, field)
+        return function
+
+    def _interpolant(self, field: Field, more: Names | None = None) -> fem.Function:
+        """The same, finite or not (collective)."""
         if field.parts is not None:
             raise InputError(f"{field.source}: element {self.level.pair.name} needs one formula for all materials")
         function = fem.Function(self.level.V)
@@ -359,13 +373,25 @@ class Data:
         """Nodal upper obstacle (first use is collective)."""
         return self._obstacle("upper", np.inf)
 
+    def heights(self, sign: float) -> np.ndarray:
+        """The lower (sign 1) or the upper obstacle (-1) at local dofs, where there is none a number: `NO_BOUND`."""
+        obstacle = self.lower if sign > 0 else self.upper
+        assert obstacle is not None
+        return np.clip(obstacle.x.array, -NO_BOUND, NO_BOUND)
+
     def _obstacle(self, side: str, none: float) -> fem.Function | None:
         parts = {number: getattr(part, side) for number, part in enumerate(self.model.boundary)}
         thin = {number: obstacle for number, obstacle in parts.items() if obstacle is not None}
         if thin:
             return self.follow(thin.values(), partial(self._thin_obstacle, thin, none))
         obstacle = getattr(self.model, side)
-        return None if obstacle is None else self.follow([obstacle], partial(self.nodal, obstacle))
+        return None if obstacle is None else self.follow([obstacle], partial(self._obstacle_inside, obstacle, none))
+
+    def _obstacle_inside(self, obstacle: Field, none: float) -> fem.Function:
+        """Nodal obstacle in the domain; infinitely far off where there is none (collective)."""
+        function = self._interpolant(obstacle)
+        self._mark_none(function, obstacle, none)
+        return function
 
     def _thin_obstacle(self, obstacles: Mapping[int, Field], none: float) -> fem.Function:
         """Nodal obstacle on parts of the boundary; infinitely far off elsewhere (collective)."""
@@ -373,9 +399,24 @@ class Data:
         function.x.array[:] = none
         for number, obstacle in obstacles.items():
             dofs = self.dofs_on(self.facets[number])
-            function.x.array[dofs] = self._on_dofs(obstacle, dofs).x.array[dofs]
-        function.x.scatter_forward()
+            function.x.array[dofs] = self._at_dofs(obstacle, self.level.V, dofs)
+            self._mark_none(function, obstacle, none)
+        share(function)
         return function
+
+    def _mark_none(self, function: fem.Function, obstacle: Field, none: float) -> None:
+        """Set an obstacle to infinity where its values mean that there is none (collective).
+
+        Args:
+            function: Its values as they were given.
+            obstacle: What was sampled.
+            none: Infinity with the sign that means 'no obstacle' on this side.
+
+        Raises:
+            InputError: If another value is not finite.
+        """
+        function.x.array[:] = with_infinities(function.x.array)
+        self.refuse_infinite(function, obstacle, none=none)
 
     # the boundary
 
@@ -399,7 +440,10 @@ class Data:
         """Local dofs where u is given, sorted, and the values there (first use is collective)."""
         dofs = [self.dofs_on(facets) for facets in self.held]
         by_conditions = [np.asarray(bc.dof_indices()[0]) for bc in self._bcs]
-        fixed = np.unique(np.concatenate([np.empty(0, np.int32), *dofs, *by_conditions])).astype(np.int32)
+        flags = fem.Function(self.level.V)
+        flags.x.array[np.concatenate([np.empty(0, np.int32), *dofs, *by_conditions])] = 1.0
+        share(flags)
+        fixed = np.flatnonzero(flags.x.array).astype(np.int32)
         given = [part.value for part in self.model.boundary if part.value is not None]
         return fixed, self.follow(given, partial(self._boundary_values, dofs))
 
@@ -416,7 +460,7 @@ class Data:
             self.refuse_infinite(values, words=f"{self.model.source}: a value of bcs")
             here = np.concatenate([np.asarray(bc.dof_indices()[0]) for bc in self._bcs])
             self.givers.append((f"{self.model.source}: a value of bcs", here))
-        values.x.scatter_forward()
+        share(values)
         return values
 
     def on_part(self, field: Field, part: int, *, least: float | None = None) -> fem.Function:
@@ -432,20 +476,26 @@ class Data:
 
     def _sample_part(self, field: Field, part: int, least: float | None) -> fem.Function:
         function = self._on_dofs(field, self.dofs_on(self.facets[part]))
-        function.x.scatter_forward()
+        share(function)
         if least is not None:
             self._refuse(field, function, function.x.array < least, f"must be at least {least:g}; it is")
         return function
 
     @cached_property
     def parts(self) -> Parts:
-        """Measures of the parts of the boundary on which something acts (first use is collective)."""
+        """Measures of the parts of the boundary on which something acts (first use is collective).
+
+        Raises:
+            InputError: If a part is inside, and no rank has the cells on both sides of a facet.
+        """
         from fenicsx_obstacle.discrete.parts import Parts  # only where a model names one
 
         found = []
         for number, part in enumerate(self.model.boundary):
             keys = [*self.model.acts(number), *(["contact"] if part.bears else [])]
             found += [(number, key, self.facets[number]) for key in keys]
+            if keys:
+                check_both_sides(self.level.mesh, self.facets[number], f"{self.model.source}: {part.name}")
         return Parts(self.level, found, radial=self.model.radial)
 
     def over(self, part: int, key: str, *, nodal: bool = False) -> Facets:
@@ -494,7 +544,6 @@ class Data:
         here, names, points = self.here(field), self.names(field), self.level.points_of(V)
         if not field.everywhere:
             return here.interpolate(V, points, names)[dofs]
-        values = np.empty(0)
         with agree(self.level.comm):
             values = here.at(points[:, dofs], names)
         return values
@@ -506,8 +555,7 @@ class Data:
         else:
             V = function.function_space
             function.x.array[:] = self.here(field).interpolate(V, self.level.points_of(V), names)
-            function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
-        self.refuse_infinite(function, field)
+            share(function)  # points of ghosts may differ from their owner's in the last digit
 
     def _checked_cells(self, field: Field, positive: bool, least: float | None) -> Cellwise:
         made = self._sample_cells(field)
@@ -548,6 +596,7 @@ class Data:
             self._sample_materials(function, field, field.parts)
         else:
             self._sample(function, field)
+            self.refuse_infinite(function, field)
         return function
 
     def _sample_materials(self, function: fem.Function, field: Field, parts: Mapping[str, Field]) -> None:
@@ -573,18 +622,22 @@ class Data:
 
     # checks
 
-    def refuse_infinite(self, function: Cellwise, field: Field | None = None, *, words: str = "") -> None:
+    def refuse_infinite(
+        self, function: Cellwise, field: Field | None = None, *, words: str = "", none: float = 0.0
+    ) -> None:
         """All ranks raise if a value is not finite, naming one place (collective).
 
         Args:
             function: Sampled values.
             field: What was sampled, or None.
             words: What it is, for the message; by default the field.
+            none: What an obstacle has for a value where there is none, infinity with its sign.
 
         Raises:
             InputError: Of all ranks the first place.
         """
-        bad = ~np.isfinite(array_of(function))
+        values = array_of(function)
+        bad = ~(np.isfinite(values) | (values == none))
         self._refuse(field, function, bad, "is not a finite number: it is", words)
 
     def _refuse(self, field: Field | None, function: Cellwise, bad: np.ndarray, what: str, words: str = "") -> None:

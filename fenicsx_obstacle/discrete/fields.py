@@ -27,10 +27,11 @@ from ufl.classes import (
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
+from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.effects.field import ByCells, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
-from fenicsx_obstacle.parallel import agree, first_given, largest
+from fenicsx_obstacle.parallel import agree, first_given, largest, total
 from fenicsx_obstacle.text import one_line, plain, shown
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x 
 Table, or a dict of these by the names of cells"
 
 
+HUGE = 1e20  # round-off of an interpolation times it is no round-off
+LARGEST = 1e300  # a sum over the cells around a point is finite
 SAME = 1e-8  # of the largest value: what values of cells at a common node may differ by
 
 
@@ -132,7 +135,6 @@ class OfCallable(Field):
             raise InputError(f"{self.source}: the callable {wanted}; the call failed: {got}") from error
 
     def interpolate(self, V: fem.FunctionSpace, x: np.ndarray, names: Names) -> np.ndarray:
-        values = np.empty(0)
         with agree(V.mesh.comm):
             values = self._values(x, names)
         return values
@@ -262,8 +264,12 @@ class OfFunction(Field):
                 "interpolate it into a continuous space"
             )
         taken = fem.Function(V)
-        taken.interpolate(releases.expression(self.function, V))
-        return taken.x.array
+
+        def evaluate(function: fem.Function) -> np.ndarray:
+            taken.interpolate(releases.expression(function, V))
+            return taken.x.array.copy()
+
+        return self._without_leaks(evaluate)
 
     @property
     def continuous(self) -> bool:  # type: ignore[override]
@@ -278,6 +284,25 @@ class OfFunction(Field):
     def expression(self, symbols: Symbols) -> Any:
         return self.function + symbols.zero
 
+    def _without_leaks(self, evaluate: Callable[[fem.Function], np.ndarray]) -> np.ndarray:
+        """Values of the function at points, where a huge nodal value counts only if its basis function there is more
+        than round-off: an obstacle is huge or infinite where there is none (collective).
+
+        Args:
+            evaluate: Values at the points of a Function of the same space.
+        """
+        given, own = self.function.x.array, self.function.function_space
+        huge = np.abs(given) >= HUGE
+        if total(self._mesh.comm, np.count_nonzero(huge)) == 0:
+            return evaluate(self.function)
+        part, found = fem.Function(own), []
+        for values in (huge, np.where(huge, 0.0, given), np.clip(given, -LARGEST, LARGEST)):
+            part.x.array[:] = values
+            found.append(evaluate(part))
+        weight, others, everything = found
+        everything = np.where(np.abs(everything) >= SAME * LARGEST, np.copysign(np.inf, everything), everything)
+        return np.where(np.abs(weight) > SAME, everything, others)
+
     def _elsewhere(self, level: Level, points: np.ndarray) -> np.ndarray:
         """Values at points (3, n) of the cells of another mesh (collective)."""
         from fenicsx_obstacle.discrete.points import values_of  # only where a Function is of another mesh
@@ -290,8 +315,8 @@ class OfFunction(Field):
             )
         parts = comm.allgather(points.T)
         everywhere, start = np.vstack(parts), sum(len(part) for part in parts[: comm.rank])
-        values = values_of(self.function, everywhere)
-        lost = np.flatnonzero(~np.isfinite(values))
+        values = self._without_leaks(lambda function: values_of(function, everywhere))
+        lost = np.flatnonzero(np.isnan(values))
         if len(lost):
             where = ", ".join(f"{x:.4g}" for x in min(everywhere[lost].tolist())[: level.mesh.geometry.dim])
             words = f"with no finite value at ({where}): is this point outside of its mesh?"
@@ -359,7 +384,7 @@ class OfExpression(Field):
         degree = 2 if V.dofmap.dof_layout.entity_dofs(1, 0) else 1
         by_cell = fem.Function(releases.functionspace(V.mesh, "DG", degree))
         by_cell.interpolate(self._compiled(by_cell.function_space))
-        taken.x.scatter_forward()
+        share(taken)
         nodes = releases.cell_dofs(V)
         values, others = taken.x.array[nodes], by_cell.x.array[releases.cell_dofs(by_cell.function_space)]
         comm = V.mesh.comm

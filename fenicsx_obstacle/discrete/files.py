@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from importlib.util import find_spec
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import h5py
 import numpy as np
 from dolfinx import io
 from dolfinx import mesh as dmesh
@@ -21,6 +20,7 @@ from fenicsx_obstacle.discrete.gmsh_model import Arrays
 from fenicsx_obstacle.discrete.mesh_validation import validate_mesh
 from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.hdf5 import dataset, opened
 from fenicsx_obstacle.parallel import on_root
 
 GMSH = (".msh", *meshing.GEOMETRY)
@@ -57,6 +57,45 @@ def read(path: Path, comm: MPI.Comm) -> MeshFile:
     return _gmsh(path, comm) if path.suffix.lower() in GMSH else _xdmf(path, comm)
 
 
+def content_of(path: Path) -> str:
+    """A hash of the mesh of a file, whatever further files it came from (one rank).
+
+    What a .geo or .step depends on only Gmsh knows: for these it is a hash of the mesh that Gmsh makes.
+
+    Raises:
+        InputError: As `read`.
+    """
+    _check(path)
+    if path.suffix.lower() in GMSH:
+        return meshing.load(path).content
+    content = sha256()
+    for file in (path, *_data_files(path)):
+        with file.open("rb") as stream:
+            content.update(file_digest(stream, "sha256").digest())
+    return content.hexdigest()
+
+
+def _data_files(path: Path) -> list[Path]:
+    """The files with the numbers of an XDMF file."""
+    items = [item for item in _tree(path).iter("DataItem") if item.get("Format") == "HDF"]
+    names = sorted({(item.text or "").strip().partition(":")[0] for item in items})
+    return [_data_file(path, name) for name in names]
+
+
+def _data_file(path: Path, name: str) -> Path:
+    data = path.parent / name
+    if not data.is_file():
+        raise InputError(f"{path}: its data file {data} is missing")
+    return data
+
+
+def _tree(path: Path) -> Any:
+    try:
+        return ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not XDMF: {error}") from None
+
+
 def _check(path: Path) -> None:
     if not path.exists():
         raise InputError(f"{path}: no such mesh file ([mesh] file, relative to the scene)")
@@ -70,8 +109,6 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
     kept: list[Arrays] = []  # arrays stay on rank 0
 
     def load() -> tuple[Any, ...]:
-        if find_spec("gmsh") is None:
-            raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)")
         found = meshing.load(path)
         kept.append(found)
         return (*found.points.shape[1:], *found.cells.shape[1:], found.cell, found.materials, found.parts,
@@ -123,11 +160,7 @@ def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
 
 def _grids(path: Path) -> tuple[str, list[str], Groups]:
     """Names of the mesh, and of the tags on it; and what `named_parts.parts_of` has saved of it."""
-    try:
-        tree = ElementTree.parse(path)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: not XDMF: {error}") from None
-    grids = [grid for grid in tree.iter("Grid") if grid.find("Topology") is not None]
+    grids = [grid for grid in _tree(path).iter("Grid") if grid.find("Topology") is not None]
     if not grids:
         raise InputError(f"{path}: holds no mesh")
     points, cells = (_array(path, grids[0].find(f"{part}/DataItem"), part) for part in ("Geometry", "Topology"))
@@ -139,8 +172,25 @@ def _grids(path: Path) -> tuple[str, list[str], Groups]:
             validate_mesh(points, cells)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+    elif cells.size and not 0 <= cells.min() <= cells.max() < len(points):
+        raise InputError(f"{path}: a cell has a vertex that is not in the file")
+    elif not np.isfinite(points).all():
+        raise InputError(f"{path}: a vertex has a coordinate that is not a finite number")
+    for item in (item for grid in grids for item in grid.iter("DataItem") if item.get("Format") == "HDF"):
+        _check_data(path, item)  # before DOLFINx follows it
     tags = [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]
     return grids[0].get("Name", "mesh"), tags, _parts(path, grids[0].find("Topology/DataItem"))
+
+
+def _check_data(path: Path, item: ElementTree.Element) -> None:
+    """Reject numbers that are in further files, or are not there."""
+    name, _, inside = (item.text or "").strip().partition(":")
+    data = _data_file(path, name)
+    try:
+        with opened(data) as file:
+            dataset(file, inside)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {inside} in {data} cannot be read: {error}") from None
 
 
 def _parts(path: Path, item: ElementTree.Element | None) -> Groups:
@@ -148,10 +198,14 @@ def _parts(path: Path, item: ElementTree.Element | None) -> Groups:
     assert item is not None
     if item.get("Format") != "HDF":
         return {}
-    with h5py.File(path.parent / (item.text or "").strip().partition(":")[0]) as file:
-        if "parts/names" not in file:
-            return {}
-        return {name: values[()] for name, values in file["parts"].items()}
+    data = _data_file(path, (item.text or "").strip().partition(":")[0])
+    try:
+        with opened(data) as file:
+            if "parts/names" not in file:
+                return {}
+            return {name: dataset(file, f"parts/{name}")[()] for name in file["parts"]}
+    except (OSError, ValueError) as error:
+        raise InputError(f"{data}: its parts cannot be read: {error}") from None
 
 
 def _array(path: Path, item: ElementTree.Element | None, part: str) -> np.ndarray:
@@ -162,11 +216,9 @@ def _array(path: Path, item: ElementTree.Element | None, part: str) -> np.ndarra
     try:
         if item.get("Format") == "HDF":
             name, _, inside = text.partition(":")
-            part, data = f"{part} in {name}", path.parent / name
-            if not data.is_file():
-                raise InputError(f"{path}: its data file {data} is missing")
-            with h5py.File(data) as file:
-                array = np.asarray(file[inside][()])
+            part, data = f"{part} in {name}", _data_file(path, name)
+            with opened(data) as file:
+                array = np.asarray(dataset(file, inside)[()])
         else:
             array = np.array(text.split(), dtype=np.int64 if part == "Topology" else np.float64)
         return array.reshape([int(number) for number in shape] if len(shape) == 2 else array.shape)

@@ -25,6 +25,7 @@ _SIDES: dict[str, list[tuple[int, ...]]] = {"interval": [(0,), (1,)], "quadrilat
 _KINDS = ("point", "curve", "surface", "volume")
 _NO_NAME = "Open CASCADE"  # with which names begin that a CAD file has for bodies without one
 _LISTED = 5  # entities in a message
+SAMPLES = 9  # of a curve; of a surface in each direction
 ROUNDS = 5  # in which a point comes to lie on two surfaces
 
 
@@ -46,6 +47,7 @@ class Arrays:
         cell_entity: On surfaces in space Gmsh's number of the surface of each cell, 0 of a plane; otherwise empty.
         straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
         remarks: What the user should know of the file.
+        content: A hash of all this, and of samples of the geometry.
     """
 
     points: np.ndarray
@@ -61,6 +63,7 @@ class Arrays:
     cell_entity: np.ndarray
     straight: bool | None
     remarks: tuple[str, ...]
+    content: str = ""
 
 
 def arrays_of(model: Any) -> Arrays:
@@ -160,6 +163,40 @@ def ungrouped_cells(model: Any) -> list[str]:
     ]
 
 
+def join_bodies(model: Any) -> list[str]:
+    """Let bodies of a CAD file that touch share the sides on which they do, so that these have common nodes.
+
+    Returns:
+        A remark on the bodies that do.
+
+    Raises:
+        InputError: If bodies overlap.
+    """
+    dim = model.getDimension()
+    bodies = model.getEntities(dim)
+    if len(bodies) < 2 or dim < 2:
+        return []
+    before = _common_sides(model)
+    _, pieces = model.occ.fragment(bodies[:1], bodies[1:])
+    model.occ.synchronize()
+    owner: dict[int, int] = {}
+    for number, of_body in enumerate(pieces):
+        for _, tag in of_body:
+            if owner.setdefault(tag, number) != number:
+                at = place(np.array(model.occ.getCenterOfMass(dim, tag)))
+                what = f"{_KINDS[dim]}s {bodies[owner[tag]][1]} and {bodies[number][1]}"
+                raise InputError(f"{what} overlap at {at}; cut one from the other, in Gmsh by BooleanDifference")
+    if (common := _common_sides(model)) == before:
+        return []
+    return [f"{len(bodies)} {_KINDS[dim]}s of the file share nodes on {counted(common, 'side')} on which they touch"]
+
+
+def _common_sides(model: Any) -> int:
+    """How many sides two bodies of the highest dimension have in common."""
+    sides = model.getBoundary(model.getEntities(model.getDimension()), False, False)
+    return len(sides) - len(set(sides))
+
+
 def name_bodies(model: Any) -> None:
     """Put each body of the highest dimension, and each of its sides, into a physical group with the name that the CAD
     file has for it, or else its number."""
@@ -193,6 +230,17 @@ def on_cad(model: Any, points: np.ndarray, rows: np.ndarray, entities: np.ndarra
             found, _ = model.getClosestPoint(dim, int(entity), points[own].ravel().tolist())
             points[own] = np.array(found).reshape(-1, 3)
     return points
+
+
+def samples(model: Any) -> np.ndarray:
+    """Points on each curve and surface of a geometry, by which two geometries with the same mesh differ."""
+    found = [np.empty(0)]
+    for dim, tag in (*model.getEntities(1), *model.getEntities(2)):
+        ends = np.array(model.getParametrizationBounds(dim, tag)).reshape(2, -1)
+        if ends.shape[1] == dim:  # none where an entity is a mesh
+            grid = np.meshgrid(*(np.linspace(low, high, SAMPLES) for low, high in ends.T))
+            found.append(np.asarray(model.getValue(dim, tag, np.stack(grid, axis=-1).ravel().tolist())))
+    return np.concatenate(found)
 
 
 def _joined(

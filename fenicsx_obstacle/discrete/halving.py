@@ -18,6 +18,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
+from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import before
 
 Project: TypeAlias = Callable[[np.ndarray], np.ndarray]
@@ -182,7 +183,7 @@ def _of_space(V: fem.FunctionSpace, *, outer: bool) -> tuple[Grid, Edges]:
     for side, corners in enumerate(EDGES[dim]):
         ends[of_cells[:, side]] = dofs[:, corners]
     number = Numbers.of(comm, V.dofmap.index_map)
-    points = mesh.geometry.x[releases.dof_nodes(V), : mesh.geometry.dim]
+    points = points_of_nodes(V)[:, : mesh.geometry.dim]
     flags = _outer(mesh, edges) if outer else None
     return Grid(comm, points, dofs[:own], number), Edges(
         _sorted(ends, number), of_cells[:own], Numbers.of(comm, edges), np.array(comm.allgather(own)), flags

@@ -21,6 +21,7 @@ from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.halving import Grid, halvings
 from fenicsx_obstacle.discrete.parents import Name
 from fenicsx_obstacle.discrete.shapes import Shape
+from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
@@ -85,18 +86,16 @@ class Level:
 
     @cached_property
     def points(self) -> np.ndarray:
-        """Coordinates of the local dofs, shape (3, dofs)."""
-        if self.pair.degree > 1:
-            return np.ascontiguousarray(self.V.tabulate_dof_coordinates().T)
-        # as the mesh has them: DOLFINx's own table is off in the last digit, differently on each rank
-        return np.ascontiguousarray(self.mesh.geometry.x[releases.dof_nodes(self.V)].T)
+        """Coordinates of the local dofs, shape (3, dofs) (first use is collective)."""
+        return np.ascontiguousarray(points_of_nodes(self.V).T)
 
     def forget_points(self) -> None:
-        """Free the coordinates, once data have been sampled; the next use makes them anew."""
+        """Free the coordinates, once data have been sampled; the next use, which is collective, makes them anew."""
         self.__dict__.pop("points", None)
 
     def points_of(self, V: fem.FunctionSpace) -> np.ndarray:
-        """Points of the local dofs of a space on this mesh, shape (3, dofs); of W within its cells, where it jumps."""
+        """Points of the local dofs of a space on this mesh, shape (3, dofs); of W within its cells, where it jumps
+        (collective)."""
         if V is self.V:
             return self.points
         points = np.array(V.tabulate_dof_coordinates().T)
@@ -347,7 +346,7 @@ def _above(
     """The next finer level, new vertices on curved boundaries moved there (collective)."""
     fine = replace(
         level, mesh=new, h=h, named=None, materials=None, bent=None, pair=pair, coarse=level, grids=grids,
-        parents=cells, places=places,
+        parents=cells, places=places, connected=None,
     )  # fmt: skip
     if level.shape is not None and level.shape.project is not None:
         parents.snap(fine.V, fine.boundary_facets, level.shape.project)

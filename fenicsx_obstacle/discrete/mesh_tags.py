@@ -1,15 +1,16 @@
-"""Validation of MeshTags that callers pass: they must be of the mesh, and of entities that it has."""
+"""Validation of MeshTags and facets that callers pass: they must be of the mesh, and of entities that it has."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import agree
-from fenicsx_obstacle.text import shown
+from fenicsx_obstacle.parallel import agree, total
+from fenicsx_obstacle.text import counted, shown
 
 _REMEDY = "create MeshTags of this mesh, with dolfinx.mesh.meshtags"
 
@@ -42,3 +43,31 @@ def check_tags(tags: Any, mesh: dmesh.Mesh, dim: int, place: str) -> None:
         if len(lost):
             there = f"which has {count} entities of dimension {dim} on this rank"
             raise InputError(f"{place}: index {lost[0]} is not on this mesh, {there}: {_REMEDY}")
+
+
+def check_both_sides(mesh: dmesh.Mesh, facets: np.ndarray | None, place: str) -> None:
+    """Reject facets inside the domain of which this rank has the cell on one side only: integrals leave them out
+    (collective).
+
+    It is so between the cells of two ranks, on a mesh without ghost cells.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets; None for all.
+        place: What messages call the integral.
+
+    Raises:
+        InputError: On all ranks, with the remedy.
+    """
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    one_sided = np.diff(mesh.topology.connectivity(dim - 1, dim).offsets) == 1
+    one_sided[mesh.topology.index_map(dim - 1).size_local :] = False  # their owners integrate over them
+    one_sided[dmesh.exterior_facet_indices(mesh.topology)] = False
+    count = total(mesh.comm, one_sided if facets is None else one_sided[facets])
+    if count > 0:
+        raise InputError(
+            f"{place}: of {counted(int(count), 'facet')} inside the domain no rank has the cells on both sides: make "
+            "the mesh with ghost_mode=dolfinx.mesh.GhostMode.shared_facet, with dolfinx.io.gmshio by "
+            "partitioner=dolfinx.mesh.create_cell_partitioner(dolfinx.mesh.GhostMode.shared_facet)"
+        )

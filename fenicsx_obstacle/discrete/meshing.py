@@ -1,58 +1,75 @@
-"""Gmsh in a separate process, since a file that it cannot read may end the process.
+"""Gmsh in a separate process, since a file that it cannot read may end the process, and a .geo is a program.
 
-`python -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo, .step or .msh file as NumPy arrays,
-or, if there are arrays already, moves the points in them to the CAD geometry of the .geo or .step; if that fails it
-prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours).
+`python -P -B -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo, .step or .msh file as NumPy
+arrays, or, if there are arrays already, moves the points in them to the CAD geometry of the .geo or .step; if that
+fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours). While it reads, it is confined.
 """
 
 from __future__ import annotations
 
-import glob
 import json
 import os
-import re
-import shutil
+import signal
 import subprocess
 import sys
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.gmsh_model import Arrays, arrays_of, name_bodies, on_cad, straight, ungrouped_cells
+from fenicsx_obstacle.discrete.confinement import confine
+from fenicsx_obstacle.discrete.gmsh_model import (
+    Arrays,
+    arrays_of,
+    join_bodies,
+    name_bodies,
+    on_cad,
+    samples,
+    straight,
+    ungrouped_cells,
+)
 from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
 DIMENSIONS = {"interval": 1, "triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 GEOMETRY = (".geo", ".step", ".stp")  # files that have a geometry, from which Gmsh makes the mesh
 PER_TURN = 12  # cells around a circle of a STEP file, which says nothing of sizes
-FORMAT = b"4"  # of what is kept
-# commands of a .geo by which its mesh may depend on more than its text
-_ELSEWHERE = re.compile(rb"\b(Merge|Include|ShapeFromFile|System\w*|GetEnv|Onelab\w*|Exists|FileExists)\b")
+# of files that are no programs, by their endings: what Gmsh does not find there it would run as a .geo
+_BEGINS = {".msh": b"$MeshFormat", ".step": b"ISO-10303-21", ".stp": b"ISO-10303-21"}
+_kept: dict[Path, Arrays] | None = None  # see `read_once`
+
+
+@contextmanager
+def read_once() -> Iterator[None]:
+    """While the block runs each Gmsh file is read once: what follows is all of one mesh (one rank)."""
+    global _kept
+    before, _kept = _kept, {} if _kept is None else _kept
+    try:
+        yield
+    finally:
+        _kept = before
 
 
 def load(path: Path) -> Arrays:
     """The mesh of a Gmsh file (one rank).
 
-    That of a .geo or .step is kept beside it, as long as its text and the Gmsh that is installed stay the same.
-
     Raises:
         InputError: With what Gmsh says, or what is wrong with the mesh.
     """
-    kept = _kept(path)
-    if kept is not None:
-        with suppress(OSError, ValueError, LookupError, BadZipFile):  # not there, or damaged
-            return _arrays(kept)
+    place = path.resolve()
+    if _kept is not None and place in _kept:
+        return _kept[place]
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "mesh.npz"
         _start(path, arrays)
-        if kept is not None:
-            _keep(arrays, path, kept)
-        return _arrays(arrays)
+        found = _arrays(arrays)
+    if _kept is not None:
+        _kept[place] = found
+    return found
 
 
 def moved(path: Path, points: np.ndarray, rows: np.ndarray, entities: np.ndarray) -> np.ndarray:
@@ -71,7 +88,7 @@ def moved(path: Path, points: np.ndarray, rows: np.ndarray, entities: np.ndarray
         arrays = Path(folder) / "points.npz"
         np.savez(arrays, points=points, rows=rows, entities=entities)
         _start(path, arrays)
-        with np.load(arrays) as stored:
+        with np.load(arrays, allow_pickle=False) as stored:
             return stored["points"]
 
 
@@ -81,11 +98,17 @@ def _start(path: Path, arrays: Path) -> None:
     Raises:
         InputError: As `load`.
     """
-    command = [sys.executable, "-m", __name__, str(path), str(arrays)]
+    _check(path)
+    command = [sys.executable, "-P", "-B", "-m", __name__, str(path), str(arrays)]
     # the process is no rank: MPICH would take it for one
     env = {name: value for name, value in os.environ.items() if not name.startswith("PMI_")}
     done = subprocess.run(command, env=env, capture_output=True, text=True, errors="replace", check=False)
     said = done.stdout.strip()
+    if done.returncode == -signal.SIGSYS:
+        raise InputError(
+            f"{path}: starts a program or writes a file, which no mesh file of a scene may do: remove commands such as "
+            "SystemCall, Save and Print, or mesh it in Gmsh to a .msh and name that"
+        )
     if done.returncode < 0:
         other = ", or mesh it to a .msh there" if path.suffix.lower() in GEOMETRY else ""
         raise InputError(f"{path}: Gmsh crashed while reading it; open it in Gmsh{other}")
@@ -96,47 +119,30 @@ def _start(path: Path, arrays: Path) -> None:
         raise InputError(f"{path}: Gmsh cannot read it: {reason}; is the file complete?")
 
 
+def _check(path: Path) -> None:
+    """Reject what Gmsh would run although it is no .geo."""
+    if find_spec("gmsh") is None:
+        raise InputError(f"{path}: reading Gmsh files needs gmsh's Python module (python3-gmsh)")
+    begin = _BEGINS.get(path.suffix.lower(), b"")
+    with path.open("rb") as file:
+        if file.read(len(begin)) != begin:
+            raise InputError(f"{path}: a file that ends in {path.suffix} begins with {begin.decode()}")
+    options = path.with_name(f"{path.name}.opt")
+    if os.path.lexists(options):
+        where = "move its lines into the .geo" if path.suffix.lower() == ".geo" else "remove or rename it"
+        raise InputError(f"{options}: options beside a mesh file, which Gmsh would run, are not taken: {where}")
+
+
 def _arrays(file: Path) -> Arrays:
-    with np.load(file) as stored:
-        words = json.loads(str(stored["words"]))
+    with np.load(file, allow_pickle=False) as stored:
+        words, content = json.loads(str(stored["words"])), sha256()
+        for name in sorted(stored):
+            content.update(f"{name} {stored[name].dtype} {stored[name].shape}".encode() + stored[name].tobytes())
         return Arrays(
             stored["points"], words["cell"], stored["cells"], tuple(words["materials"]), stored["cell_material"],
             tuple(words["parts"]), stored["facets"], stored["facet_part"], stored["bent"], stored["bent_entity"],
-            stored["cell_entity"], words["straight"], tuple(words["remarks"]),
+            stored["cell_entity"], words["straight"], tuple(words["remarks"]), content.hexdigest(),
         )  # fmt: skip
-
-
-def _kept(path: Path) -> Path | None:
-    """The file in which the mesh of a .geo or .step is stored; None for other files, and for a .geo that includes
-    further files."""
-    if path.suffix.lower() not in GEOMETRY:
-        return None
-    try:
-        text, program = path.read_bytes(), find_spec("gmsh")
-        if program is None or program.origin is None:
-            return None
-        if path.suffix == ".geo" and _ELSEWHERE.search(text):
-            return None
-        parts = (text, str(Path(program.origin).stat().st_mtime_ns).encode(), FORMAT)
-    except OSError:
-        return None
-    key = sha256(b"\0".join(parts)).hexdigest()[:16]
-    return path.with_name(f".{path.name}.{key}.npz")
-
-
-def _keep(arrays: Path, path: Path, kept: Path) -> None:
-    """Put a mesh beside its .geo, in place of that of an earlier text, where that can be done."""
-    scratch = kept.with_name(f"{kept.name}.{os.getpid()}")
-    try:
-        shutil.copyfile(arrays, scratch)
-        scratch.replace(kept)
-    except OSError:
-        with suppress(OSError):
-            scratch.unlink()
-        return
-    for other in path.parent.glob(f".{glob.escape(path.name)}.{'?' * 16}.npz"):
-        if other != kept:
-            other.unlink(missing_ok=True)
 
 
 def _run(source: str, target: str) -> int:
@@ -148,28 +154,34 @@ def _run(source: str, target: str) -> int:
     if cad := suffix in GEOMETRY[1:]:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", PER_TURN)
+    given = _given(Path(target))
     try:
-        gmsh.open(source)
-        if Path(target).exists():
-            with np.load(target) as given:
+        with open(target, "wb") as out:  # opened before the process may open no file
+            if not confine() and suffix == ".geo":
+                why = "libseccomp2 is missing, or the system does not allow it"
+                raise InputError(f"a .geo is a program, which nothing confines here ({why}): mesh it in Gmsh")
+            gmsh.open(source)
+            joined = join_bodies(gmsh.model) if cad else []
+            if given:
                 points = on_cad(gmsh.model, given["points"], given["rows"], given["entities"])
-                np.savez(target, points=points)
-            return 0
-        if cad:
-            name_bodies(gmsh.model)
-        if suffix in GEOMETRY:
-            gmsh.model.mesh.generate(gmsh.model.getDimension())
-        found = arrays_of(gmsh.model)
-        remarks = [*found.remarks, *(ungrouped_cells(gmsh.model) if suffix in GEOMETRY else ())]
-        words = {
-            "cell": found.cell, "materials": found.materials, "parts": found.parts, "remarks": remarks,
-            "straight": straight(gmsh.model, DIMENSIONS[found.cell]),
-        }  # fmt: skip
-        np.savez(
-            target, words=json.dumps(words), points=found.points, cells=found.cells, facets=found.facets,
-            cell_material=found.cell_material, facet_part=found.facet_part, bent=found.bent,
-            bent_entity=found.bent_entity, cell_entity=found.cell_entity,
-        )  # fmt: skip
+                np.savez(out, points=points)
+                return 0
+            if cad:
+                name_bodies(gmsh.model)
+            if suffix in GEOMETRY:
+                gmsh.model.mesh.generate(gmsh.model.getDimension())
+            found = arrays_of(gmsh.model)
+            remarks = [*joined, *found.remarks, *(ungrouped_cells(gmsh.model) if suffix in GEOMETRY else ())]
+            words = {
+                "cell": found.cell, "materials": found.materials, "parts": found.parts, "remarks": remarks,
+                "straight": straight(gmsh.model, DIMENSIONS[found.cell]),
+            }  # fmt: skip
+            np.savez(
+                out, words=json.dumps(words), points=found.points, cells=found.cells, facets=found.facets,
+                cell_material=found.cell_material, facet_part=found.facet_part, bent=found.bent,
+                bent_entity=found.bent_entity, cell_entity=found.cell_entity,
+                samples=samples(gmsh.model) if suffix in GEOMETRY else np.empty(0),
+            )  # fmt: skip
     except InputError as error:
         sys.stdout.write(f"{error}\n")
         return _REJECTED
@@ -177,6 +189,14 @@ def _run(source: str, target: str) -> int:
         sys.stdout.write(f"{error}\n")
         return 1
     return 0
+
+
+def _given(file: Path) -> dict[str, np.ndarray]:
+    """The points to be moved; none where a mesh is wanted."""
+    if not file.exists():
+        return {}
+    with np.load(file, allow_pickle=False) as stored:
+        return dict(stored)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,9 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
 from fenicsx_obstacle.discrete.halving import CHILDREN, EDGES, Numbers
-from fenicsx_obstacle.parallel import before, on_root
+from fenicsx_obstacle.discrete.shared_dofs import without_cell
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import before, on_root, total
 
 Name = TypeVar("Name", str, tuple[int, int])
 ToCad: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -31,10 +33,16 @@ def ends_of(V: fem.FunctionSpace, coarse: np.ndarray, parents: np.ndarray, place
         coarse: Local dofs of the cells of the coarser level, at their vertices.
         parents: Their row for each owned cell of V.
         places: Of the dofs of the cell.
+
+    Raises:
+        InputError: If a rank owns a dof that none of its cells has.
     """
     owned = V.dofmap.index_map.size_local
     dofs = releases.cell_dofs(V)[: len(parents)]
-    one = np.empty(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one corner of a cell of each dof
+    if total(V.mesh.comm, without_cell(V)[:owned]) > 0:
+        raise InputError("a rank owns nodes of the mesh that none of its cells has: create the submesh of a mesh with "
+                         "ghost_mode=dolfinx.mesh.GhostMode.shared_facet, or take element P1")  # fmt: skip
+    one = np.zeros(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one corner of a cell of each dof
     one[dofs.ravel()] = np.arange(dofs.size, dtype=np.int32)
     one = one[:owned]
     rows = coarse[parents[one // dofs.shape[1]]]

@@ -30,9 +30,6 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.residence import Drift
 
-INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
-REACH = 1e3  # times the range of u, or the distance of the nearest obstacle: a farther obstacle is no reference
-
 
 class Problem:
     """A model on one mesh, ready for a solver; forms compile once, whatever eps.
@@ -198,23 +195,27 @@ class Problem:
         return self.in_q(p)
 
     def set_reference(self, u_values: np.ndarray) -> None:
-        """Set the reference r to the obstacle nearest to `u_values` (ghosts included), and store w = u - r."""
+        """Set the reference r to the obstacle that a node touches or may touch, and store w = u - r.
+
+        That is the obstacle nearest to u, where it is no farther off than the range of u. Elsewhere r is u itself, and
+        where u is given r is its value: a far obstacle takes no digit from u.
+
+        Args:
+            u_values: Values of u, ghosts included.
+        """
         lower, upper = self.obstacles()
-        with np.errstate(invalid="ignore"):
-            nearer_below = np.abs(u_values - lower) <= np.abs(upper - u_values)
-        r = np.where(nearer_below, lower, upper) if self.constrained else np.zeros_like(u_values)
+        below, above = u_values - lower, upper - u_values
+        nearest = np.where(np.abs(below) <= np.abs(above), lower, upper)
         comm = self.level.comm
-        gap = np.abs(r - u_values)
         spread = largest(comm, u_values) - smallest(comm, u_values)
-        reach = REACH * max(spread, smallest(comm, gap[gap > 0]))
-        r = np.where((gap > reach) | ~np.isfinite(r), u_values, r)
+        r = np.where(np.minimum(below, above) <= spread, nearest, u_values if self.constrained else 0.0)
+        dofs, values = self.data.fixed
+        r[dofs] = values.x.array[dofs]
         # the owner of a dof decides for all: by round-off in its point, ranks may see different obstacles nearer
         self.reference.x.array[:] = r
         self.reference.x.scatter_forward()
-        r = self.reference.x.array
-        self.w.x.array[:] = u_values - r
-        dofs, values = self.data.fixed
-        self.w.x.array[dofs] = values.x.array[dofs] - r[dofs]
+        self.w.x.array[:] = u_values - self.reference.x.array
+        self.w.x.array[dofs] = values.x.array[dofs] - self.reference.x.array[dofs]
         self._measure_gaps()
 
     def set_unknown(self, values: np.ndarray) -> None:
@@ -267,6 +268,11 @@ class Problem:
         u = fem.Function(self.level.V, name="u")
         u.x.array[:] = self.w.x.array + self.reference.x.array
         return u
+
+    def range_of_u(self) -> float:
+        """The range of u in the present state, 0 without nodes."""
+        u_values, comm = self.w.x.array + self.reference.x.array, self.level.comm
+        return max(largest(comm, u_values) - smallest(comm, u_values), 0.0)
 
     def state(self) -> PETSc.Vec:
         """A vector for the solver, holding w."""
@@ -360,8 +366,8 @@ class Problem:
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances u - lower and upper - u at the points of I; inf where there is no obstacle."""
         w, none = self.w.x.array, np.broadcast_to(np.inf, len(self.weights))
-        lower = none if self.below is None else self._at_points(w - self.below.x.array)
-        upper = none if self.above is None else self._at_points(self.above.x.array - w)
+        lower = none if self.below is None else self.at_points(w - self.below.x.array)
+        upper = none if self.above is None else self.at_points(self.above.x.array - w)
         return lower, upper
 
     def pressed_gaps(self) -> tuple[np.ndarray, np.ndarray]:
@@ -381,7 +387,7 @@ class Problem:
         releases.add_ghosts(bears)
         return bears.x.array[: self.level.owned] > 0
 
-    def _at_points(self, values: np.ndarray) -> np.ndarray:
+    def at_points(self, values: np.ndarray) -> np.ndarray:
         """A function of V_h, ghosts included, at the points of I; inf at dofs that are none."""
         if self.level.pair.at_vertices:  # all dofs are points
             return values[: self.level.owned]

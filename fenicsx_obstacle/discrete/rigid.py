@@ -9,17 +9,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.contact_nodes import VectorLevel
     from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 
 INDEPENDENT = 1e-8  # of the largest eigenvalue of a Gram matrix: vectors that are others' combinations
 LOOSE = 1e-11  # relative energy of a motion that nothing resists
 BALANCED = 1e-6  # of the load: what contact leaves of a force on a loose body
 ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
+SAME = 1e-6  # of a motion: what its components and those of another one differ by through round-off
+_REMEDY = (
+    "prescribe components of u that exclude this, such as u_x = 0 on the plane of symmetry of a half model, or at one "
+    "node of a side"
+)
 FORCELESS = 1e-8  # of the forces, or of the size of the body: what is none
 
 
@@ -50,14 +57,20 @@ def rigid_motions(x: np.ndarray, components: int) -> np.ndarray:
 def motions_of(problem: VectorProblem) -> np.ndarray:
     """Rigid body motions in normal and tangential components at owned dofs, shape (motions, dofs) (collective)."""
     level, contact = problem.level, problem.data.contact
+    centre, size = _box(level)
     x = level.nodes[:, : level.V.dofmap.index_map.size_local]
-    low = np.array([smallest(level.comm, axis) for axis in x])
-    high = np.array([largest(level.comm, axis) for axis in x])
-    centred = (x - (low + high)[:, None] / 2) / max(np.max(high - low), 1e-300)
-    motions = rigid_motions(centred, level.components)
+    motions = rigid_motions((x - centre[:, None]) / size, level.components)
     return np.array([contact.rotated(motion.reshape(level.owned)) for motion in motions]).reshape(
         len(motions), level.owned
     )
+
+
+def _box(level: VectorLevel) -> tuple[np.ndarray, float]:
+    """Centre of the box around all nodes, shape (3,), and its longest side (collective)."""
+    x = level.nodes[:, : level.V.dofmap.index_map.size_local]
+    low = np.array([smallest(level.comm, axis) for axis in x])
+    high = np.array([largest(level.comm, axis) for axis in x])
+    return (low + high) / 2, max(np.max(high - low), 1e-300)
 
 
 def near_null_space(problem: RigidMotions, free: np.ndarray) -> PETSc.NullSpace | None:
@@ -136,36 +149,46 @@ def check_held(problem: VectorProblem) -> np.ndarray | None:
         The motions that only contact resists, orthonormal at owned dofs; None if there are none.
 
     Raises:
-        InputError: If a motion is resisted by nothing, or the load pulls the body from the obstacles.
+        InputError: If a motion is resisted by nothing, or the load pulls the body from the obstacles; or if the
+            derivative of F is not finite.
     """
     comm, source = problem.level.comm, problem.model.source
     motions, fixed = problem.motions, problem.fixed
     gram = comm.allreduce(motions @ motions.T)
     values, vectors = np.linalg.eigh(gram)
-    basis = (vectors / np.sqrt(values)).T @ motions
-    resisted = basis[:, fixed] @ basis[:, fixed].T + _energies(problem, basis)
-    values, vectors = np.linalg.eigh(comm.allreduce(resisted))
-    loose = vectors[:, values < LOOSE].T @ basis
+    orthonormal = (vectors / np.sqrt(values)).T
+    basis = orthonormal @ motions
+    resisted = comm.allreduce(basis[:, fixed] @ basis[:, fixed].T + _energies(problem, basis))
+    if not np.isfinite(resisted).all():
+        raise InputError(
+            f"{source}: the derivative of F is not finite at the start: is a logarithm or a root taken of a number "
+            "that is not positive there, as of det(I + grad(u)) in a cell turned inside out? start from another u"
+        )
+    values, vectors = np.linalg.eigh(resisted)
+    shares = vectors[:, values < LOOSE].T @ orthonormal  # of the motions, in each that nothing resists
+    loose = shares @ motions
     if not len(loose):
         return None
     load = -comm.allreduce((loose * ~fixed) @ problem.elastic.array_r)
     at, D = problem.touchable, problem.weights
     pushes = [(loose * D * sign)[:, at & np.isfinite(bound[: len(D)])] for bound, sign in problem.bounded_sides()]
     everywhere = np.concatenate(comm.allgather(np.concatenate(pushes, axis=1)), axis=1)
-    strength = np.linalg.svd(everywhere, compute_uv=False) if everywhere.shape[1] else np.zeros(1)
-    if len(strength) < len(loose) or strength[-1] <= INDEPENDENT * strength[0]:
+    enough = np.pad(everywhere, ((0, 0), (0, max(len(loose) - everywhere.shape[1], 0))))
+    directions, strength, _ = np.linalg.svd(enough, full_matrices=False)
+    free = directions[:, strength <= INDEPENDENT * strength[0]].T
+    if len(free):
         raise InputError(
-            f"{source}: the body is not supported: {_in_words(len(loose))}, and contact does not resist "
-            f"{'it' if len(loose) == 1 else 'all of them'}; prescribe more components of u"
+            f"{source}: the body is not supported: {_in_words(len(free))} that neither supports nor contact resist: "
+            f"{_named(problem, free @ shares)}; {_REMEDY}"
         )
     from scipy.optimize import nnls  # only where contact alone holds a body
 
-    _, left = nnls(everywhere, load, maxiter=100 * everywhere.shape[1])
+    forces, left = nnls(everywhere, load, maxiter=100 * everywhere.shape[1])
     if left > max(BALANCED * np.linalg.norm(load), ROUND_OFF * _size(problem)):
         raise InputError(
-            f"{source}: only contact supports the body, and the load does not press it against the obstacles, "
-            "so that no "
-            "solution exists; prescribe more components of u"
+            f"{source}: only contact supports the body, and the load does not press it against the obstacles, so that "
+            f"no solution exists: the load moves it: {_named(problem, (load - everywhere @ forces)[None] @ shares)}; "
+            f"{_REMEDY}"
         )
     return loose
 
@@ -215,3 +238,62 @@ def _energies(problem: VectorProblem, basis: np.ndarray) -> np.ndarray:
 
 def _in_words(count: int) -> str:
     return f"{count} rigid body {'motion is' if count == 1 else 'motions are'} free"
+
+
+def _named(problem: VectorProblem, shares: np.ndarray) -> str:
+    """Motions in words: translations with their direction, rotations with their axis or point (collective).
+
+    Args:
+        problem: Of the body.
+        shares: Of the motions of `rigid_motions` in each, shape (found, motions).
+    """
+    dim = problem.level.components
+    centre, size = _box(problem.level)
+    # first those without rotation, then the others without the part along these
+    _, strength, turns = np.linalg.svd(shares[:, dim:].T)
+    rank = int(np.sum(strength > SAME * np.abs(shares).max()))
+    moved, turned = turns[rank:] @ shares, turns[:rank] @ shares
+    along = np.linalg.svd(moved[:, :dim], full_matrices=False)[2]
+    turned[:, :dim] -= turned[:, :dim] @ along.T @ along
+    words = [f"translation along {_direction(one)}" for one in _aligned(along)]
+    for motion in turned if dim == 2 else _aligned(turned, dim):
+        shift, spin = motion[:dim], motion[dim:]
+        if dim == 2:  # u = spin (-y, x) + shift about the centre
+            point = np.array([-shift[1], shift[0]]) / spin
+            words.append(f"rotation about {place(np.round(centre[:2] + size * point, 9) + 0.0)}")
+        else:
+            axis = np.array([spin[2], -spin[1], spin[0]])  # of the pairs (1, 0), (2, 0), (2, 1)
+            point = centre + size * np.cross(axis, shift) / (axis @ axis)
+            words.append(f"rotation about the axis along {_direction(axis)} through {place(np.round(point, 9) + 0.0)}")
+    return ", ".join(words)
+
+
+def _aligned(rows: np.ndarray, first: int = 0) -> np.ndarray:
+    """Other combinations of rows, in which each has a column of its own where that can be (local).
+
+    Args:
+        rows: Independent ones from the column `first` on.
+        first: The first of the columns to look at.
+    """
+    rows, done = rows.copy(), 0
+    for column in range(first, rows.shape[1]):
+        if done == len(rows):
+            break
+        pivot = done + int(np.argmax(np.abs(rows[done:, column])))
+        if abs(rows[pivot, column]) <= SAME * np.abs(rows).max():
+            continue
+        rows[[done, pivot]] = rows[[pivot, done]]
+        rows[done] /= rows[done, column]
+        others = np.arange(len(rows)) != done
+        rows[others] -= rows[others, column : column + 1] * rows[done]
+        done += 1
+    return rows
+
+
+def _direction(vector: np.ndarray) -> str:
+    """x, y or z, or the unit vector."""
+    unit = vector / np.linalg.norm(vector)
+    axis = int(np.argmax(np.abs(unit)))
+    if 1 - abs(unit[axis]) < SAME:
+        return "xyz"[axis]
+    return place(np.round(unit * np.sign(unit[axis]), 9) + 0.0)

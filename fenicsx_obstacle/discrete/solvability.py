@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Sums: TypeAlias = Callable[[np.ndarray], np.ndarray]  # values at owned dofs, summed over each component
 ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
 EPSILON = float(np.finfo(float).eps)
+PRESCRIBE = "prescribe u on a part of the boundary ([[boundary]] value, or bcs)"
 LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a solution meaningless
 
 
@@ -157,16 +158,15 @@ def _refuse(
         why = "no solution exists" if net[one] else "if a solution exists, u is determined only up to a constant"
         raise InputError(
             f"{source}{where}, and the load, {net[one] + 0.0:.3g} in all, does not press against the {side} obstacle: "
-            f"{why}; prescribe u on a part of the boundary"
+            f"{why}; {PRESCRIBE}"
         )
     if any(effect.holds or effect.gives_way for effect in problem.model.effects):
         raise InputError(
             f"{source}{where}, and the stiffness of its supports, {max(held[one], 0.0):.3g} in all, is below "
             "the round-off of the "
-            "tension, so that round-off would determine u; prescribe u on a part of the boundary, or use a "
-            "stiffer support"
+            f"tension, so that round-off would determine u; {PRESCRIBE}, or use a stiffer support"
         )
-    raise InputError(f"{source}{where}, and no obstacle supports it: prescribe u on a part of the boundary")
+    raise InputError(f"{source}{where}, and no obstacle supports it: {PRESCRIBE}")
 
 
 def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:

@@ -162,12 +162,14 @@ class VectorProblem(RigidMotions):
         return self._of_nodes(self.data.contact.extended(self._at_nodes(p), self.level.V))
 
     def gap_function(self, gaps: np.ndarray) -> fem.Function:
-        """Gaps at owned dofs as a Function of Q, not-a-number off the contact boundary (collective)."""
+        """Gaps at owned dofs as a Function of Q, infinite where there is no obstacle, not-a-number off the contact
+        boundary (collective)."""
         contact, V = self.data.contact, self.level.V
-        on = np.zeros(len(self.level.nodes.T))
+        on, at_nodes = np.zeros(len(self.level.nodes.T)), self._at_nodes(gaps)
         on[contact.nodes] = 1.0
-        near = contact.extended(on, V) > 0
-        return self._of_nodes(np.where(near, contact.extended(self._at_nodes(gaps), V), np.nan))
+        near, infinite = (contact.extended(flags, V) > 0 for flags in (on, np.isinf(at_nodes).astype(float)))
+        found = np.where(infinite, np.inf, contact.extended(np.where(np.isinf(at_nodes), 0.0, at_nodes), V))
+        return self._of_nodes(np.where(near, found, np.nan))
 
     def _at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values at owned dofs, at local nodes: those of normal components, elsewhere 0 (collective)."""

@@ -162,7 +162,11 @@ class Field:
             x: Points of its dofs, shape (3, dofs); of what jumps between cells a little within them.
             names: As for `at`.
         """
-        return self.at(x, names)
+        from fenicsx_obstacle.parallel import agree  # reading a scene needs no MPI
+
+        with agree(V.mesh.comm):
+            values = self.at(x, names)
+        return values
 
     def on(self, level: Any) -> Field:
         """The datum on the mesh of a `discrete.levels.Level`; Functions of other meshes are interpolated

@@ -229,6 +229,7 @@ class Estimator:
             reasons.append("cells overlap, or meet in a vertex only")
         if terms.crossing > 0:
             reasons.append(
-                f"between the nodes the obstacles cross each other or what is given, by {terms.crossing:.2g} at most"
+                f"no function between the obstacles is known: between the nodes they may cross each other or what is "
+                f"given, by {terms.crossing:.2g} at most"
             )
         return reasons

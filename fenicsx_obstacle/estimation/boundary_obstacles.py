@@ -17,9 +17,7 @@ from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Group, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals, with_ghosts
-from fenicsx_obstacle.parallel import largest, total
-
-ROUND_OFF = 1e-14  # relative to the values of u
+from fenicsx_obstacle.parallel import total
 
 
 class BoundaryObstacle:
@@ -48,10 +46,7 @@ class BoundaryObstacle:
         self.sign, self._parts, self._patches = sign, parts, patches
         simplices, data = parts.simplices, parts.simplices.data
         self._dim, comm = simplices.dim, data.level.comm
-        obstacle = data.lower if sign > 0 else data.upper
-        assert obstacle is not None
-        self.nodal = sign * obstacle.x.array
-        self._heights = max(largest(comm, np.abs(self.nodal[np.isfinite(self.nodal)])), 0.0)
+        self.nodal = sign * data.heights(sign)
         number = which[parts.cells, parts.sides]
         self.rows = np.flatnonzero(number >= 0)
         self._dofs, cells = parts.dofs[self.rows], parts.cells[self.rows]
@@ -98,12 +93,13 @@ class BoundaryObstacle:
         found[self.rows[:, None], self._parts.corners[self.rows]] = nodal[self._dofs] * self._share[:, None]
         return found
 
-    def gaps(self, v: np.ndarray) -> tuple[np.ndarray, float]:
-        """Bounds of the mean distance of a P1 function above the obstacle on each facet, and of how far it is below it
+    def gaps(self, v: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float]:
+        """Bounds of the mean distance of a function above the obstacle on each facet, and of how far it is below it
         anywhere, on this rank (local).
 
         Args:
-            v: sign times its values at local dofs.
+            v: sign times the values of a P1 function at local dofs.
+            other: Bound of what the function is besides, on the facets of each owned cell.
         """
         corner = v[self._dofs]
         if self._dim == 1:
@@ -123,26 +119,24 @@ class BoundaryObstacle:
             gap = np.where(known, np.where(known, group.rest, 0.0) * total_weight - below, far * total_weight)
             mean += np.bincount(group.rows, group.share * gap, len(mean))
         mean *= reciprocals(parts.ratio[self.rows])
-        return np.maximum(mean, 0.0), float(np.max(self._highest(v), initial=0.0))
+        away = other[parts.cells[self.rows]]
+        return np.maximum(mean, 0.0) + away, float(np.max(self._highest(v) + away, initial=0.0))
 
     def _highest(self, linear: np.ndarray) -> np.ndarray:
         """Bounds of the obstacle above a P1 function on each facet (local)."""
         corner, highest = linear[self._dofs], np.full(len(self.rows), -np.inf)
-        for group in self._groups:
+        for group in (one.no_less(self.sign) for one in self._groups):
             coefficient, margin = self._above(group, corner)
-            known = np.isfinite(group.rest)
-            top = polynomials.largest(coefficient, self._dim, max(group.degree, 1)) + np.where(known, group.rest, 0.0)
-            side = group.upper if self.sign > 0 else -group.lower
-            bounded = np.isfinite(side)  # `Certification` has a word about others
-            top = np.where(known | ~bounded, top, side - corner[group.rows].min(axis=1, initial=np.inf))
-            group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
+            rest = np.where(np.isfinite(group.rest), group.rest, 0.0)  # `Certification` has a word about others
+            top = polynomials.largest(coefficient, self._dim, max(group.degree, 1)) + rest
+            group.raise_to(highest, np.where(np.abs(top) <= margin, 0.0, top + margin))
         return highest
 
     def _above(self, group: Group, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
         degree, coefficient = group.above(corner, self.sign)
         size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(corner[group.rows]))
-        return coefficient, polynomials.round_off(size[:, None], self._dim, degree) + ROUND_OFF * self._heights
+        return coefficient, polynomials.round_off(size[:, None], self._dim, degree)
 
 
 class BoundaryObstacles:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Enclosed, Field, Names, Truth
+from fenicsx_obstacle.estimation.simplex_geometry import gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +123,8 @@ class _ClippedCells:
         """A linear function that is not cut off is no farther from what is left of the obstacle."""
         at_corners, rest, steep = self.known.linear(cells)
         kept = np.all(self.by.sign * (at_corners - self.by.limit) >= 0, axis=1)
-        x = self.corners[cells]
         # where the obstacle is cut off the difference has the slope of the linear function
-        size = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-        height = size
-        if x.shape[1] == 3:
-            a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
-            height = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / size
-        own = np.ptp(at_corners, axis=1) / height
+        own = np.linalg.norm(gradients(self.corners[cells], at_corners), axis=0)
         none = np.full(len(cells), np.inf)
         return at_corners, np.where(kept, rest, none), np.where(kept, np.maximum(steep, own), none)
 

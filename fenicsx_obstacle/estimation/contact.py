@@ -9,12 +9,13 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.data import NO_BOUND
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, total
 
-TOUCHES = 1e-8  # of the largest distance
+TOUCHES = 1e-8  # of the range of u
 PRESSES = 1e-10  # of the largest pressure
-ON_OBSTACLE = 1e-10  # of the largest distance: a boundary value is the obstacle's
+ON_OBSTACLE = 1e-10  # of the range of u: a boundary value is the obstacle's
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,7 @@ def touching(problem: Problem, reach: tuple[float, float] | None = None) -> tupl
     if reach is not None:
         low, high = (np.atleast_1d(values)[: len(lower)] for values in problem.obstacles())
         lower, upper = np.where(low >= reach[0], lower, np.inf), np.where(high <= reach[1], upper, np.inf)
-    finite = [np.abs(gap[np.isfinite(gap)]) for gap in (lower, upper)]
-    near = TOUCHES * max(largest(problem.level.comm, np.concatenate(finite)), 0.0)
+    near = TOUCHES * problem.range_of_u()
     return lower <= near, upper <= near
 
 
@@ -113,7 +113,7 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
     ):  # fmt: skip
         if obstacle is None:
             continue
-        w.array[:own] -= np.where(~inside & np.isfinite(gap), sign * np.maximum(gap, 0.0), 0.0)
+        w.array[:own] -= np.where(~inside & (problem.weights > 0), sign * np.clip(gap, 0.0, NO_BOUND), 0.0)
         w.scatter_forward()
         problem.forms.elastic(there)
         w.array[:] = kept
@@ -128,8 +128,7 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
 def _with_boundary(problem: Problem, shares: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """The shares, with those of fixed nodes on an obstacle beside the contact set (collective)."""
     level, comm = problem.level, problem.level.comm
-    most = largest(comm, np.abs(gap[np.isfinite(gap)]))
-    touching = problem.fixed & (problem.weights > 0) & (gap <= ON_OBSTACLE * most)
+    touching = problem.fixed & (problem.weights > 0) & (gap <= ON_OBSTACLE * problem.range_of_u())
     if total(comm, np.count_nonzero(touching)) == 0:
         return shares
     known, sums, counts = (fem.Function(level.V) for _ in range(3))

@@ -128,7 +128,8 @@ class DirichletData(BoundaryValues):
             d = group.values(reference) - self._interpolated(beside[rows], opposite[rows], ends[rows], steps)
             coefficients = polynomials.coefficients(d, 2, degree)
             found.append((group, degree, coefficients))
-            exact = (group.rest == 0) & (group.degree <= self.degree)
+            # on a whole edge a polynomial of the elements' degree is its interpolant; between parts there may be kinks
+            exact = (group.corners is None) & (group.degree <= self.degree) & (group.rest == 0)
             curved[rows] |= ~exact & (np.abs(d).max(axis=1, initial=0.0) + group.rest > ROUND_OFF * self._heights)
         place = np.cumsum(curved) - 1 + len(self.cells)
         start, end = self._ends(beside, opposite)

@@ -26,7 +26,7 @@ KEEPS = 0.9  # of the difference is left between the two if it is a jump; if it 
 CONTINUOUS = 1e-10  # of the boundary values: a smaller difference is none
 SLIVER = 1e-8  # of the extent of the mesh: a part so short of an edge does not count
 SHORT = 1e-6  # of an edge: parts where conditions are undecided, after division
-SAMPLES = 5  # on each
+SAMPLES = 5  # on each, and on each edge
 MAX_PIECES = 20_000
 
 
@@ -78,7 +78,7 @@ class Jumps:
         self.worst: tuple[float, tuple[float, float], np.ndarray, str] | None = None
 
     def look(self, field: Field, edges: Edges, ends: np.ndarray) -> None:
-        """Compare values on both sides wherever conditions change, and at the ends with the nodal values.
+        """Compare values on both sides wherever conditions change, and at the ends with the nodal values (collective).
 
         Args:
             field: Of the boundary value.
@@ -92,6 +92,9 @@ class Jumps:
             for k in range(2):
                 self._judge(field, (value, ends[:, k]), (value, ends[:, k]), edges.at(every, np.full(count, k)))
             return
+        for t in np.linspace(0, 1, SAMPLES + 2)[1:-1]:  # all nodal values may be 0
+            values = np.abs(self._values(field, edges, every, np.full(count, t)))
+            self.scale = max(self.scale, largest(self.data.level.comm, values[np.isfinite(values)]))
         near = self._finest(edges)
         for k, direction in ((0, 1.0), (1, -1.0)):
             inside = [self._values(field, edges, every, k + direction * s * near) for s in (1, WIDER)]

@@ -26,6 +26,9 @@ from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
 
+ROUND_OFF = 1e-9  # relative to the values of u,
+UNDERFLOW = 1e-290  # or where all are 0: intervals are rounded outward by 1e-300
+
 
 @dataclass(frozen=True, eq=False)
 class Terms:
@@ -193,6 +196,16 @@ class Element(ABC):
     def rim_energy(self) -> np.ndarray:
         """Bound of the energy, twice, of what boundary values are between the nodes, in each cell."""
         return self.dirichlet.energy(self.tension.most)
+
+    def beyond_round_off(self, crossing: float, v: np.ndarray) -> float:
+        """By how much obstacles may be beyond a function, 0 if that may be round-off (collective).
+
+        Args:
+            crossing: By how much, at most.
+            v: Values of the function.
+        """
+        limit = ROUND_OFF * largest(self.simplices.data.level.comm, np.abs(v)) + UNDERFLOW
+        return crossing if crossing > limit else 0.0
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
         """Bounds of the energy of a function, a(v, v)/2 - f(v) with the true data; None where there are none

@@ -21,8 +21,6 @@ from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-ROUND_OFF = 1e-9  # relative to the values of u
-
 
 class ElementP1(Element):
     """P1 on one mesh: what depends on mesh and data alone is made once."""
@@ -68,12 +66,14 @@ class ElementP1(Element):
         for sign, gap in gaps.items():
             contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
         cover = sum((excess.cover_energy for excess in self.obstacles), np.zeros(len(self.simplices.area)))
-        below = 0.0
+        # continued boundary values are 0 on the other edges of a triangle, but not on other facets of a tetrahedron
+        below, continued = 0.0, self.dirichlet.deviation if simplices.dim == 3 else np.zeros(len(contact))
         for side, force in zip(self.equilibration.sides, flux.contact, strict=True):
-            distances, beyond = side.gaps(side.sign * v)
+            distances, beyond = side.gaps(side.sign * v, continued)
             below = max(below, beyond)
             np.add.at(contact, self.equilibration.parts.cells[side.rows], force[side.rows].sum(axis=1) * distances)
-        crossing = max(crossing, largest(simplices.data.level.comm, np.array([below])) if flux.contact else 0.0)
+        if flux.contact:
+            crossing = max(crossing, self.beyond_round_off(largest(simplices.data.level.comm, np.array([below])), v))
         distance, balanced = self._distance(u, flux)
         inside, outside, with_load = self._lacking(u, flux)
         moved, of_v = self._reaction_energy(v - u), self._distance(v, flux)
@@ -184,28 +184,27 @@ class ElementP1(Element):
         return most * self.simplices.size * height**2 + self.equilibration.parts.energy_of(height)
 
     def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much these then cross
-        each other or what is given (collective)."""
+        """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much obstacles in the
+        domain may be beyond the latter (collective)."""
         data, nodal, v = self.simplices.data, u.copy(), u.copy()
         given = data.fixed[0]
-        lifted = []
         for side in self.equilibration.sides:
             for state, obstacle in ((nodal, side.nodal), (v, side.lifted)):
                 inside = side.sign * np.maximum(side.sign * state, obstacle)
                 inside[given] = state[given]
                 state[:] = inside
         for excess in self.obstacles:
-            lifted.append(excess.lift(excess.sign * v))
-            for state, obstacle in ((nodal, excess.nodal), (v, lifted[-1])):
-                inside = excess.sign * np.maximum(excess.sign * state, obstacle)
-                inside[given] = state[given]
-                state[:] = inside
+            inside = excess.sign * np.maximum(excess.sign * nodal, excess.nodal)
+            inside[given] = nodal[given]
+            nodal[:], v = inside, excess.sign * excess.lift(excess.sign * v)
+        # of two obstacles the second one may have moved the state beyond the first
         comm, crossing = data.level.comm, 0.0
-        for excess, lift in zip(self.obstacles, lifted, strict=True):
-            beyond = largest(comm, lift - excess.sign * v)
-            if beyond > ROUND_OFF * largest(comm, np.abs(lift)):
-                crossing = max(crossing, beyond)
-        return nodal, v, crossing
+        for excess in self.obstacles:
+            crossing = max(crossing, excess.beyond(excess.sign * v))
+        if len(self.obstacles) == 2:
+            both = np.minimum(*(excess.cover_height for excess in self.obstacles))
+            crossing = max(crossing, largest(comm, both))
+        return nodal, v, self.beyond_round_off(crossing, v)
 
     def _gap(self, v: np.ndarray, excess: ObstacleExcess) -> np.ndarray:
         """The integral of the distance of v to an obstacle over each cell; with a weight |T| times the mean."""

@@ -20,6 +20,7 @@ from fenicsx_obstacle.estimation.lattice_obstacle import LatticeObstacle
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, reference_fields
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.estimation.triangle_lattice import MEANS, NODES, POINTS, PRODUCTS, SLOPES, SMALL
+from fenicsx_obstacle.parallel import largest
 
 
 class ElementP2(Element):
@@ -48,7 +49,7 @@ class ElementP2(Element):
         equilibration, area = self.equilibration, self.simplices.area
         gaps = {side.sign: self._gap(u, side) for side in self.obstacles}
         flux = equilibration.flux(u, touches_lower, touches_upper, (gaps.get(1.0), gaps.get(-1.0)))
-        added, contact, reduced = self._lifted(u[equilibration.nodes], flux)
+        added, contact, reduced, crossing = self._lifted(u[equilibration.nodes], flux)
         lifted = np.flatnonzero(added.any(axis=1))
         slopes = (added[lifted] @ SLOPES.reshape(-1, len(POINTS)).T).reshape(-1, len(SMALL), 2)
         moved, product = np.zeros(len(area)), np.zeros(len(area))
@@ -69,14 +70,14 @@ class ElementP2(Element):
             admissible_balanced=(np.sqrt(np.maximum(of_v, 0.0)) + oscillation) ** 2,
             oscillation=oscillation, contact=contact,
             moved=moved, cover=self.tension.most * cover, raised=none, penetration=self._energy(self._penetration()),
-            rest=rest, solver_rest=rest, energy=self._least_energy(u), admissible=v, crossing=0.0,
+            rest=rest, solver_rest=rest, energy=self._least_energy(u), admissible=v, crossing=crossing,
         )  # fmt: skip
 
     def _gap(self, u: np.ndarray, side: LatticeObstacle) -> np.ndarray:
         """Mean of the distances of u to an obstacle at the nodes of each cell."""
         return np.maximum(side.sign * (u - side.nodal(self.problem.data)), 0.0)[self.equilibration.nodes].mean(axis=1)
 
-    def _lifted(self, nodal: np.ndarray, flux: FluxP2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _lifted(self, nodal: np.ndarray, flux: FluxP2) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The function on the lattice that is added to u so that it is above the obstacles (collective).
 
         Args:
@@ -84,10 +85,12 @@ class ElementP2(Element):
             flux: With the multipliers.
 
         Returns:
-            The function; int lambda_+ (v - obstacle); and ||lambda - lambda_+||_T.
+            The function; int lambda_+ (v - obstacle); ||lambda - lambda_+||_T; and by how much an obstacle may be
+            beyond v, but at the boundary.
         """
         area, count = self.simplices.area, len(self.simplices.area)
         added, contact, reduced = np.zeros((count, len(POINTS))), np.zeros(count), np.zeros(count)
+        largest_of, crossing, moved = [], 0.0, None
         for side in self.obstacles:
             pressure = flux.lower if side.sign > 0 else flux.upper
             mean = pressure.mean(axis=1)
@@ -97,16 +100,25 @@ class ElementP2(Element):
             reduced += (1 - kept) * np.sqrt(area / 3 * ((pressure - mean[:, None]) ** 2).sum(axis=1))
             at_nodes = side.nodal(self.problem.data)[self.equilibration.nodes] if self.sampled else None
             positive = np.maximum(mean[:, None] + kept[:, None] * (at_vertices - mean[:, None]), 0.0)
-            cells, gap, raised, between = side.above(nodal, positive, self.dirichlet, at_nodes)
-            lift = np.maximum(raised, 0.0)
+            largest_of.append(positive.max(axis=1, initial=0.0))
+            cells, gap, raised, between = side.above(nodal, added, positive, self.dirichlet, at_nodes)
+            lift, moved = np.maximum(raised, 0.0), np.zeros(count, dtype=bool)
             added[cells] += side.sign * lift
+            moved[cells] = lift.any(axis=1)
             weight = np.maximum(positive[cells] @ POINTS.T, 0.0)
             # int lambda_+ (v - obstacle), v - obstacle is linear on the small triangles up to `between`
             products = np.einsum("cp,cp->c", weight @ PRODUCTS, gap + lift)
             products += between
             contact[cells] += area[cells] / len(SMALL) * np.where(weight.any(axis=1), products, 0.0)
-            contact += positive.max(axis=1, initial=0.0) * side.cover_volume
-        return added, contact, reduced
+        # the last obstacle has moved the state away from the first
+        for side, multiplier in zip(self.obstacles, largest_of, strict=True):
+            later = None if self.sampled or side is self.obstacles[-1] else moved
+            crossing = max(crossing, side.beyond(nodal, added, self.dirichlet, later))
+            contact += multiplier * side.cover_volume
+        if len(self.obstacles) == 2:
+            both = np.minimum(*(side.cover_volume for side in self.obstacles))
+            crossing = max(crossing, largest(self.simplices.data.level.comm, both))
+        return added, contact, reduced, self.beyond_round_off(crossing, nodal)
 
     def _energy_on_lattice(self, slopes: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad||_T^2, mu being the largest tension, from derivatives along the reference axes."""

@@ -39,6 +39,7 @@ from fenicsx_obstacle.estimation.triangle_lattice import (
     of_nodes,
 )
 from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
+from fenicsx_obstacle.parallel import largest as largest_of
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
     coefficients,
@@ -152,54 +153,85 @@ class LatticeObstacle:
         self.cover_energy, self.cover_volume = np.zeros(len(self._top)), np.zeros(len(self._top))
         self.unbounded = ~np.isfinite(self._top)
         self._of_samples = total(simplices.data.level.comm, int(known.sampled)) > 0
-        self.sampled = self._of_samples
+        self.sampled, self._differs = self._of_samples, False
+        self._given = with_ghosts(simplices.data.level.V, 1.0 - patches.free) > 0
+        self._beside = np.empty(0, dtype=int), np.empty(0, dtype=int)  # cells and small triangles at the boundary
 
     def nodal(self, data: Data) -> np.ndarray:
         """Its values at the local nodes of P2 (collective on first use)."""
-        function = data.lower if self.sign > 0 else data.upper
-        assert function is not None
-        return self._field.clip(function.x.array) if isinstance(self._field, Clipped) else function.x.array
+        heights = data.heights(self.sign)
+        return self._field.clip(heights) if isinstance(self._field, Clipped) else heights
 
     def above(
-        self, u: np.ndarray, multiplier: np.ndarray, dirichlet: DirichletData, at_nodes: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What raises u above the obstacle where it may be below or is pressed against it (collective).
+        self, u: np.ndarray, added: np.ndarray, multiplier: np.ndarray, dirichlet: DirichletData,
+        at_nodes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """What raises a state above the obstacle where it may be below or is pressed against it (collective).
 
         Args:
             u: Values of P2 at the nodes of cells, shape (cells, 6).
+            added: The state less u on the lattices of cells: by what the other obstacle has moved it.
             multiplier: lambda_+ at the vertices of cells.
             dirichlet: What boundary values add to u.
             at_nodes: The obstacle at the nodes of cells, if samples of it are to do: faster, and no bound.
 
         Returns:
-            Cells; u - obstacle on their lattices; the amount by which u is raised there; and `Between.contact`.
+            Cells; state - obstacle on their lattices; the amount by which it is raised there; and `Between.contact`.
         """
-        simplices, level = self.simplices, self.simplices.data.level
-        pressing = multiplier.any(axis=1)
-        touches = self._may_touch(u, dirichlet) if at_nodes is None else self._seems_to_touch(u, at_nodes)
+        level, pressing = self.simplices.data.level, multiplier.any(axis=1)
+        touches = self._may_touch(u, added, dirichlet) if at_nodes is None else self._seems_to_touch(u, at_nodes)
         near = np.flatnonzero(touches | pressing)
-        needed, gap = np.zeros((2, len(touches))), self._gap(u, near, dirichlet)
-        bends = self._bends(u, near, gap, dirichlet, pressing[near]) if at_nodes is None else self._samples(gap)
+        needed, of_u, moved = np.zeros((2, len(touches))), self._gap(u, near, dirichlet), self.sign * added
+        gap = of_u + moved[near]
+        if at_nodes is None:
+            bends = self._bends(u, near, of_u, gap, dirichlet, pressing[near])
+        else:
+            bends = self._samples(of_u, gap)
         between = bends.between(touches[near], multiplier[near])
         needed[:, near] = between.needed
-        given = with_ghosts(level.V, 1.0 - self._patches.free) > 0
-        beside = between.touches & self._held(near, given)[:, SMALL].any(axis=2)
+        place, small = np.nonzero(between.touches & self._at_boundary(near))
+        self._beside = near[place], small
         M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
         # where the obstacle jumps across an edge only one cell may touch; both need the same values on the edge
         around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
-        others = np.flatnonzero((M + N + around)[simplices.dofs].any(axis=1) & ~(touches | pressing))
-        cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet)])
-        of_M, of_N = (values[simplices.dofs[cells]] @ POINTS.T for values in (M, N))
-        raised = np.where(self._held(cells, given), 0.0, np.maximum(of_M - gap, of_N))
-        place, small = np.nonzero(beside)  # near comes first
-        above = self._cover(u, near[place], small, raised[place], dirichlet)
-        cells_differ = not self._field.pointwise and len(near) > 0
-        jumps = not self._field.continuous and above
-        self.sampled = self._of_samples or total(level.comm, int(cells_differ or jumps)) > 0
+        others = np.flatnonzero((M + N + around)[self.simplices.dofs].any(axis=1) & ~(touches | pressing))
+        cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet) + moved[others]])
+        of_M, of_N = (values[self.simplices.dofs[cells]] @ POINTS.T for values in (M, N))
+        raised = np.where(self._held(cells), 0.0, np.maximum(of_M - gap, of_N))
+        self._differs = not self._field.pointwise and len(near) > 0
         return cells, gap, raised, np.append(between.contact, np.zeros(len(others)))
 
+    def beyond(
+        self, u: np.ndarray, added: np.ndarray, dirichlet: DirichletData, moved: np.ndarray | None = None
+    ) -> float:
+        """By how much the obstacle may be above the final state, on any rank, but on small triangles with a Dirichlet
+        corner (collective).
+
+        There `cover_energy` and `cover_volume` become those of the function that makes up for it.
+
+        Args:
+            u: Values of P2 at the nodes of cells.
+            added: The final state less u on the lattices of cells.
+            dirichlet: What boundary values add to u.
+            moved: Whether the other obstacle has moved the state in each cell after this one; None: nowhere.
+        """
+        comm, (cells, small), most = self.simplices.data.level.comm, self._beside, 0.0
+        if moved is not None:
+            near = np.flatnonzero(moved & self._may_touch(u, added, dirichlet))
+            gap = self._gap(u, near, dirichlet)
+            bends = self._bends(u, near, gap, gap + self.sign * added[near], dirichlet, np.zeros(len(near), dtype=bool))
+            above, beside = bends.highest + bends.bend, self._at_boundary(near)
+            most = largest_of(comm, above[~beside])
+            place, number = np.nonzero(beside & (above > 0))
+            kept = ~moved[cells]
+            cells, small = np.append(cells[kept], near[place]), np.append(small[kept], number)
+        above_state = self._cover(u, cells, small, self.sign * added[cells], dirichlet)
+        jumps = not self._field.continuous and above_state
+        self.sampled = self._of_samples or total(comm, int(self._differs or jumps)) > 0
+        return most
+
     def _cover(
-        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, raised: np.ndarray, dirichlet: DirichletData
+        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, added: np.ndarray, dirichlet: DirichletData
     ) -> bool:
         """Bound (obstacle - state)^+ on small triangles with a Dirichlet corner (collective where the
         obstacle needs the distance).
@@ -208,14 +240,14 @@ class LatticeObstacle:
             u: Values of P2 at the nodes of all cells.
             cells: The cell that each small triangle lies in.
             small: Its index in that cell.
-            raised: By what u is raised on the lattice of that cell.
+            added: sign times the state less u on the lattice of that cell.
             dirichlet: What boundary values add to u.
 
         Returns:
             Whether there is anything on this rank.
         """
         self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
-        inside, lift = POINTS[SMALL[small]], np.take_along_axis(raised, SMALL[small], axis=1)
+        inside, lift = POINTS[SMALL[small]], np.take_along_axis(added, SMALL[small], axis=1)
         for split in range(BESIDE + 1):
             corners = inside @ self.simplices.x[cells]
             at_nodes = quadratics((nodes_of(np.eye(3)) @ inside).reshape(-1, 3)).T.reshape(-1, 6, 6)
@@ -241,10 +273,14 @@ class LatticeObstacle:
                 cells, inside, lift = np.repeat(cells[above], 4), halved(inside[above]), halved_values(lift[above])
         return len(cells) > 0
 
-    def _held(self, cells: np.ndarray, given: np.ndarray) -> np.ndarray:
-        """Which lattice points of some cells are Dirichlet points, from the Dirichlet vertices."""
+    def _held(self, cells: np.ndarray) -> np.ndarray:
+        """Which lattice points of some cells are Dirichlet points."""
         on_side = self._patches.held[cells] @ (POINTS.T == 0)
-        return on_side | (given[self.simplices.dofs[cells]] @ (POINTS.T == 1))
+        return on_side | (self._given[self.simplices.dofs[cells]] @ (POINTS.T == 1))
+
+    def _at_boundary(self, cells: np.ndarray) -> np.ndarray:
+        """Which small triangles of some cells have a Dirichlet corner."""
+        return self._held(cells)[:, SMALL].any(axis=2)
 
     def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
         """The largest height in the cells around each owned vertex (collective)."""
@@ -258,13 +294,16 @@ class LatticeObstacle:
         highest = above.max(axis=1, initial=-np.inf)
         return highest >= -NEARLY * (highest - above.min(axis=1, initial=np.inf))
 
-    def _may_touch(self, u: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
-        """Whether the obstacle may be above u in each cell (collective where the obstacle needs the distance)."""
+    def _may_touch(self, u: np.ndarray, added: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
+        """Whether the obstacle may be above a state in each cell (collective where the obstacle needs the distance to
+        the boundary); the arguments are those of `above`."""
         lowest = bernstein(self.sign * u).min(axis=1, initial=np.inf)
+        room = dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
         found = np.zeros(len(u), dtype=bool)
-        for rows, group in self._known(np.flatnonzero(self._top + dirichlet.deviation >= lowest)):
-            degree, coefficient, margin = self._difference(group, u[rows])
-            touches = largest(coefficient, 3, degree) + group.rest + dirichlet.deviation[rows] > margin
+        for rows, group in self._known(np.flatnonzero(self._top + room >= lowest)):
+            bounded = group.no_less(self.sign)
+            degree, coefficient, margin = self._difference(bounded, u[rows])
+            touches = largest(coefficient, 3, degree) + bounded.rest + room[rows] > margin
             np.logical_or.at(found, rows, touches)
         return found
 
@@ -295,14 +334,16 @@ class LatticeObstacle:
         return degree, self.sign * (known - nodal), margin
 
     def _bends(
-        self, u: np.ndarray, cells: np.ndarray, gap: np.ndarray, dirichlet: DirichletData, pressing: np.ndarray
-    ) -> _Bends:
-        """Bound u - obstacle between the points of the lattice.
+        self, u: np.ndarray, cells: np.ndarray, of_u: np.ndarray, gap: np.ndarray, dirichlet: DirichletData,
+        pressing: np.ndarray,
+    ) -> _Bends:  # fmt: skip
+        """Bound state - obstacle between the points of the lattice; the state less u is linear there.
 
         Args:
             u: Values of P2 at the nodes of all cells.
             cells: The cells to bound it in, where u may touch or has a multiplier.
-            gap: u - obstacle on their lattices.
+            of_u: u - obstacle on their lattices.
+            gap: State - obstacle on their lattices.
             dirichlet: What boundary values add to u.
             pressing: Whether they have a multiplier.
         """
@@ -336,16 +377,16 @@ class LatticeObstacle:
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
         place = at, part  # after the last halving each part is a small triangle
         found.bend[place], found.mean[place], found.size[place] = self._bends_anew(
-            u, cells[at], part, gap[at], dirichlet
+            u, cells[at], part, of_u[at], dirichlet
         )
         return found
 
     @staticmethod
-    def _samples(gap: np.ndarray) -> _Bends:
+    def _samples(of_u: np.ndarray, gap: np.ndarray) -> _Bends:
         """The same for the interpolants of degree 4 of u - obstacle in cells with these values on the lattice."""
         found = _Bends(gap)
         for block in blocks(len(gap), FEW):
-            most, least, means = above_chords(0, CLOSE, -gap[block][:, COARSE] @ FROM_COARSE)
+            most, least, means = above_chords(0, CLOSE, -of_u[block][:, COARSE] @ FROM_COARSE)
             found.bend[block], found.mean[block], found.size[block] = most, -means, np.maximum(most, -least)
         return found
 

@@ -38,7 +38,7 @@ class ObstacleExcess:
         nodal: sign times its nodal values at local dofs.
         mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell, with the weight of
             integrals if they have one.
-        cover_energy: ||grad||^2 in each cell of what is added to the state beside the boundary (see `lift`).
+        cover_energy: ||grad||^2 in each cell of what is added to the state beside the boundary (see `beyond`).
         cover_volume: Its integral.
         cover_height: A bound of it.
         sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or it is above the
@@ -73,11 +73,12 @@ class ObstacleExcess:
             sign,
             field,
         )
-        nodal = data.lower if sign > 0 else data.upper
-        assert nodal is not None
-        self.nodal = sign * (field.clip(nodal.x.array) if isinstance(field, Clipped) else nodal.x.array)
+        heights = data.heights(sign)
+        self.nodal = sign * (field.clip(heights) if isinstance(field, Clipped) else heights)
         comm, cells = data.level.comm, len(simplices.area)
-        self._heights = largest(comm, np.abs(self.nodal))
+        self._given = np.zeros(len(self.nodal), dtype=bool)
+        self._given[data.fixed[0]] = True
+        self._size = 0.0  # of the state
         self._flat = self._field.uniform
         low, high = _least(self.nodal, simplices.dofs), -_least(-self.nodal, simplices.dofs)
         bottom, top = (known.lower, known.upper.copy()) if sign > 0 else (-known.upper, -known.lower)
@@ -94,14 +95,12 @@ class ObstacleExcess:
         nodal = self.nodal[self.simplices.dofs[cells]]
         highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
         for group in pieces.groups:
-            coefficient, margin = self._above(group, nodal)
-            known = np.isfinite(group.rest)
-            top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + np.where(
-                known, group.rest, 0.0
-            )
-            side = group.upper if self.sign > 0 else -group.lower
-            top = np.where(known | ~np.isfinite(side), top, side - nodal[group.rows].min(axis=1))
+            highest_there = group.no_less(self.sign)
+            coefficient, margin = self._above(highest_there, nodal)
+            rest = np.where(np.isfinite(highest_there.rest), highest_there.rest, 0.0)  # `unbounded` otherwise
+            top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + rest
             group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
+            known, coefficient = np.isfinite(group.rest), self._above(group, nodal)[0]
             share = np.where(known, group.share * self._mean(group, coefficient, cells), LOWEST)
             mean += np.bincount(group.rows, share, len(mean))
         self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
@@ -124,49 +123,63 @@ class ObstacleExcess:
         size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(linear[group.rows]))
         return coefficient, polynomials.round_off(
             size[:, None], self.simplices.dim + 1, degree
-        ) + ROUND_OFF * self._heights
+        ) + ROUND_OFF * self._size
 
     def lift(self, u: np.ndarray) -> np.ndarray:
-        """Nodal values of a P1 obstacle that is nowhere below this one where u may touch it (collective).
-
-        Beside nodes where u is given it may be below; there `cover_energy` and `cover_volume` are those of the function
-        that makes up for it.
+        """The state raised at nodes where it is not given, so that the obstacle is nowhere above it in cells without
+        nodes where it is (collective).
 
         Args:
             u: sign times the state at local dofs.
-
-        Returns:
-            At local dofs; where u is given, the nodal height.
         """
+        raised = np.where(self._given, u, np.maximum(u, self.nodal))
         if self._flat and not self.dirichlet.twice:
-            return self.nodal
+            return raised
+        # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
         dofs = self.simplices.dofs
+        cells, needed = np.flatnonzero(self._near(u) & (self._height > 0)), np.zeros(dofs.shape)
+        state = np.maximum(u, self.nodal)[dofs[cells]]
+        shifted, level = self.nodal[dofs[cells]] + self._height[cells, None], self._top[cells, None]
+        to_shifted, to_level = np.maximum(shifted - state, 0.0), np.maximum(level - state, 0.0)
+        cheaper = to_level.sum(axis=1, keepdims=True) < to_shifted.sum(axis=1, keepdims=True)
+        needed[cells] = np.where(cheaper, to_level, to_shifted)
+        return raised + np.where(self._given, 0.0, self._at_nodes(needed))
+
+    def beyond(self, v: np.ndarray) -> float:
+        """By how much the obstacle may be above the final state, on any rank, but beside nodes where it is given
+        (collective).
+
+        There `cover_energy` and `cover_volume` become those of the function that makes up for it.
+
+        Args:
+            v: sign times the state at local dofs.
+        """
+        dofs, comm = self.simplices.dofs, self.simplices.data.level.comm
+        at_nodes = largest(comm, self.nodal - v)
+        if self._flat and not self.dirichlet.twice:
+            return at_nodes
+        near = self._near(v)
+        beside = near & (self._given[dofs].any(axis=1) | (self.dirichlet.deviation > 0))
+        self._cover(v, beside)
+        above = np.minimum(self._height - _least(v - self.nodal, dofs), self._top - _least(v, dofs))
+        return max(at_nodes, largest(comm, above[near & ~beside]))
+
+    def _near(self, u: np.ndarray) -> np.ndarray:
+        """Cells in which u may touch the obstacle, whose excess becomes known sharper there (collective)."""
+        self._size = largest(self.simplices.data.level.comm, np.abs(u))
         for done, division in enumerate(SHARPER):
-            near = self._near(u)
+            near = self._may_touch(u)
             new = np.flatnonzero(near & (self._done == done))
             pieces = in_cells(self.simplices, self._field, division, new)
             self._take(new, pieces)
             self._done[new] = np.where(pieces.rough, done + 1, len(SHARPER))
-        given = np.zeros(len(u), dtype=bool)
-        given[self.simplices.data.fixed[0]] = True
-        # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
-        cells, needed = np.flatnonzero(near & (self._height > 0)), np.zeros(dofs.shape)
-        nodal, state = self.nodal[dofs[cells]], np.maximum(u, self.nodal)[dofs[cells]]
-        shifted, level = nodal + self._height[cells, None], self._top[cells, None]
-        cheaper = np.maximum(level - state, 0.0).sum(axis=1) < np.maximum(shifted - state, 0.0).sum(axis=1)
-        needed[cells] = np.where(cheaper[:, None], level, shifted) - nodal
-        lifted = self.nodal + np.where(given, 0.0, self._at_nodes(needed))
-        self._cover(
-            np.where(given, u, np.maximum(u, lifted)), near & (given[dofs].any(axis=1) | (self.dirichlet.deviation > 0))
-        )
-        return lifted
+        return near
 
-    def _near(self, u: np.ndarray) -> np.ndarray:
-        """Cells in which u may touch the obstacle."""
+    def _may_touch(self, u: np.ndarray) -> np.ndarray:
+        """Whether u may touch the obstacle in each cell (local)."""
         dofs = self.simplices.dofs
         near = (
-            _least(u - self.nodal, dofs)
-            <= np.maximum(self._height, ROUND_OFF * self._heights) + self.dirichlet.deviation
+            _least(u - self.nodal, dofs) <= np.maximum(self._height, ROUND_OFF * self._size) + self.dirichlet.deviation
         )
         return near & (_least(u, dofs) <= self._top + self.dirichlet.deviation)
 
@@ -187,7 +200,7 @@ class ObstacleExcess:
             linear = (inside @ state[simplices.dofs[owner]][..., None])[..., 0]
             cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
             above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
-            for group in pieces.groups:
+            for group in (one.no_less(self.sign) for one in pieces.groups):
                 coefficient, margin = self._above(group, linear)
                 beyond = group.rest - cones[group.rows]
                 open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > margin)

@@ -99,6 +99,20 @@ class Group:
         """Of the polynomials at points of the parts, shape (parts, points)."""
         return polynomials.evaluate(self.coefficients, reference, self.degree)
 
+    def no_less(self, sign: float) -> Group:
+        """The same parts, with an upper bound of sign times the datum where bounds are all that is known: the middle of
+        bounds that are far apart, such as -1e20 and 0, plus half their distance is no accurate bound.
+
+        Args:
+            sign: 1 or -1.
+        """
+        side = self.upper if sign > 0 else self.lower
+        if self.smooth or self.degree > 0:
+            return self
+        finite = np.isfinite(side)
+        middle = np.where(finite, side, self.coefficients[:, 0])[:, None]
+        return replace(self, coefficients=middle, rest=np.where(finite, 0.0, self.rest))
+
     def above(self, linear: np.ndarray, sign: float = 1.0) -> tuple[int, np.ndarray]:
         """Degree and Bernstein coefficients of sign times the polynomials less a linear function of each simplex.
 

@@ -38,6 +38,17 @@ def inward(x: np.ndarray) -> np.ndarray:
     return found
 
 
+def gradients(x: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Gradients of linear functions, shape (d, simplices); infinite where a part has no size, up to round-off.
+
+    Args:
+        x: Corners, as of `inward`.
+        values: At the corners, shape (simplices, d + 1).
+    """
+    size, found = x.shape[2] * signed_sizes(x), np.full((x.shape[2], len(x)), np.inf)
+    return np.divide(np.einsum("xsk,sk->xs", inward(x), values), size, out=found, where=size != 0)
+
+
 def signed_sizes(x: np.ndarray) -> np.ndarray:
     """Length, area or volume of simplices that fill their space, negative where the determinant of the corners is."""
     edges = [x[:, k] - x[:, 0] for k in range(1, x.shape[1])]

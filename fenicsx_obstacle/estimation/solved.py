@@ -33,6 +33,7 @@ from fenicsx_obstacle.discrete.solvability import ROUND_OFF
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.data_scales import nearest_gap
 from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE, TOLERANCE
 
 EPSILON = float(np.finfo(float).eps)
@@ -246,9 +247,7 @@ class ReferenceProblem:
         noise = np.where(self.free, FEW * (self.diagonal * (np.abs(w) + np.abs(r)) + pressing), 0.0)
         below, above = problem.gaps()
         # where all data are zero solvers take for nothing what they cannot compare with any force
-        nearest = smallest(
-            self.comm, [self._nearest(*pair) for pair in zip((below, above), problem.obstacles(), strict=True)]
-        )
+        nearest = nearest_gap(problem)
         if np.isfinite(nearest):
             nothing = np.where(self.free, NEGLIGIBLE_FORCE * nearest * self.diagonal, 0.0)
             noise, forces = noise + nothing, max(forces, total(self.comm, nothing))
@@ -267,12 +266,6 @@ class ReferenceProblem:
             R = self._reach(left, np.where(self.free, elastic - self.D * p, 0.0), slip, last)
         return Solved(self, eps, w, r, np.array(p), elastic, below, above, energy, forces, noise, self.diagonal, span,
                       z, R)  # fmt: skip
-
-    def _nearest(self, gap: np.ndarray, obstacle: np.ndarray | float) -> float:
-        """The smallest gap above the last digit of an obstacle: what is below it touches (collective)."""
-        levels = np.abs(obstacle)
-        digit = EPSILON * max(largest(self.comm, np.where(np.isfinite(levels), levels, 0.0)), 0.0)
-        return float(np.abs(gap[np.abs(gap) > digit]).min(initial=np.inf))
 
     def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
         """R of a residual, of which `left` is the size with its round-off."""

@@ -22,7 +22,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.io.paraview import BY_CELL, SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
 from fenicsx_obstacle.io.rows import Rows
-from fenicsx_obstacle.parallel import gathered
+from fenicsx_obstacle.io.validation import VERTICES, share
+from fenicsx_obstacle.parallel import agree, gathered
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.problems.solution import Solution
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
 OWN_MESH = ("element.xdmf", "element.h5")  # a mesh of the caller's own, where fields.xdmf has cut cells
 OF_Q = ("pressure", "contact")  # fields of Q_h, the others are of V_h
-_VERTICES = {"interval": 2, "triangle": 3, "quadrilateral": 4, "tetrahedron": 4, "hexahedron": 8}
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -102,7 +102,7 @@ def mesh_of(arrays: Arrays, element: Arrays, parts: Arrays, h: float, comm: MPI.
         used, cells = _vertices(element["cells"], cell)
         points, parts = points[used], _renumbered(parts, used)
     gdim = int(arrays["gdim"])
-    mesh = releases.create_mesh(comm, cells[_share(comm, len(cells))], points[_share(comm, len(points)), :gdim], cell)
+    mesh = releases.create_mesh(comm, cells[share(comm, len(cells))], points[share(comm, len(points)), :gdim], cell)
     return of_pair(Level(mesh, h, *named(mesh, parts)), pair)
 
 
@@ -111,26 +111,27 @@ def restored(level: Level, arrays: Arrays, element: Arrays) -> dict[str, fem.Fun
 
     Raises:
         InputError: If the arrays are those of another element.
+        LookupError, ValueError: If they do not fit the mesh.
     """
-    own = own_cells(level.mesh)
     functions = {name: fem.Function(_space(level, name)) for name in arrays}
     cells = given_cells(level.mesh)
-    if not element:
-        # the coordinates of each dof when it was saved
-        rows = np.asarray(level.mesh.geometry.input_global_indices)[releases.dof_nodes(level.V)]
+    with agree(level.comm):
         for name, function in functions.items():
-            if name in BY_CELL:
-                function.x.array[releases.cell_dofs(function.function_space)[:own, 0]] = arrays[name][cells]
-                function.x.scatter_forward()
+            dofs = releases.cell_dofs(function.function_space)[: len(cells)]
+            if not element and name not in BY_CELL:
+                # the coordinates of each dof when it was saved
+                rows = np.asarray(level.mesh.geometry.input_global_indices, dtype=np.int64)
+                function.x.array[:] = arrays[name][rows[releases.dof_nodes(level.V)]]
+                continue
+            if not element:
+                values = arrays[name][cells][:, None]
             else:
-                function.x.array[:] = arrays[name][rows]
-        return functions
-    for name, function in functions.items():
-        values = element[name][cells] if name in element else arrays[name][element["cells"][cells]]
-        dofs = releases.cell_dofs(function.function_space)[:own]
-        if values.shape[1] != dofs.shape[1]:
-            raise InputError(f"'{name}' has {values.shape[1]} values in a cell, and {level.pair.name} {dofs.shape[1]}")
-        function.x.array[dofs] = values
+                values = element[name][cells] if name in element else arrays[name][element["cells"][cells]]
+            if values.shape[1] != dofs.shape[1]:
+                found = f"has {values.shape[1]} values in a cell, and {level.pair.name} {dofs.shape[1]}"
+                raise InputError(f"'{name}' {found}")
+            function.x.array[dofs] = values
+    for function in functions.values():
         function.x.scatter_forward()
     return functions
 
@@ -141,14 +142,9 @@ def _space(level: Level, name: str) -> fem.FunctionSpace:
     return level.Q if name in OF_Q else level.V
 
 
-def _share(comm: MPI.Comm, count: int) -> slice:
-    """The rows that a rank passes on, of so many."""
-    return slice(count * comm.rank // comm.size, count * (comm.rank + 1) // comm.size)
-
-
 def _vertices(cells: np.ndarray, cell: str) -> tuple[np.ndarray, np.ndarray]:
     """The rows of nodes that are vertices, and the cells in terms of these; vertices are the first nodes of a cell."""
-    nodes = cells[:, : _VERTICES[cell]]
+    nodes = cells[:, : VERTICES[cell]]
     used, numbers = np.unique(nodes, return_inverse=True)
     return used, numbers.reshape(nodes.shape)
 

@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from hashlib import file_digest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +24,14 @@ from fenicsx_obstacle.io.cut import OnNodes, global_dofs, on_nodes
 from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
 from fenicsx_obstacle.io.paraview import FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
-from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root
+from fenicsx_obstacle.io.validation import check_arrays, check_record
+from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root, write_text
 from fenicsx_obstacle.solvers.stopping import Step
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.problems.solution import Solution
 
+ANSWER = "answer.json"
 STEPS = "newton.gif"  # drawn on demand; of an older solution it goes like what belongs to time
 NODES = "nodes.csv"  # the contact nodes of an elastic body
 _OF_SOME = {
@@ -40,6 +43,7 @@ _OF_SOME = {
     *OWN_MESH,
     *FRAMES,
 }  # files that not all folders have
+_OTHERS = {"checkpoint.h5", STEPS}  # of these, files that do not belong to what is read
 FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
 VECTORS = ("u0", "u1", "u2", "gap", "von_mises")  # further ones of vector-valued solutions
 DERIVED = ("gap",)  # written for ParaView, not read back with scalar solutions
@@ -73,7 +77,6 @@ def save(solution: Solution, folder: Path) -> None:
 
         def write() -> Offsets:
             contents = {
-                "answer.json": (json.dumps(dict(solution.record), indent=1) + "\n").encode(),
                 "history.csv": history_csv(solution.history),
                 "fields.xdmf": xdmf(mesh, {None: mesh}).encode(),
                 **further,
@@ -88,10 +91,40 @@ def save(solution: Solution, folder: Path) -> None:
                 for name in _OF_SOME - kept - set(further):
                     (folder / name).unlink(missing_ok=True)
 
+        def write_answer() -> None:
+            with _told(folder):
+                files = {file.name: content_of(file) for file in scratch.iterdir()}
+                (scratch / ANSWER).write_text(_answer(solution.record, files), encoding="utf-8")
+
         offsets = on_root(comm, write)
         with agree(comm), _told(folder):
             fill(scratch / "fields.h5", rows, offsets)
-        on_root(comm, remove_others)
+        on_root(comm, write_answer)
+    on_root(comm, remove_others)
+
+
+def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write answer.json anew, with further values (one rank).
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    write_text(folder / ANSWER, _answer(record, json.loads((folder / ANSWER).read_text(encoding="utf-8"))["files"]))
+
+
+def _answer(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
+    """The text of answer.json: all values, and the contents of the files that belong to it."""
+    return json.dumps({**record, "files": files}, indent=1) + "\n"
+
+
+def content_of(file: Path) -> str:
+    """A hash of the content of a file (one rank).
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    with file.open("rb") as stream:
+        return file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager
@@ -131,14 +164,15 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     def load() -> tuple[dict[str, Any], dict[str, Place | np.ndarray], tuple[Step, ...]]:
         if folder.is_file():
             raise InputError(f"{folder}: a file, not the folder of a saved answer")
-        for name in ("answer.json", "fields.h5", *needed, "history.csv"):
-            if not (folder / name).exists():
+        for name in (ANSWER, "fields.h5", *needed, "history.csv"):
+            if not (folder / name).is_file():
                 if name == "scene.toml":
                     raise InputError(
                         f"{folder}: holds a solution of ObstacleProblem, without a scene (scene.toml is missing): read "
                         "it in Python by Solution.read"
                     )
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
+        record = _record(folder)
         try:
             found = places(folder / "fields.h5")
         except (OSError, ValueError) as error:
@@ -149,7 +183,6 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         missing = needed_arrays - set(found)
         if missing:
             raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(sorted(missing))}")
-        record = _record(folder)
         steps = _steps(folder / (steps_in_time if "time" in record else "history.csv"), record)
         return record, found, steps
 
@@ -167,11 +200,12 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         from fenicsx_obstacle.discrete.contact_nodes import vector_pair  # no scalar problem needs it
 
         pair = vector_pair(pair)
-        gdim = int(arrays["gdim"])
+        gdim = min(int(arrays["gdim"]), arrays["u"].shape[1])
         arrays = arrays | {f"u{k}": arrays["u"][:, k] for k in range(gdim)}
         del arrays["u"]
         further["nodes"] = _group(stored, "nodes/")
     try:
+        check_arrays(arrays, element, parts, pair, comm)
         level = mesh_of(arrays, element, parts, record["h"], comm, pair)
         names = FIELDS + VECTORS if further else FIELDS
         fields = restored(level, {name: arrays[name] for name in names if name in arrays}, element)
@@ -183,7 +217,10 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     if "bound" in record:
         from fenicsx_obstacle.estimation.bound import Bound  # only where it was asked for
 
-        further["bound"] = Bound.read(record["bound"])
+        try:
+            further["bound"] = Bound.read(record["bound"])
+        except (TypeError, AttributeError) as error:
+            raise InputError(f"{folder}: the saved answer is damaged: {ANSWER}: bound: {error}") from None
     further |= {"level": level, "history": steps, "record": record}
     return Saved({**fields, **further}, arrays["points"])
 
@@ -195,13 +232,30 @@ def _group(arrays: Mapping[str, np.ndarray], group: str) -> Groups:
 
 
 def _record(folder: Path) -> dict[str, Any]:
+    """The values of answer.json, once the files that it names are there as they were saved."""
     try:
-        record = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
-        if not isinstance(record, dict) or not {"scene", "h", "eps", "contact", "newton_iterations"} <= set(record):
-            raise ValueError("it has no values")
-        return record
+        record = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
+        check_record(record)
+    except RecursionError:
+        raise InputError(f"{folder}: the saved answer is damaged: {ANSWER}: nested too deeply") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{folder}: the saved answer is damaged: answer.json: {error}") from None
+        raise InputError(f"{folder}: the saved answer is damaged: {ANSWER}: {error}") from None
+    files = record.pop("files", None)
+    if files is None:  # of version 0.2
+        return record
+    if not isinstance(files, dict) or not {"fields.h5", "history.csv"} <= set(files):
+        raise InputError(f"{folder}: the saved answer is damaged: {ANSWER}: 'files' names none")
+    stray = sorted(name for name in _OF_SOME - files.keys() - _OTHERS if (folder / name).exists())
+    for name, content in files.items():
+        if Path(name).name != name or not (folder / name).is_file():
+            raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
+        if content_of(folder / name) != content:
+            stray.append(name)
+    if stray:
+        what = f"{stray[0]} is not the file that was saved with {ANSWER}"
+        why = "it was changed, or saving was interrupted; solve again"
+        raise InputError(f"{folder}: the saved answer is damaged: {what}: {why}")
+    return record
 
 
 def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:

@@ -52,7 +52,7 @@ def xdmf(mesh: Mapping[str, Array], moments: Mapping[float | None, Mapping[str, 
     grids = ""
     for number, (t, fields) in enumerate(moments.items()):
         place = "fields.h5:/" if t is None else f"frames.h5:/{number:04d}/"
-        clock = "" if t is None else f'<Time Value="{t!r}"/>\n'
+        clock = f'<Time Value="{0.0 if t is None else t!r}"/>\n'  # readers ask for one, also of what is at rest
         attributes = "".join(
             _attribute(name, values, place) for name, values in fields.items() if name not in ("points", "cells")
         )

@@ -17,6 +17,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.hdf5 import datasets, opened
 from fenicsx_obstacle.parallel import agree, before, total
 
 Offsets = dict[str, int]
@@ -143,19 +144,14 @@ def places(path: Path) -> dict[str, Place | np.ndarray]:
     """Where the arrays of an HDF5 file stand, by name; those that are no plain run of bytes themselves (one rank).
 
     Raises:
-        OSError: If it is no HDF5 file.
+        OSError, ValueError: If it is no HDF5 file, or one that refers to others.
     """
     found: dict[str, Place | np.ndarray] = {}
-
-    def visit(name: str, one: Any) -> None:
-        if not isinstance(one, h5py.Dataset):
-            return
-        offset = one.id.get_offset()
-        plain = offset is not None and one.shape != () and not one.dtype.hasobject
-        found[name] = Place(offset, one.shape, one.dtype.str) if plain else np.asarray(one[()])
-
-    with h5py.File(path) as file:
-        file.visititems(visit)
+    with opened(path) as file:
+        for name, one in datasets(file).items():
+            offset = one.id.get_offset()
+            plain = offset is not None and one.shape != ()
+            found[name] = Place(offset, one.shape, one.dtype.str) if plain else np.asarray(one[()])
     return found
 
 

@@ -5,11 +5,17 @@ from __future__ import annotations
 import io
 import re
 import warnings
+import zlib
 from dataclasses import dataclass
 from functools import lru_cache
+from hashlib import file_digest
+from math import prod
 from pathlib import Path
+from tokenize import TokenError
+from typing import Any
 
 import numpy as np
+from numpy.lib import format as npy
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import counted
@@ -17,6 +23,7 @@ from fenicsx_obstacle.text import counted
 COLUMNS = (".csv", ".txt", ".dat", ".xyz")
 ENDINGS = (*COLUMNS, ".npy", ".npz", ".png", ".stl")
 MAX_BYTES = 2_000_000_000
+DENSEST = 1032  # bytes in a byte of an archive, at most
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -53,7 +60,7 @@ def read(path: Path) -> Heights:
                 f"{path}: a {'folder' if path.is_dir() else 'pipe or device'}, not a file with measured data"
             )
         state = path.stat()
-    except (FileNotFoundError, NotADirectoryError):
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # no file has a NUL in its name
         raise InputError(f"{path}: no such file") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
@@ -65,12 +72,17 @@ def read(path: Path) -> Heights:
         raise InputError(
             f"{path}: {state.st_size / 1e9:.3g} GB, which is too large; the limit is {MAX_BYTES / 1e9:g} GB"
         )
-    return _read(path.resolve(), str(path), state.st_mtime_ns, state.st_size)
+    try:
+        with path.open("rb") as file:
+            content = file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    return _read(path.resolve(), str(path), content)
 
 
 @lru_cache(maxsize=8)
-def _read(path: Path, name: str, changed: int, size: int) -> Heights:
-    """Read it; when it was changed, and its size, tell one state of a file from another."""
+def _read(path: Path, name: str, content: bytes) -> Heights:
+    """Read it; its content tells one state of a file from another, which its date does not."""
     reader = {".npy": _npy, ".npz": _npz, ".png": _png, ".stl": _stl}.get(path.suffix.lower(), _columns)
     try:
         return reader(path, name)
@@ -133,14 +145,25 @@ def _slowly(text: str, delimiter: str | None, skipped: int, name: str) -> np.nda
 
 
 def _npy(path: Path, name: str) -> Heights:
-    return _of_array(_loaded(path, name), name)
+    with path.open("rb") as file:
+        return _of_array(_array(file, path.stat().st_size, name), name)
 
 
-def _loaded(path: Path, name: str) -> np.ndarray:
+def _array(file: Any, size: int, name: str) -> np.ndarray:
+    """An array in NumPy's format, of so many bytes with its head: no more memory is taken than they need."""
     try:
-        return np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise InputError(f"{name}: not a NumPy file: {error}") from None
+        version = npy.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"its format has version {version}")
+        shape, _, kind = (npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0)(file)
+        if prod(shape) * kind.itemsize > size - file.tell():
+            raise ValueError(f"its head claims {prod(shape) * kind.itemsize:.3g} bytes, and there are {size}")
+        file.seek(0)
+        return npy.read_array(file, allow_pickle=False)
+    except (ValueError, EOFError, TypeError, SyntaxError, TokenError, RecursionError) as error:
+        raise InputError(
+            f"{name}: not a NumPy file: {str(error).splitlines()[0] if str(error) else 'broken'}"
+        ) from None
 
 
 def _of_array(found: np.ndarray, name: str) -> Heights:
@@ -152,13 +175,20 @@ def _of_array(found: np.ndarray, name: str) -> Heights:
 
 
 def _npz(path: Path, name: str) -> Heights:
-    from zipfile import BadZipFile
+    from zipfile import BadZipFile, ZipFile
 
     try:
-        with np.load(path, allow_pickle=False) as file:
-            held = list(file)
-            found = {key: file[key] for key in held if key in ("x", "y", "z") or len(held) == 1}
-    except (ValueError, EOFError, BadZipFile) as error:
+        with ZipFile(path) as archive:
+            members = {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
+            held, found = list(members), dict[str, np.ndarray]()
+            for key, one in members.items():
+                if key not in ("x", "y", "z") and len(held) > 1:
+                    continue
+                if one.file_size > min(MAX_BYTES, DENSEST * (one.compress_size + 1)):
+                    raise InputError(f"{name}: {key} claims {one.file_size:.3g} bytes, too many to be read")
+                with archive.open(one) as file:
+                    found[key] = _array(file, one.file_size, name)
+    except (BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, zlib.error) as error:
         raise InputError(f"{name}: not a NumPy archive: {error}") from None
     if "z" not in found:
         if len(held) == 1:
@@ -203,6 +233,8 @@ def _png(path: Path, name: str) -> Heights:
             else:
                 values = np.asarray(image, dtype=np.float64)
                 most = {"1": 1, "L": 255}.get(image.mode, 65535)
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{name}: too large: {error}") from None
     except (UnidentifiedImageError, SyntaxError, ValueError) as error:
         raise InputError(f"{name}: no image: {error}") from None
     return Heights(matrix=values[::-1] / most, image=True)  # the first row of an image is its top

@@ -81,7 +81,7 @@ class Triangulated(Surface):
     def at(self, points: np.ndarray) -> np.ndarray:
         margin = EDGE * (self.high - self.low)
         box = self._box(points)
-        number = np.ravel_multi_index(box.T, self._boxes)
+        number = np.ravel_multi_index(tuple(box.T), self._boxes)
         counts = (self._starts[number + 1] - self._starts[number]) * np.all(
             (points >= self.low - margin) & (points <= self.high + margin), axis=1
         )

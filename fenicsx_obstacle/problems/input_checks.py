@@ -22,8 +22,9 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.mesh_tags import check_tags
+from fenicsx_obstacle.discrete.mesh_tags import check_both_sides, check_tags
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
@@ -45,6 +46,8 @@ def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress
         raise InputError(f"{place}: give an obstacle, lower= or upper=")
     if not isinstance(u, fem.Function):
         raise InputError(f"{place}: u = {shown(u)}: expected the Function that F is to be solved for")
+    if u.ufl_shape == (1,):
+        raise InputError(f"{place}: u is a vector with one component: take a Function of a scalar Lagrange space")
     vector_valued = u.function_space.dofmap.index_map_bs > 1
     if of is not None and not vector_valued:
         raise InputError(f"{place}: of= is for vector-valued u; obstacles bound a scalar u itself")
@@ -180,7 +183,7 @@ def _has_zero_row(slope: ufl.Form, u: fem.Function, bcs: Sequence[Any]) -> np.nd
 
 def _some_of(lost: np.ndarray, V: fem.FunctionSpace) -> str:
     """The number of marked owned nodes, and one of them, in words (collective)."""
-    points = V.tabulate_dof_coordinates()[np.flatnonzero(lost)[:1], : V.mesh.geometry.dim].tolist()
+    points = points_of_nodes(V)[np.flatnonzero(lost)[:1], : V.mesh.geometry.dim].tolist()
     first = min(point for part in V.mesh.comm.allgather(points) for point in part)
     count, every = total(V.mesh.comm, lost), V.dofmap.index_map.size_global
     return f"{count:.0f} of {every} nodes, such as ({', '.join(f'{x:.4g}' for x in first)})"
@@ -256,8 +259,8 @@ def naming_compiler_errors(comm: MPI.Comm, place: str) -> Iterator[None]:
         ) from error
 
 
-def _ids(integral: ufl.Integral) -> tuple[Any, ...]:
-    """The tags of an integral, or 'everywhere'."""
+def _ids(integral: ufl.Integral | ufl.Measure) -> tuple[Any, ...]:
+    """The tags of an integral or a measure, or 'everywhere'."""
     found = integral.subdomain_id()
     return found if isinstance(found, tuple) else (found,)
 
@@ -340,7 +343,8 @@ def obstacle(g: Any, u: fem.Function, place: str) -> Field:
 
 
 def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: str) -> None:
-    """Reject a measure, or the measure of an integral, whose domain or MeshTags are of another mesh (collective).
+    """Reject a measure, or the measure of an integral, whose domain or MeshTags are of another mesh, and one of facets
+    inside of which no rank has both sides (collective).
 
     Args:
         measure: What was given; its domain may be open.
@@ -348,7 +352,7 @@ def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: 
         place: What messages call it.
 
     Raises:
-        InputError: If it is of another mesh.
+        InputError: With the remedy.
     """
     domain, tags = measure.ufl_domain(), measure.subdomain_data()
     if domain is not None and domain != mesh.ufl_domain():
@@ -356,6 +360,10 @@ def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: 
     codim = {"cell": 0, "exterior_facet": 1, "interior_facet": 1}.get(measure.integral_type())
     if codim is not None and hasattr(tags, "find"):
         check_tags(tags, mesh, mesh.topology.dim - codim, f"{place}: subdomain_data")
+    if measure.integral_type() == "interior_facet":
+        numbered = hasattr(tags, "find") and "everywhere" not in _ids(measure)
+        found = np.concatenate([tags.find(int(tag)) for tag in _ids(measure)]) if numbered else None
+        check_both_sides(mesh, found, place)
 
 
 def warn_of_conditions(bcs: Sequence[Any], comm: MPI.Comm, place: str) -> None:
@@ -519,13 +527,13 @@ def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, pla
         place: What messages call the problem.
 
     Raises:
-        InputError: If a diagonal entry is not positive, as those of a convex energy are; or if F and the derivative of
+        InputError: If a diagonal entry is negative, as none of a convex energy is; or if F and the derivative of
             the energy differ near the start, by more than quadrature does.
     """
     u, level = form.u, problem.level
     comm, free = level.comm, ~problem.fixed
     least = smallest(comm, diagonal)
-    if least <= 0:
+    if least < 0:
         raise InputError(
             f"{place}: the energy has no minimum: the derivative of F has {least:.3g} on its diagonal; "
             "is a sign wrong? without energy= any solution of the equation is accepted"
@@ -540,6 +548,28 @@ def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, pla
         raise InputError(
             f"{place}: energy: its derivative is not F: is a sign wrong, or a term missing in one of them?"
         )
+
+
+def flat_start(problem: Problem, form: ResidualForm) -> str:
+    """A clause for the message of an iteration that failed: where the derivative of F is zero at the start, Newton's
+    method has no direction; empty if it is zero nowhere (collective).
+
+    Args:
+        problem: At the start.
+        form: With u.
+    """
+    if problem.affine:
+        return ""
+    state = problem.state()
+    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
+    zero = ~problem.fixed & (np.abs(diagonal.array_r) <= ROUND_OFF * largest(problem.level.comm, diagonal.array_r))
+    for owner in (state, diagonal):
+        owner.destroy()
+    V = form.u.function_space
+    nodes = zero.reshape(-1, V.dofmap.index_map_bs).any(axis=1)
+    if total(problem.level.comm, np.count_nonzero(nodes)) == 0:
+        return ""
+    return f"; the derivative of F is zero at the start at {_some_of(nodes, V)}: start from a u that is not flat there"
 
 
 def _assembled(form: ufl.Form, level: Level) -> np.ndarray:

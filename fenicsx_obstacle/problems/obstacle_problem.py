@@ -23,6 +23,7 @@ from fenicsx_obstacle.discrete.galerkin import coarse_problems
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.problems.input_checks import (
@@ -37,6 +38,7 @@ from fenicsx_obstacle.problems.input_checks import (
     checked_options,
     conditions,
     facets_of,
+    flat_start,
     naming_compiler_errors,
     number_of,
     obstacle,
@@ -56,7 +58,9 @@ from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
 from fenicsx_obstacle.solvers.linear import overriding, unread
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.nested import as_multigrid, problem_of, solve_nested
+from fenicsx_obstacle.solvers.newton import diagonal_of
 from fenicsx_obstacle.solvers.options import SolverOptions
+from fenicsx_obstacle.solvers.penalty_parameter import NoPositiveDiagonal
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
 from fenicsx_obstacle.text import shown
@@ -148,8 +152,9 @@ class ObstacleProblem:
             lower: Lower obstacle, in the unit of u. It is evaluated at the nodes. It may be a number; a Constant; a
                 Function of any continuous space, also on another mesh that covers this one; a UFL expression without
                 u that has one value at each node; or a callable of x, an array of shape (3, n), as for
-                Function.interpolate.
-            upper: Upper obstacle, of the same kinds.
+                Function.interpolate. Its value is -inf, or -1e20 or less, where there is no obstacle. If it is an
+                earlier solution of the penalty method, copy that by np.clip: it is beyond the obstacles by eps*p.
+            upper: Upper obstacle, of the same kinds; inf, or 1e20 or more, where there is none.
             energy: The functional whose derivative is F (optional, for nonlinear F). A line search then decreases this
                 energy, which makes Newton's method more robust.
             J: The derivative of F. By default UFL computes it. It is not used if F is linear.
@@ -295,10 +300,11 @@ class ObstacleProblem:
         with releases.compiled_with(*compiled):
             self._problem = self._discrete(data, prefix)
         self._setup_seconds = time.perf_counter() - started
-        self._in_matrix = [] if form is None else _values_in(form.slope)
+        self._in_matrix = {} if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
         self._grids: Sequence[Multigrid | Problem] | None = None
         self._solved_before = False
+        self._eps: float | None = None
 
     def _discrete(self, data: Data, prefix: str) -> Problem:
         """The discrete problem (collective)."""
@@ -347,7 +353,10 @@ class ObstacleProblem:
             eps: Penalty parameter in the unit of u/p, a number or a Constant. With "auto" it is a hundredth of the
                 median of D_i/A_ii over the nodes where u is not given. A is the derivative of F at the initial guess,
                 and D_i are the weights of I. For a problem made from a Scene, "auto" is h^2/100 divided by the largest
-                tension.
+                tension. If the penetration is more than 1 % of the range of u between the obstacles, or if this eps
+                does not fit the stiffness of the solution at a contact node, "auto" is lowered, and the problem is
+                solved again from the solution. The next solve begins with the same eps. A given eps is not changed; a
+                `PenetrationWarning` says if its penetration is large.
             method: "penalty"; "vi", the variational inequality by SNES VI, without eps; or "successive", the iteration
                 (3.4)* of Kikuchi's paper, which starts without contact.
             rtol: The solver stops when the sum of unbalanced forces, divided by the sum of acting forces, is below this
@@ -403,20 +412,26 @@ class ObstacleProblem:
             raise InputError(f"{self.name}: monitor = {shown(monitor)}: expected a function of a number and a Step")
         with self._settings():
             self._begin()
-            if method != "vi":
-                by_itself = isinstance(value, str) and self._form is not None
-                options = SolverOptions(method, self._automatic() if by_itself else value, source=f"{self.name}:")
             problem = self._problem
-            way = method_of(problem, options)
+            if method != "vi":
+                options = SolverOptions(method, value, source=f"{self.name}:")
+            try:
+                way = method_of(problem, options, known=self._eps)
+            except NoPositiveDiagonal:
+                refuse_no_positive_diagonal(problem, self._diagonal(), self._form, self.name)
             numbered = None if monitor is None else _Numbered(monitor, problem)
             try:
                 outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
-            except NotConverged:
-                if self._form is not None:
-                    refuse_not_finite(problem, self._form, self.name)
-                raise
+            except NotConverged as error:
+                if self._form is None:
+                    raise
+                refuse_not_finite(problem, self._form, self.name)
+                problem.set_reference(self.u.x.array.copy())
+                raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
+        if options.eps == "auto" and way.eps is not None:
+            self._eps = way.eps  # so that the next solve gives the same solution
         return Solved(outcome, way, state)
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
@@ -488,13 +503,16 @@ class ObstacleProblem:
         problem = self._problem
         if self._form is not None:
             values = _values_in(self._form.slope)
-            moved = any(not np.array_equal(a, b) for a, b in zip(values, self._in_matrix, strict=True))
-            stiffness = total(problem.level.comm, float(moved)) > 0
+            moved = [one for one, now in values.items() if not np.array_equal(now, self._in_matrix[one])]
+            stiffness = total(problem.level.comm, len(moved)) > 0
+            if total(problem.level.comm, len([one for one in moved if one is not self.u])) > 0:
+                self._eps = None  # it was that of another stiffness
             problem.renew(stiffness=stiffness)
             self._in_matrix = values
             if stiffness and self._form.affine:
                 self._form.look_again(problem.nodal.stiffness)
             check_stiffness(problem, self._form, self.name)
+        share(self.u)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())
@@ -522,6 +540,10 @@ class ObstacleProblem:
             estimator.use_estimator_load()
         return estimator
 
+    def _diagonal(self) -> np.ndarray:
+        """A_ii at owned nodes where u is free, for A the derivative of F at the present state (collective)."""
+        return diagonal_of(self._problem)[~self._problem.fixed]
+
     def _press(self, eps: float) -> None:
         """Let nodes of u that are at an obstacle, and pressed against it in the last solution, do so again: w = -eps p
         there (collective)."""
@@ -530,30 +552,6 @@ class ObstacleProblem:
             w = problem.w.x.array[: len(self._pressure)]
             w -= eps * np.where((np.minimum(*problem.gaps()) == 0) & ~problem.fixed, self._pressure, 0.0)
             problem.w.x.scatter_forward()
-
-    def _diagonal(self) -> np.ndarray:
-        """A_ii at owned nodes where u is free, for A the derivative of F at the present state (collective)."""
-        problem = self._problem
-        state = problem.state()
-        diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-        found = diagonal.array_r[~problem.fixed]
-        for owner in (state, diagonal):
-            owner.destroy()
-        return found
-
-    def _automatic(self) -> float:
-        """eps = "auto" (collective).
-
-        Raises:
-            InputError: If A has no positive diagonal entry there.
-        """
-        problem, diagonal = self._problem, self._diagonal()
-        weights = problem.weights[~problem.fixed]
-        good = (diagonal > 0) & (weights > 0)
-        everywhere = np.concatenate(problem.level.comm.allgather(weights[good] / diagonal[good]))
-        if not len(everywhere):
-            refuse_no_positive_diagonal(problem, diagonal, self._form, self.name)
-        return problem.eps_share * float(np.median(everywhere))
 
 
 class _Numbered:
@@ -564,12 +562,13 @@ class _Numbered:
 
     def __call__(self, problem: Problem, step: Step, active: np.ndarray) -> None:
         if problem is self.finest:
-            self.monitor(self.number, step)
+            with agree(problem.level.comm):
+                self.monitor(self.number, step)
             self.number += 1
 
 
-def _values_in(form: ufl.Form) -> list[np.ndarray]:
+def _values_in(form: ufl.Form) -> dict[Any, np.ndarray]:
     """Copies of the values of Functions and Constants in a form, that u is not known to change."""
     flat = ufl.algorithms.expand_derivatives(form)
-    functions = [one.x.array.copy() for one in flat.coefficients()]
-    return functions + [np.array(one.value) for one in flat.constants()]
+    functions = {one: one.x.array.copy() for one in flat.coefficients()}
+    return functions | {one: np.array(one.value) for one in flat.constants()}

@@ -16,6 +16,7 @@ from fenicsx_obstacle.measured.table import MeasuredField
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
 from fenicsx_obstacle.problems.state import State
 from fenicsx_obstacle.problems.values import Seconds
+from fenicsx_obstacle.solvers.penalty_parameter import large_penetration
 from fenicsx_obstacle.solvers.snes import Outcome
 
 COARSE = 1.5  # distance of nodes over that of measured data from which on the mesh is said to be too coarse
@@ -50,6 +51,8 @@ def output_quantities(
     }  # fmt: skip
     if remarks := [*level.remarks, *_too_coarse(problem)]:
         figures["mesh_remarks"] = remarks
+    if eps is not None and (large := large_penetration(problem)) is not None:
+        figures["remarks"] = [large]
     if _may_jump(problem):
         from fenicsx_obstacle.estimation.edges import boundary_jump  # only where a scene has such values
 

@@ -19,6 +19,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import main_values, summary
 from fenicsx_obstacle.problems.values import Adaptive, AdaptiveMesh, Errors, Force, Profile, Quantity, Seconds
 from fenicsx_obstacle.signatures import checked
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 Files = dict[str, bytes]
 T = TypeVar("T")
+PARTITION = 1e-9  # round-off of a partition of unity
 
 
 def _from_record(kind: Callable[..., T], values: Mapping[str, Any]) -> T:
@@ -270,7 +272,7 @@ class Solution:
             points: The same on every rank.
             of: As for `at`.
         """
-        found = [self._evaluated(function, points) for function in self._components(of)]
+        found = [self._with_infinities(function, points) for function in self._components(of)]
         return found[0] if not self._shape(of) else np.column_stack(found)
 
     def _shape(self, of: str) -> tuple[int, ...]:
@@ -323,6 +325,17 @@ class Solution:
         """Degree of the gradients of V_h."""
         pair = self.level.pair
         return pair.degree - 1 if pair.nested_hierarchy or pair.has_p1_coarse_space else pair.degree
+
+    def _with_infinities(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
+        """Values of a Function on this mesh, infinite where it is infinite at a node that counts there (collective)."""
+        values = function.x.array
+        if total(self.level.comm, np.count_nonzero(np.isinf(values))) == 0:
+            return self._evaluated(function, points)
+        finite, infinite = fem.Function(function.function_space), fem.Function(function.function_space)
+        finite.x.array[:] = np.where(np.isinf(values), 0.0, values)
+        infinite.x.array[:] = np.isinf(values)
+        there = np.abs(self._evaluated(infinite, points)) > PARTITION
+        return np.where(there, np.inf, self._evaluated(finite, points))
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fenicsx_obstacle.text import counted, vector_in_words, with_error
+from fenicsx_obstacle.text import counted, of_outputs, vector_in_words, with_error
 
 PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
-LARGE_PENETRATION = 0.01  # of the range of u: penetration that shows in forces and contact sets
 
 
 def summary(record: Mapping[str, Any], title: str) -> str:
@@ -42,10 +41,6 @@ def summary(record: Mapping[str, Any], title: str) -> str:
         *(f"  warning: {remark}" for remark in r.get("remarks", ())),
         *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
     ]
-    if r["penetration"] > LARGE_PENETRATION * r["u_range"]:
-        large = r["penetration"] > r["u_range"]  # which is 0 where u is constant
-        share = "more than the" if large else f"{r['penetration'] / r['u_range']:.1%} of the"
-        lines.append(f"  penetration is {share} range of u: for accurate values take a smaller eps, or the method vi")
     lines += _round_off(r)
     if "reason" in r.get("uncertainty", {}):
         lines.append(f"  no uncertainty: {r['uncertainty']['reason']}")
@@ -161,12 +156,13 @@ def main_values(r: Mapping[str, Any]) -> list[str]:
 def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
     """The values of [report], by name; extremes with their places."""
     places, found, goal = record.get("report_places", {}), {}, record.get("goal", {})
-    guaranteed, words = record.get("bound", {}).get("outputs", {}), record.get("bound", {}).get("words")
-    why = "" if words == "certified" else f"; {words}"
+    bound = record.get("bound", {})
     for name, value in (record.get("report") or {}).items():
         where = f" at ({', '.join(f'{x:.4g}' for x in places[name])})" if name in places else ""
-        if name in guaranteed:
-            where = f" (error at most {guaranteed[name]['error']:.2g}{why})"
+        if (output := bound.get("outputs", {}).get(name)) is not None:
+            words = of_outputs(bound["words"])
+            most, why = "at most" if words.startswith("guaranteed") else "about", f"; {words}"
+            where = f" (error {most} {output['error']:.2g}{'' if words == 'guaranteed' else why})"
         if value is None:
             found[name] = "not finite"
         elif name == goal.get("name"):

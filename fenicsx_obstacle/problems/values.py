@@ -88,7 +88,8 @@ class Quantity:
         value: Its value, in its own unit. If the error of the energy is guaranteed, the middle of its bounds.
         error: Guaranteed or estimated error of the value.
         relative: The error divided by the absolute value; None if the value is 0.
-        words: 'estimated', or 'guaranteed' under the assumptions that the words of the bound state.
+        words: 'estimated', or 'guaranteed' (perhaps 'on the polygon of the mesh'). The energy with sampled data has
+            'estimated for the sampled load', or with other data.
         mesh: Part of the error due to the mesh. A guaranteed error consists of this part only.
         penalty: Part of the error due to eps.
         dofs: Number of unknowns of the finest mesh that was solved for the estimate.

@@ -23,12 +23,11 @@ from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
-from fenicsx_obstacle.problems.solution import Solution
+from fenicsx_obstacle.problems.solution import PARTITION, Solution
 from fenicsx_obstacle.problems.values import Force, Profile
 from fenicsx_obstacle.text import nearest, shown
 
 NO_STRESS = "give the problem its stress in UFL, stress=sigma(u)"
-ROUND_OFF = 1e-9  # of a partition of unity
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,13 +174,12 @@ class VectorSolution(Solution):
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         if of != "gap":
             return super().values(points, of)
-        level = self.level.scalar
-        gap, known, none = fem.Function(level.V), fem.Function(level.V), fem.Function(level.V)
-        known.x.array[:], none.x.array[:] = ~np.isnan(self.gap.x.array), np.isinf(self.gap.x.array)
-        gap.x.array[:] = np.where(np.isfinite(self.gap.x.array), self.gap.x.array, 0.0)
-        inside = self._evaluated(known, points) > 1 - ROUND_OFF  # all nodes that count there have a gap
-        found = np.where(np.abs(self._evaluated(none, points)) > ROUND_OFF, np.inf, self._evaluated(gap, points))
-        return np.where(inside, found, np.nan)
+        level, unknown = self.level.scalar, np.isnan(self.gap.x.array)
+        gap, known = fem.Function(level.V), fem.Function(level.V)
+        known.x.array[:] = ~unknown
+        gap.x.array[:] = np.where(unknown, 0.0, self.gap.x.array)
+        inside = self._evaluated(known, points) > 1 - PARTITION  # all nodes that count there have a gap
+        return np.where(inside, self._with_infinities(gap, points), np.nan)
 
     def _shape(self, of: str) -> tuple[int, ...]:
         return (self.level.mesh.geometry.dim,) if of == "u" else ()

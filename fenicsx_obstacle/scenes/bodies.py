@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, at_surface
@@ -27,7 +27,7 @@ from fenicsx_obstacle.effects.domain.elasticity import Elasticity
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import first_given, largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
 from fenicsx_obstacle.scenes.scene import Scene
@@ -211,7 +211,7 @@ class Body:
         """Compute the gaps, with the obstacles where they are now (collective).
 
         Raises:
-            InputError: If a gap is not finite.
+            InputError: If a gap is not a number.
         """
         for one, distance in zip(self.facing, self._distance, strict=True):
             if distance is None:
@@ -222,7 +222,7 @@ class Body:
                 values = here.x.array[one.dofs]
             self.gap.x.array[one.dofs] = -values  # -u . n >= -gap
         self.gap.x.scatter_forward()
-        self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle")
+        self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle", none=-np.inf)
 
     def _at_nodes(self, one: Facing) -> np.ndarray:
         """A gap that is given, or that to a box, a table or an STL surface, at the nodes that face it (collective)."""
@@ -237,22 +237,7 @@ class Body:
 
             points, near = self.level.points.T[one.dofs, :gdim], SAME * self.data.extent
             self._surfaces[one] = NodalGap(obstacle, self.level.comm, points, normals, near)
-        found = self._surfaces[one].at(travel)
-        return np.where(found == np.inf, self._far, found)
-
-    @property
-    def _far(self) -> float:
-        """The gap where there is no obstacle, which small displacements never close."""
-        return 2 * self.data.extent
-
-    def _without_far(self, solution: VectorSolution) -> VectorSolution:
-        """The solution with infinite gaps where there is no obstacle (local)."""
-        if not self._surfaces:
-            return solution
-        least = self._far * (1 - MAX_SHARE)
-        nodes = replace(solution.nodes, gap=np.where(solution.nodes.gap > least, np.inf, solution.nodes.gap))
-        solution.gap.x.array[solution.gap.x.array > least] = np.inf
-        return replace(solution, nodes=nodes)
+        return self._surfaces[one].at(travel)
 
     def solve(self, options: SolverOptions) -> VectorSolution:
         """Solve; an obstacle with a force is moved until it presses with it (collective).
@@ -267,7 +252,7 @@ class Body:
         solve = partial(self._solved, "auto" if options.method == "vi" else eps, options.method)
         solution = solve() if self.pressing is None else self._pressed(self.pressing, solve)
         self._check_small(solution)
-        return self._without_far(solution)
+        return solution
 
     def _solved(self, eps: Any, method: str) -> VectorSolution:
         with self._naming_parts():
@@ -318,9 +303,10 @@ class Body:
         self.place()
         u, n = (part.x.array.reshape(-1, gdim) for part in (self.u, self._normals))
         reached = np.einsum("ij,ij->i", u[nodes], n[nodes]) + before[one.dofs]  # u . n - gap
-        closed = reached >= -SAME * self.data.extent
-        beyond = before[one.dofs] - self.gap.x.array[one.dofs] + SAME * self.data.extent  # the start is put on it
-        u[nodes] += np.where(closed, beyond, 0.0)[:, None] * n[nodes]
+        after, near = self.gap.x.array[one.dofs], SAME * self.data.extent
+        closed = (reached >= -near) & np.isfinite(after)
+        beyond = before[one.dofs][closed] - after[closed] + near  # the start is put on it
+        u[nodes[closed]] += beyond[:, None] * n[nodes[closed]]
 
     def _touching(self, one: Facing) -> float:
         """How far an obstacle is moved until it touches the body at rest (collective).
@@ -344,24 +330,42 @@ class Body:
                 break
         return travel
 
+    def _admissible(self, share: float) -> str:
+        """Loads that make displacements by this factor smaller, in words: with Hertz's contact slopes grow like the
+        square root of the force, of balls like its cube root."""
+        dim, forces = self.level.mesh.geometry.dim, []
+        for one in self.facing:
+            if one.obstacle.force is not None:
+                forces.append(one.obstacle.force * share ** (dim if one.obstacle.radius else 1))
+        if not forces:
+            return f"loads up to about {share:.2g} times these"
+        return f"a force up to about {', '.join(f'{force:.2g}' for force in forces)}"
+
     def _check_small(self, solution: VectorSolution) -> None:
         """Reject solutions that are no small displacements (collective).
 
         Raises:
-            InputError: With the slope or the displacement.
+            InputError: With the slope or the displacement, its place, and the loads that are admissible.
         """
-        comm, reference = self.level.comm, Reference(self.level.mesh)
-        cells, middle = np.arange(own_cells(self.level.mesh)), reference.weights(reference.vertices.mean(axis=0))
+        level, reference = self.level, Reference(self.level.mesh)
+        cells, middle = np.arange(own_cells(level.mesh)), reference.weights(reference.vertices.mean(axis=0))
         parts = [self.vectors.component(solution.u, k) for k in range(self.vectors.components)]
         squares = sum((reference.gradients(part, cells, middle[None, None]) ** 2).sum(axis=(1, 2)) for part in parts)
-        slope = float(np.sqrt(largest(comm, squares)))
-        size = float(np.sqrt(largest(comm, sum(part.x.array**2 for part in parts))))
-        for what, found, most in (("slopes", slope, MAX_SLOPE), ("a size", size / self.data.extent, MAX_SHARE)):
+        slopes = np.sqrt(squares), corners(level.mesh, cells).mean(axis=1)
+        sizes = np.sqrt(sum(part.x.array**2 for part in parts)) / self.data.extent, level.points.T
+        for what, of_body, (values, points), most in (
+            ("slopes", "", slopes, MAX_SLOPE),
+            ("a size", " of the body's", sizes, MAX_SHARE),
+        ):
+            found = largest(level.comm, values)
             if found > most:
-                of_body = "" if what == "slopes" else " of the body's"
+                mine = points[np.argmax(values)] if np.max(values, initial=0.0) == found else None
+                at, share = first_given(level.comm, mine), most / found
+                assert at is not None
                 raise InputError(
-                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}: elasticity is for "
-                    f"small ones, up to {most:g}; take smaller loads, a stiffer body, or an obstacle that is nearer"
+                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}, at "
+                    f"{self.data.place(at)}: elasticity is for small ones, up to {most:g}; take "
+                    f"{self._admissible(share)}, a stiffer body, or an obstacle that is nearer"
                 )
 
     def _faced(self, obstacle: Obstacle) -> Facing:
@@ -454,18 +458,14 @@ class Body:
             for k, field in enumerate(part.components):
                 if field is not None:
                     dofs = fem.locate_dofs_topological(
-                        (V.sub(k), self._component_space), mesh.topology.dim - 1, self.data.facets[number]
+                        (V.sub(k), self.vectors.Q), mesh.topology.dim - 1, self.data.facets[number]
                     )
                     found.append(fem.dirichletbc(self._given(field, number), dofs, V.sub(k)))
         return found
 
-    @cached_property
-    def _component_space(self) -> fem.FunctionSpace:
-        return self.vectors.V.sub(0).collapse()[0]
-
     def _given(self, field: Field, part: int) -> fem.Function:
         """A component of u on a part of the boundary (collective)."""
-        given = fem.Function(self._component_space)
+        given = fem.Function(self.vectors.Q)
         given.interpolate(self.data.on_part(field, part))
         self._values.append((given, field, part))
         return given

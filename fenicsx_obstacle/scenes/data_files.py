@@ -54,8 +54,8 @@ class DataFiles:
         path = self._folder / file
         try:
             return self._named(path, path.name, path.read_bytes)
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from None
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: {getattr(error, 'strerror', error)}") from None
 
     def _of_arrays(self, key: str, table: Table) -> str:
         def archive() -> bytes:

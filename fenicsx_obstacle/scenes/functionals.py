@@ -126,7 +126,7 @@ class Report:
             case "integral", []:
                 return self._over_cells(expression, self._every)
             case "integral", [ast.Constant(value=str(name))]:
-                if name in self.level.groups:
+                if self.over_cells(expression, name):
                     return self._over_cells(expression, self.level.groups[name])
                 return self._over_facets(expression, self.level.facets[name])
             case "integral", [ast.Constant(value=str(name)), ast.Constant(value=str(side))]:
@@ -274,15 +274,25 @@ class Report:
 
     def _check_part(self, formula: Formula, expression: Formula, node: ast.expr, name: str) -> None:
         facets, groups = self.level.facets, self.level.groups
-        if name in facets and name in groups:
-            raise InputError(formula.pointing(node, f"'{name}' is the name of cells and of their sides"))
+        if name in facets and self.over_cells(expression, name):
+            message = (
+                f"'{name}' is the name of cells and of facets, such as groups of a mesh file with the same number: "
+                f'give one of them another name (in Gmsh: Physical Curve("edge", {name if name.isdigit() else 7}) = '
+                "{...};)"
+            )
+            raise InputError(formula.pointing(node, message))
         if name not in facets and name not in groups:
             message = f"no part of the mesh named '{name}'" + nearest(name, {*facets, *groups})
             raise InputError(formula.pointing(node, message))
-        if name in groups and NORMAL_FLUX in expression.names:
+        if name not in facets and NORMAL_FLUX in expression.names:
             raise InputError(formula.pointing(node, f"'{name}' is a part of the domain: it has no {NORMAL_FLUX}"))
         if NORMAL_FLUX in self.scene.needs(expression):
             self._check_normal_flux(formula, node, name)
+
+    def over_cells(self, expression: Formula, name: str) -> bool:
+        """Whether a name means cells in an integral: what facets alone have is integrated over facets of that name."""
+        on_facets = bool({NORMAL_FLUX, JUMP} & self.scene.needs(expression)) and name in self.level.facets
+        return name in self.level.groups and not on_facets
 
     def _check_side(self, formula: Formula, curve: ast.Constant, side: ast.Constant) -> None:
         """A curve, and the cells on one side of it."""

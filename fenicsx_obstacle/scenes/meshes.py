@@ -26,8 +26,8 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
-    pair = scene.pair
     level, refine = _begin(scene, comm)
+    pair = scene.pair
     while refine:
         times, dim = refine if halves_at_once(level) else 1, level.mesh.topology.dim
         check_memory(level.dofs * (2.0**times * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
@@ -69,13 +69,14 @@ def _extents(scene: Scene) -> tuple[object, ...]:
 
 def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level, and how often to refine it."""
-    table, pair, curved = scene.tables.mesh, scene.pair, scene.model.vector_valued
+    table, curved = scene.tables.mesh, scene.model.vector_valued
     refine = table.refine
     if scene.own_mesh is not None:
         level = scene.own_mesh.level(scene.source, curved=curved)
     elif table.file is not None:
         path = scene.folder / table.file
         found = files.read(path, comm)
+        scene.use_cells(releases.cell_name(found.mesh))
         level = of_mesh(found.mesh, str(path), found.facets, found.groups, curved=curved)
         level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
         if found.bent:
@@ -83,12 +84,12 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
-        unknowns = shape.vertices(2.0**refine * pair.degree)
+        unknowns = shape.vertices(2.0**refine * scene.pair.degree)
         check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
         mesh, sides, h, halvings = coarsest_grid(shape, comm)
         level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
     try:
-        pair.rule(_cells_of_rule(scene, level))
+        scene.pair.rule(_cells_of_rule(scene, level))
     except InputError as error:
         raise InputError(f"{scene.source}: [solve] {error}") from None
     if refine and releases.cell_name(level.mesh) not in SIMPLICES:

@@ -117,7 +117,7 @@ class DifferentiableReport(Report):
             self._add_cells(expression, cells, weights[:, None], share, {})
             return
         part = [str(node.value) for node in call.args[1:] if isinstance(node, ast.Constant)]
-        if part and part[0] not in self.level.groups:
+        if part and (len(part) > 1 or not self.over_cells(expression, part[0])):
             seen_from = self.level.groups[part[1]] if len(part) > 1 else None
             self._add_facets(expression, self.level.facets[part[0]], seen_from, factor)
             return

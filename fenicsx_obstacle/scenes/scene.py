@@ -240,7 +240,7 @@ class Scene(Vocabulary):
         set_("moves", typed.time is not None)
         set_("define", self._definitions())
         set_("effects", self._effects())
-        set_("pair", self._pair())
+        set_("pair", self._pair(typed.mesh.cell if mesh is None else mesh.cell))
         if mesh is None and (typed.mesh.shape is None) == (typed.mesh.file is None):
             raise InputError(f"{source}: [mesh] needs either a 'shape' or a 'file'")
         set_("model", self._model())
@@ -334,9 +334,12 @@ class Scene(Vocabulary):
             known.add(key)
         return definitions
 
-    def _pair(self) -> Pair:
+    def use_cells(self, cell: str) -> None:
+        """Take the default element for the cells of a file, once these are known, where [solve] names no element."""
+        object.__setattr__(self, "pair", self._pair(cell))  # the class is frozen
+
+    def _pair(self, cell: str | None) -> Pair:
         asked, known = self.tables.solve.element, pairs()
-        cell = self.tables.mesh.cell if self.own_mesh is None else self.own_mesh.cell
         name = pair_for(cell or "") if asked is None else asked
         if name not in known:
             raise InputError(f"{self.source}: [solve] element = {name!r} is not known" + nearest(name, known))

@@ -20,8 +20,11 @@ from fenicsx_obstacle.text import nearest
 Value = float | str  # a number or a formula
 Numbers = tuple[Value, ...]
 MAX_BYTES = 1_000_000  # of a scene file
+MAX_NAME = 100  # bytes of a profile, which names files
 MAX_PARTS = 1000  # of the boundary
 MESHES = (".msh", ".geo", ".xdmf", ".step", ".stp")
+_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*"""
+_LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{100}}")  # a dotted key, however it is quoted
 MAX_DEPTH = 8  # of tables and lists within each other
 Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
@@ -238,7 +241,10 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise InputError(
                 f"{path}: {size:.3g} MB, which is too large for a scene; the limit is {MAX_BYTES / 1e6:g} MB"
             )
-        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n"))
+        text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+        if _LONG_KEY.search(text):  # the time that they take grows like the square of their parts
+            raise RecursionError
+        raw = tomllib.loads(text)
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: no such scene file") from None
     except OSError as error:
@@ -278,8 +284,9 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
         raise InputError(f"{source}: {_in_words(str(error), raw)}") from None
     _no_idle_key(typed.mesh, raw.get("mesh", {}), source)
     for name, table in typed.profile.items():
-        if not re.fullmatch(r"[\w-]+", name):
-            raise InputError(f"{source}: [profile.{_short(name)}]: a name has letters, digits, _ and - only")
+        if not re.fullmatch(r"[\w-]+", name) or len(name.encode()) > MAX_NAME:
+            wanted = f"a name has letters, digits, _ and - only, at most {MAX_NAME} bytes"
+            raise InputError(f"{source}: [profile.{_short(name)}]: {wanted}")
         if (table.on is None) == (table.from_ is None) or (table.from_ is None) != (table.to is None):
             raise InputError(f"{source}: [profile.{name}]: needs the keys 'from' and 'to', or 'on'")
     return typed

@@ -18,6 +18,7 @@ LEVELS = {"lower": "level lower", "upper": "level upper"}  # names of the level 
 AVERAGED = 2  # times that each value is replaced by the mean with its neighbours
 # the level at a node knows the nodes so many edges away: one to tell contact, two for the rise beside it, and means
 RINGS = 3 + AVERAGED
+FARTHEST = 1e20  # height of an obstacle in a picture where there is none
 MIN_LEVEL = 0.02  # level of a node next to the line, in units of the level's usual rise from node to node
 
 
@@ -50,13 +51,15 @@ def with_levels(patch: Patch, largest_gap: Mapping[str, float] | None = None) ->
         patch: The whole mesh, or all cells within `RINGS` of the free boundary.
         largest_gap: Of part of a mesh, the largest distance from each obstacle on the whole of it, by side.
     """
-    largest = largest_gap or {side: gap(patch.fields, side).max(initial=0.0) for side in SIDES if side in patch.fields}
-    fields, edges = dict(patch.fields), _edges(patch.cells)
+    names = [name for name in (*SIDES, "gap") if name in patch.fields]
+    finite = {name: np.clip(patch.fields[name], -FARTHEST, FARTHEST) for name in names}
+    fields, edges = {**patch.fields, **finite}, _edges(patch.cells)
+    largest = largest_gap or {side: gap(fields, side).max(initial=0.0) for side in SIDES if side in names}
     for side, size in largest.items():
-        pressing, held = pressed(patch.fields, side), _held(patch.fields, side, edges, size)
-        fields[LEVELS[side]] = _level(gap(patch.fields, side), pressing | held, edges)
+        pressing, held = pressed(fields, side), _held(fields, side, edges, size)
+        fields[LEVELS[side]] = _level(gap(fields, side), pressing | held, edges)
         a, b = edges[:, pressing[edges[1]]]
-        near, _ = _mean(a, patch.fields["pressure"][b], len(held))
+        near, _ = _mean(a, fields["pressure"][b], len(held))
         fields["pressure"] = np.where(held & (fields["pressure"] == 0), near, fields["pressure"])
     return Patch(patch.points, patch.cells, fields)
 
@@ -105,7 +108,7 @@ def rim(cells: np.ndarray) -> np.ndarray:
 
 def gap(fields: Mapping[str, np.ndarray], side: str) -> np.ndarray:
     """Distance of u from an obstacle, 0 where it penetrates it."""
-    return np.maximum(SIDES[side] * (fields["u"] - fields[side]), 0.0)
+    return np.clip(SIDES[side] * (fields["u"] - fields[side]), 0.0, FARTHEST)
 
 
 def pressed(fields: Mapping[str, np.ndarray], side: str) -> np.ndarray:

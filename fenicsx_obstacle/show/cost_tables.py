@@ -114,12 +114,19 @@ def ended(rows: Rows, study: CostStudy) -> list[tuple[str, str]]:
 def duration(value: float) -> str:
     """Seconds in the unit that fits."""
     if value < 120:
-        return f"{value:.2g} s"
+        return f"{_two_digits(value)} s"
     if value < 7200:
-        return f"{value / 60:.2g} min"
-    return f"{value / 3600:.2g} h" if value < 48 * 3600 else f"{value / 86400:.2g} days"
+        return f"{_two_digits(value / 60)} min"
+    return f"{_two_digits(value / 3600)} h" if value < 48 * 3600 else f"{_two_digits(value / 86400)} days"
 
 
 def megabytes(value: float) -> str:
     """Memory in the unit that fits."""
-    return f"{value:.0f} MB" if value < 1000 else f"{value / 1000:.2g} GB"
+    if value < 1000:
+        return f"{value:.0f} MB"
+    return f"{_two_digits(value / 1e3)} GB" if value < 1e6 else f"{_two_digits(value / 1e6)} TB"
+
+
+def _two_digits(value: float) -> str:
+    """A number with two digits, without an exponent: 560, not 5.6e+02."""
+    return f"{float(f'{value:.2g}'):.15g}"

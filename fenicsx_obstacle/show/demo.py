@@ -6,22 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle.answers.adapt import solve
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.checkout import DEMOS, require
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.report import Say, report_answer, report_study
 from fenicsx_obstacle.text import title_of
-
-DEMOS = Path(__file__).parent.parent.parent / "demos"
 
 
 def run_demo(folder: Path, say: Say) -> None:
     """Solve the scenes of demos/, then the eps-study and the h-studies (collective).
 
     Raises:
-        InputError: Without a checkout of the project.
+        InputError: In an installed wheel.
     """
-    if not DEMOS.is_dir():
-        raise InputError("the demo runs from a checkout of the project, where demos/ is")
+    require("demo")
     for name in ("string", "disk", "ball", "two_sided"):
         answer = solve(Scene.read(DEMOS / f"{name}.toml"))
         answer.save(folder / name)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import replaced
 from fenicsx_obstacle.text import one_line
 
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well
@@ -148,14 +149,8 @@ def check_name(path: Path) -> None:
 
 def save(page: Any, path: Path) -> None:
     """Write a figure in one step, as its name says (one rank)."""
-    scratch = path.with_name(f".{path.stem}.part{path.suffix}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with missing_glyphs():
-            page.savefig(scratch)
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    with replaced(path) as scratch, missing_glyphs():
+        page.savefig(scratch)
 
 
 def write_gif(page: Any, path: Path, per_second: float, frames: Iterable[Any], draw: Callable[[Any], None]) -> None:
@@ -171,15 +166,10 @@ def write_gif(page: Any, path: Path, per_second: float, frames: Iterable[Any], d
     from matplotlib.animation import PillowWriter
 
     writer = PillowWriter(fps=per_second)
-    scratch = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        with missing_glyphs(), writer.saving(page, str(scratch), dpi=90):
-            for frame in frames:
-                draw(frame)
-                writer.grab_frame()
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    with replaced(path) as scratch, missing_glyphs(), writer.saving(page, str(scratch), dpi=90):
+        for frame in frames:
+            draw(frame)
+            writer.grab_frame()
 
 
 def svg(page: Any, name: str) -> str:

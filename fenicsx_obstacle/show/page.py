@@ -251,6 +251,7 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         force = with_uncertainty(record, contact[side]["force"], ".6g", "contact", side, "force")
         facts.append((f"force on {side} obstacle", force))
     facts.append(("penetration", with_uncertainty(record, record["penetration"], ".4g", "penetration")))
+    facts += [("warning", remark) for remark in record.get("remarks", ())]
     if "reason" in record.get("uncertainty", {}):
         facts.append(("no uncertainty", record["uncertainty"]["reason"]))
     facts += [(f"error, {norm}", f"{value:.4g}") for norm, value in (record.get("errors") or {}).items()]

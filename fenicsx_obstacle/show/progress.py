@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
+from fenicsx_obstacle.text import one_line
+
 LIBRARY = "fenicsx_obstacle"
 
 
@@ -30,6 +32,7 @@ def progress(name: str, *, quiet: bool) -> Iterator[None]:
     from tqdm import tqdm
 
     form = "{desc} {postfix} [{elapsed}]"
+    name = one_line(name)
     bar = tqdm(
         desc=name, file=sys.stderr, leave=False, bar_format=form, miniters=0, mininterval=0.1, dynamic_ncols=True
     )
@@ -85,7 +88,7 @@ class _Bar(logging.Handler):
         self.bar, self.name = bar, name
 
     def emit(self, record: logging.LogRecord) -> None:
-        text = record.getMessage()
+        text = one_line(record.getMessage())
         if hasattr(record, "row"):
             row = vars(record)
             self.bar.total, self.bar.n = row["rows"], row["row"] - 1

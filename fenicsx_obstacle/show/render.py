@@ -28,7 +28,7 @@ FREE, OBSTACLE, EDGE = "#97C0E4", "#8A8178", "#66788A"
 CLEAR = 0.42  # opacity of u out of contact: a wall in front must not hide the contact behind it
 UPPER = 0.4  # opacity of an upper obstacle
 _MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
-_WORKER = [sys.executable, "-m", "fenicsx_obstacle.show.render"]
+_WORKER = [sys.executable, "-P", "-m", "fenicsx_obstacle.show.render"]
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def draw(folder: Path) -> None:
     """Draw what `rendered` has written; runs in the process of its own."""
     import pyvista
 
-    arrays = dict(np.load(folder / "arrays.npz"))
+    arrays = dict(np.load(folder / "arrays.npz", allow_pickle=False))
     for number, given in enumerate(json.loads((folder / "views.json").read_text())):
         view = View(**given)
         plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -13,8 +12,8 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.io.folder import STEPS, gather
-from fenicsx_obstacle.io.origin import command
+from fenicsx_obstacle.io.folder import STEPS, gather, write_record
+from fenicsx_obstacle.io.origin import command, program
 from fenicsx_obstacle.parallel import on_root, peak_memory_mb, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
@@ -80,7 +79,7 @@ def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool
             others["Contribution of each cell to the bound"] = folder / NAME
     else:
         on_root(comm, (folder / PICTURE).unlink, True)
-        said = f"{folder}: a network of intervals has no picture" if picture else f"./obstacle plot {folder} draws it"
+        said = f"{folder}: a network of intervals has no picture" if picture else f"{program()} plot {folder} draws it"
     if newton:
         from fenicsx_obstacle.show.newton import animate_newton  # only if requested
 
@@ -95,7 +94,7 @@ def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool
         seconds = {**answer.record["seconds"], "total": time.perf_counter() - started}
         spent = {"seconds": comm.bcast(seconds), "memory_mb": peak_memory_mb(comm)}
         answer = replace(answer, record={**answer.record, **spent})
-        on_root(comm, write_text, folder / "answer.json", json.dumps(dict(answer.record), indent=1) + "\n")
+        on_root(comm, write_record, folder, answer.record)
     on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn, others)
     return answer, said
 

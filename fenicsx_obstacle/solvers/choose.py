@@ -17,11 +17,11 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.forms.pairs import Pair
-from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers.augmented import solve_augmented
 from fenicsx_obstacle.solvers.linear import LARGEST
-from fenicsx_obstacle.solvers.newton import penalty_pressure, smallest_eps, solve_penalty
+from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.solvers.options import SolverOptions
+from fenicsx_obstacle.solvers.penalty_parameter import PenaltySolve, penalty_parameter
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 
@@ -102,56 +102,38 @@ def hierarchy(problem: Problem, *, on_meshes: bool = False) -> list[Problem]:
     return [*coarse_problems(problems[0], algebraic=algebraic), *problems]
 
 
-def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
-    """eps as a number, in units of u/p (collective).
-
-    A number is absolute. A formula in h is divided by the largest tension: (1/eps) D and the stiffness then
-    stay in proportion whatever the units. Where tensions differ so much that eps = auto would be below the floor of
-    round-off somewhere, it is the floor.
-
-    Raises:
-        InputError: If it is not positive and finite, or below the floor.
-    """
-    formula = options.formula
-    eps, place = formula.value(problem.level.h), f"{options.source} eps = {formula.text}"
-    if not 0 < eps < np.inf:
-        raise InputError(f"{place}: must be positive, it is {eps:g}")
-    if formula.scaled:
-        elastic = problem.model.elastic
-        eps /= largest(problem.level.comm, elastic.stiffness(problem.data))
-    floor = smallest_eps(problem)
-    if options.eps == "auto":
-        return max(eps, floor)
-    if eps < floor:
-        raise InputError(
-            f"{place}: below the limit of round-off, {floor:.2g} on this mesh, at which contact "
-            "changes u by less than its last digit; take a larger eps, or the method vi"
-        )
-    return eps
-
-
 @dataclass(frozen=True)
 class Method:
     """A method: the solver, eps, and the pressure of its solution.
 
     Attributes:
         solve: From its present state; takes `multigrid`.
-        eps: Penalty parameter in units of u/p, or None.
+        penalty: The penalty solve, or None.
         share: Of the force that balances a step in time, the part that is the contact force: 1, or 1/2 with inertia.
     """
 
     solve: Callable[..., Outcome]
-    eps: float | None
+    penalty: PenaltySolve | None
     share: float
     _force: Callable[[Problem], np.ndarray]
+
+    @property
+    def eps(self) -> float | None:
+        """Penalty parameter in units of u/p, or None; that of the solution after a solve."""
+        return None if self.penalty is None else self.penalty.eps
 
     def pressure(self, problem: Problem) -> np.ndarray:
         """Contact pressure at owned points of I of the problem just solved (collective)."""
         return self._force(problem) * self.share
 
 
-def method_of(problem: Problem, options: SolverOptions) -> Method:
+def method_of(problem: Problem, options: SolverOptions, *, known: float | None = None) -> Method:
     """The method that options ask for (collective).
+
+    Args:
+        problem: To be solved.
+        options: Method and eps.
+        known: An eps that a solution of the same problem was found to need, instead of "auto".
 
     Raises:
         InputError: For a bad eps.
@@ -162,11 +144,14 @@ def method_of(problem: Problem, options: SolverOptions) -> Method:
         by_bounds = problem.level.pair.nodal
         force = residual_pressure if by_bounds else penalty_pressure
         return Method(_named(solve_vi if by_bounds else solve_augmented, asked), None, share, force)
+    automatic = options.eps == "auto"
+    eps = known if automatic and known is not None else penalty_parameter(problem, options)
     if not problem.constrained:
         return Method(partial(solve_penalty, eps=1.0), None, share, penalty_pressure)
-    eps = penalty_parameter(problem, options)
-    solve = partial(solve_penalty, eps=eps * share, successive=asked == "successive")
-    return Method(_named(solve, asked), eps, share, penalty_pressure)
+    penalty = PenaltySolve(
+        eps, share, automatic=automatic, successive=asked == "successive", source=options.source
+    )  # fmt: skip
+    return Method(_named(penalty, asked), penalty, share, penalty_pressure)
 
 
 def _named(solve: Callable[..., Outcome], asked: str) -> Callable[..., Outcome]:

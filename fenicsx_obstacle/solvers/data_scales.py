@@ -47,19 +47,23 @@ def forces_of_data(problem: Problem) -> float:
     return max(problem.load, at_zero, total(comm, np.abs(problem.forms.forces_at(problem.flat()))))
 
 
-def negligible_force(problem: Problem, stiffness: np.ndarray) -> float:
-    """A force that is negligible against stiffness times nearest gap (collective).
+def nearest_gap(problem: Problem) -> float:
+    """The smallest distance of u from an obstacle, infinity if there is none (collective).
 
     A gap below the last digit of its obstacle is round-off and counts as contact.
     """
-    comm = problem.level.comm
-    gaps = []
+    found = []
     for gap, obstacle in zip(problem.gaps(), problem.obstacles(), strict=True):
-        levels = np.abs(obstacle)
-        digit = EPSILON * max(largest(comm, np.where(np.isfinite(levels), levels, 0.0)), 0.0)
-        gaps.append(np.where(np.abs(gap) > digit, np.abs(gap), np.inf).min(initial=np.inf))
-    nearest = smallest(comm, gaps)
-    return NEGLIGIBLE_FORCE * nearest * total(comm, stiffness) if np.isfinite(nearest) else 0.0
+        heights = np.abs(np.broadcast_to(obstacle, len(problem.w.x.array)))
+        digit = EPSILON * (heights[: len(gap)] if problem.level.pair.nodal else problem.at_points(heights))
+        found.append(np.abs(gap[np.abs(gap) > digit]))
+    return smallest(problem.level.comm, np.concatenate(found))
+
+
+def negligible_force(problem: Problem, stiffness: np.ndarray) -> float:
+    """A force that is negligible against stiffness times nearest gap (collective)."""
+    nearest = nearest_gap(problem)
+    return NEGLIGIBLE_FORCE * nearest * total(problem.level.comm, stiffness) if np.isfinite(nearest) else 0.0
 
 
 def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:

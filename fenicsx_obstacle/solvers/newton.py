@@ -96,13 +96,20 @@ def solve_penalty(
 
 def soft_eps(problem: Problem) -> float:
     """The eps for which the penalty diagonal equals the stiffness (collective)."""
+    comm, diagonal = problem.level.comm, diagonal_of(problem)
+    return largest(comm, problem.weights) / max(largest(comm, diagonal[~problem.fixed]), TINY)
+
+
+def diagonal_of(problem: Problem) -> np.ndarray:
+    """A_ii at owned dofs, A being the derivative of the residual at the present state, without penalty (collective)."""
+    if problem.affine and problem.level.pair.nodal:
+        return problem.nodal.diagonal
     state = problem.state()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    comm = problem.level.comm
-    eps = largest(comm, problem.weights) / max(largest(comm, diagonal.array_r[~problem.fixed]), TINY)
+    found = diagonal.array_r.copy()
     for owner in (state, diagonal):
         owner.destroy()
-    return eps
+    return found
 
 
 def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
@@ -110,7 +117,8 @@ def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None)
     outcome = _attempts(problem, how, multigrid)
     for _ in range(MAX_REFERENCE_UPDATES):
         # sets also repeat if the reference r of w is not the obstacle in contact
-        if outcome.reason == ACTIVE_SET_GREW or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
+        final = outcome.reason == ACTIVE_SET_GREW or (outcome.reason == TOO_MANY and is_limited(problem, "penalty"))
+        if final or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
     return outcome
@@ -147,17 +155,23 @@ def smallest_eps(problem: Problem) -> float:
 def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """Full steps and line searches in turn, each from the last state of the one before, until one converges.
 
-    A line search ends where the round-off of the energy hides any descent: full steps continue from there.
+    A line search ends where the round-off of the energy hides any descent: full steps continue from there. Where full
+    steps did not reduce the residual, it begins where they did.
     """
     if user_has_set(problem.options_of("penalty") + "snes_linesearch_type"):
         return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)
     searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
+    start = problem.w.x.array.copy()
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
-        if outcome.reason == TOO_MANY and ("patience" in how or is_limited(problem, "penalty")):
+        if outcome.converged or outcome.reason == ACTIVE_SET_GREW or is_limited(problem, "penalty"):
+            break
+        if outcome.reason == TOO_MANY and "patience" in how and (problem.affine or search == "basic"):
             break  # far from a solution: full steps would diverge
-        if not outcome.converged and outcome.reason != ACTIVE_SET_GREW:
-            outcome = joined(outcome, _attempt(problem, search, how, multigrid))
+        forces = [step.unbalanced for step in outcome.history]
+        if search == "bt" and not problem.affine and not min(forces[-1:], default=np.inf) < max(forces[:1], default=0):
+            problem.w.x.array[:] = start  # full steps have led nowhere
+        outcome = joined(outcome, _attempt(problem, search, how, multigrid))
     return outcome
 
 

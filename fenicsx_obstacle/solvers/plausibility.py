@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.solvability import LIMIT
+from fenicsx_obstacle.discrete.solvability import LIMIT, PRESCRIBE
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -114,10 +114,7 @@ def _shifts(problem: Problem, active: np.ndarray) -> str | None:
     size = largest(comm, np.abs(u))
     if not (problem.balanced & (forces <= negligible) & (least.sum(axis=0) > NEAR * size)).any():
         return None
-    return (
-        "u is given nowhere, and no contact force acts, so that u is determined only up to a constant; prescribe u on "
-        "a part of the boundary"
-    )
+    return "u is given nowhere, and no contact force acts, so that u is determined only up to a constant; " + PRESCRIBE
 
 
 def _beyond_range(problem: Problem, active: np.ndarray) -> str | None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.problem import INFINITE, Problem
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.solvers.multigrid import Multigrid
 from fenicsx_obstacle.solvers.newton import MAX_REFERENCE_UPDATES, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
 from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
@@ -17,6 +17,7 @@ from fenicsx_obstacle.solvers.stopping import TOLERANCE, StepMonitor, Stopping
 
 # without descent PETSc's line search fails, or takes round-off for a minimum of its merit function
 LINE_SEARCH_FAILED = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
+INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
 NEAR = 1e-6  # the same contact, but for nodes that press very little
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
@@ -44,8 +45,10 @@ def solve_vi(
         The converged outcome.
 
     Raises:
+        InputError: If the user's PETSc options name another type of SNES.
         NotConverged: With PETSc's reason.
     """
+    _refuse_other_solvers(problem)
     how: dict[str, Any] = {"least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
@@ -59,6 +62,21 @@ def solve_vi(
         problem.set_reference(start)
         outcome = joined(outcome, _from_penalty(problem, how))
     return require(outcome, problem, None, tolerance)
+
+
+def _refuse_other_solvers(problem: Problem) -> None:
+    """Reject a type of SNES for which `Stopping` is not made, or which ignores bounds.
+
+    Raises:
+        InputError: With the option.
+    """
+    option = problem.options_of("vi") + "snes_type"
+    kind = PETSc.Options().getString(option, VI["snes_type"])
+    if kind != VI["snes_type"]:
+        raise InputError(
+            f"PETSc option {option} = {kind}: the method vi is made for {VI['snes_type']} alone; leave the option out, "
+            "or take the method penalty"
+        )
 
 
 def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
@@ -93,13 +111,13 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any],
     own = problem.level.owned
     x = problem.state()
     lower, upper = x.duplicate(), x.duplicate()
-    lower.array[:] = -INFINITE if problem.below is None else problem.below.x.array[:own]
-    upper.array[:] = INFINITE if problem.above is None else problem.above.x.array[:own]
+    lower.array[:] = -INFINITE if problem.below is None else np.maximum(problem.below.x.array[:own], -INFINITE)
+    upper.array[:] = INFINITE if problem.above is None else np.minimum(problem.above.x.array[:own], INFINITE)
     # fixed dofs are no contact, even where the boundary value touches the obstacle
     lower.array[~problem.touchable], upper.array[~problem.touchable] = -INFINITE, INFINITE
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
     problem.set_state(x)
-    touching = 1e-12 * _height(problem)
+    touching = 1e-12 * problem.range_of_u()
     options = {**options, "snes_vi_zero_tolerance": touching}
     stopping = Stopping(problem, exact_bounds=True, touching=touching, **how)
     outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
@@ -109,12 +127,6 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any],
     return outcome
 
 
-def _height(problem: Problem) -> float:
-    """The range of w, because PETSc's tolerance for 'at the bound' is absolute."""
-    w, comm = problem.w.x.array, problem.level.comm
-    return max(largest(comm, w) - smallest(comm, w), 0.0)
-
-
 def residual_pressure(problem: Problem) -> np.ndarray:
     """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned points of I that touch an obstacle, 0 elsewhere (collective).
 
@@ -122,6 +134,6 @@ def residual_pressure(problem: Problem) -> np.ndarray:
     """
     lower, upper = problem.gaps()
     p = np.where(problem.touchable, problem.elastic.array_r, 0.0) / np.where(problem.touchable, problem.weights, 1.0)
-    tolerance = 1e-12 * _height(problem)
+    tolerance = 1e-12 * problem.range_of_u()
     held = ((lower <= tolerance) & (p > 0)) | ((upper <= tolerance) & (p < 0))
     return np.where(held, p, 0.0)

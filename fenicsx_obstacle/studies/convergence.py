@@ -13,7 +13,9 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
+from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.io.validation import check_record
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
@@ -109,6 +111,7 @@ class Study:
             raise InputError(f"{scene.source}: eps cannot vary: it means nothing to method vi, or without an obstacle")
         self.penalised = any(penalised)
 
+    @read_once()
     def run(self, on_row: OnRow | None = None, store: RowStore | None = None) -> list[Row]:
         """All rows, in order (collective).
 
@@ -150,10 +153,13 @@ class Study:
 
     def row(self, combination: Mapping[str, Any], scene: Scene, *, keep: bool = True) -> tuple[Row, Answer | None]:
         """A row, and its answer where it is computed now; it is kept if so (collective)."""
-        row = on_root(self.comm, self._find, self._key(scene))
+        key = self._key(scene)
+        row = on_root(self.comm, self._find, key)
         if row is not None:
             return row, None
         answer = self.solve(combination, scene)
+        if self._key(scene) != key:
+            raise InputError(f"{scene.source}: one of its files has changed while it was solved: run the study again")
         row = {"vary": dict(combination), **answer.record, **self._extras(answer)}
         return self.keep(row, scene) if keep else row, answer
 
@@ -170,7 +176,13 @@ class Study:
         return on_root(self.comm, row_key, scene, kind, self.comm.size) if self._stored else ""
 
     def _find(self, key: str) -> Row | None:
-        return None if self._store is None else self._store.find(key)
+        row = None if self._store is None else self._store.find(key)
+        if self._store is not None and row is not None:
+            try:
+                check_record(row)
+            except ValueError as error:
+                raise InputError(f"{self._store.path}: a row is damaged: {error}; use --fresh or --output") from None
+        return row
 
     def _add(self, key: str, row: Row) -> Row:
         return row if self._store is None else self._store.add(key, row)

@@ -21,8 +21,10 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.changes import changed
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
+from fenicsx_obstacle.io.folder import content_of
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import penalty_parameter
@@ -77,6 +79,7 @@ class CostStudy:
         self._warm: set[tuple[Any, ...]] = set()
         self._fixed: float | None = None
 
+    @read_once()
     def run(self, on_row: OnRow, store: RowStore | None) -> list[Row]:
         """All rows (collective).
 
@@ -111,8 +114,10 @@ class CostStudy:
         else:
             if row is not None:
                 try:
+                    if on_root(self.comm, content_of, self.folder / REFERENCE) != row.get("reference"):
+                        raise InputError("the reference solution of another run")
                     self.truth = read_reference(self.folder / REFERENCE, row, self.comm)
-                except InputError:  # the file was removed
+                except InputError:  # or the file was removed
                     row = None
             if row is None:
                 _log.info("the reference solution, on the finest mesh")
@@ -120,7 +125,12 @@ class CostStudy:
                 found = make_reference(coarse, uniform_meshes, *limits, self.comm)
                 found.cloud.save(self.folder / REFERENCE, self.comm)
                 self.truth = found
-        return row or self._keep(key, {"choice": "", **self.truth.record})
+        if row is None:
+            row = {"choice": "", **self.truth.record}
+            if self.full.tables.exact is None:
+                row["reference"] = on_root(self.comm, content_of, self.folder / REFERENCE)
+            row = self._keep(key, row)
+        return row
 
     def _uniform(self, members: Sequence[Choice]) -> Iterator[Row]:
         """Rows of choices that share their meshes (collective)."""

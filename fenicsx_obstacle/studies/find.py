@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.changes import SCENE, scene_of
+from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
@@ -118,6 +119,7 @@ class Find:
         """Whether rows have an eps."""
         return self.study.penalised
 
+    @read_once()
     def run(self, on_row: OnRow | None = None, store: RowStore | None = None) -> list[Row]:
         """All rows in the order of their solves, but the one that was found last (collective).
 

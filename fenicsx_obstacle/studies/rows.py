@@ -6,6 +6,7 @@ rows.jsonl is the store: one line per row ever computed in this folder. rows.csv
 from __future__ import annotations
 
 import csv
+import errno
 import fcntl
 import hashlib
 import io
@@ -13,11 +14,14 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from stat import S_ISREG
+from typing import Any
 
 import msgspec
 from petsc4py import PETSc
 
+from fenicsx_obstacle.discrete import files
+from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.origin import versions
 from fenicsx_obstacle.parallel import make_folder, remove_empty, write_text
@@ -25,7 +29,9 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 
 def row_key(scene: Scene, kind: str, ranks: int) -> str:
-    """The key of a row, of all it depends on: resolved scene, mesh and data files, PETSc's options, ranks, versions.
+    """The key of a row, of the contents of all it depends on (one rank).
+
+    These are the resolved scene, its mesh, its data files, the code of plug-ins, PETSc's options, ranks and versions.
 
     Args:
         scene: With all values of the row.
@@ -33,12 +39,12 @@ def row_key(scene: Scene, kind: str, ranks: int) -> str:
         ranks: Number of ranks.
     """
     table = scene.tables.mesh
-    mesh = "" if table.file is None else hashlib.sha256((scene.folder / table.file).read_bytes()).hexdigest()
+    mesh = "" if table.file is None else files.content_of(scene.folder / table.file)
     options = PETSc.Options().getAll()
     text, data = scene.with_data()
     measured = [hashlib.sha256(content).hexdigest() for content in data.values()]
     given = [text, measured] if data else msgspec.to_builtins(scene.tables)
-    parts = [given, mesh, kind, ranks, versions(), options]
+    parts = [given, mesh, kind, ranks, versions(), options, plugin.contents]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -59,7 +65,7 @@ class RowStore:
         self.folder, self.path = folder, folder / "rows.jsonl"
         self._made = make_folder(folder)
         try:
-            self._lock: IO[str] = (folder / ".lock").open("w")
+            self._lock = open(folder / ".lock", "w", opener=_no_link)  # noqa: SIM115  (until it is closed)
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system releases it even after kill -9
             if fresh:
                 self.path.unlink(missing_ok=True)
@@ -89,8 +95,8 @@ class RowStore:
         """
         kept = {"key": key, "run": self.run, **row}
         try:
-            with self.path.open("a") as file:
-                file.write(json.dumps(kept) + "\n")
+            with open(self.path, "a", opener=_no_link) as file:
+                file.write(json.dumps({**kept, "content": _content(kept)}) + "\n")
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
@@ -111,18 +117,45 @@ class RowStore:
 
     def _load(self) -> dict[str, dict[str, Any]]:
         """Rows on the disk; what a killed process left of a last line is cut off."""
-        if not self.path.exists():
+        if not os.path.lexists(self.path):
             return {}
-        text = self.path.read_bytes()
-        whole = text[: text.rfind(b"\n") + 1]
-        if whole != text:
-            with self.path.open("r+b") as file:
+        with open(self.path, "r+b", opener=_no_link) as file:
+            text = file.read()
+            whole = text[: text.rfind(b"\n") + 1]
+            if whole != text:
                 file.truncate(len(whole))
         try:
             rows = [json.loads(line) for line in whole.splitlines()]
-            return {row["key"]: row for row in rows}
-        except (ValueError, KeyError, TypeError):
+            # those of version 0.2, without content, are of other keys
+            found = {row["key"]: row for row in rows}
+            return {key: row for key, row in found.items() if "content" in row and _checked(row)}
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise InputError(f"{self.path}: not written by a study; remove it, or use --fresh or --output") from None
+
+
+def _content(row: Mapping[str, Any]) -> str:
+    """A hash of a row."""
+    return hashlib.sha256(json.dumps(json.loads(json.dumps(row)), sort_keys=True).encode()).hexdigest()
+
+
+def _checked(row: dict[str, Any]) -> bool:
+    """Take the content off a row.
+
+    Raises:
+        ValueError: If it is not that of the row.
+    """
+    if row.pop("content") != _content(row):
+        raise ValueError
+    return True
+
+
+def _no_link(path: str, flags: int) -> int:
+    """Open a file, but not what a link leads to, nor a pipe."""
+    number = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    if not S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise OSError(errno.EINVAL, "is no file", path)
+    return number
 
 
 def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -13,6 +13,10 @@ from fenicsx_obstacle.errors import InputError
 if TYPE_CHECKING:
     import ufl
 
+_LIMITS = (
+    ", which are excluded: up to 1 the energy is not strictly convex, and from 4 on Newton's matrix is nearly singular "
+    "where u is flat; take an exponent such as 3.99, or an ObstacleProblem with a form of your own"
+)
 FLAT = 1e-6  # slope below which a power law is that of a linear membrane
 
 
@@ -45,7 +49,7 @@ class PowerLaw(GradientDependent):
         exponent = reader.number(given["exponent"], f"{place}.exponent")
         flat = reader.number(given.get("regularisation", FLAT), f"{place}.regularisation")
         if not 1 < exponent < 4:
-            raise InputError(f"{reader.source}: {place}.exponent = {exponent:g}: must be between 1 and 4")
+            raise InputError(f"{reader.source}: {place}.exponent = {exponent:g}: must be between 1 and 4{_LIMITS}")
         if flat <= 0:
             raise InputError(f"{reader.source}: {place}.regularisation = {flat:g}: must be positive")
         return cls(reader.value(given.get("coefficient", 1.0), f"{place}.coefficient"), exponent, flat)

@@ -1,0 +1,236 @@
+"""The penalty parameter: eps = "auto", its smallest value, and the check of eps at the solution.
+
+eps = "auto" is chosen before the solve, from the tension of a scene or the diagonal of A at the initial guess. Whether
+it is small enough depends on the solution: the penetration eps p on the pressure, the stiffness on u if the problem is
+nonlinear, and on the place of contact if there are several materials. So each penalty solve ends here with a check of
+its solution, for scenes, forms, bodies and steps in time alike.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.solvability import LIMIT
+from fenicsx_obstacle.errors import InputError, NotConverged, PenetrationWarning
+from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.solvers.data_scales import negligible_force
+from fenicsx_obstacle.solvers.newton import diagonal_of, joined, smallest_eps, solve_penalty
+from fenicsx_obstacle.solvers.options import SolverOptions
+from fenicsx_obstacle.solvers.snes import Outcome
+from fenicsx_obstacle.solvers.stopping import TOLERANCE
+
+PENETRATION = 0.01  # of the range of u between the obstacles: the largest penetration that eps = "auto" accepts
+AIM = 0.1  # of that: the penetration that a new eps is chosen for
+TOO_SOFT = 10.0  # times eps_share: eps A_ii/D_i at a contact node from which on eps does not fit the stiffness there
+LOWERED = 1e-3  # from one eps to the next for a nonlinear problem, at least: its stiffness changes with u
+MOST_SOLVES = 12
+FLAT = 1e-8  # of the penetration: a smaller range of u is round-off, and no scale for it
+
+
+class NoPositiveDiagonal(InputError):
+    """A has no positive diagonal entry at a contact node, from which eps = "auto" could be chosen."""
+
+
+def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
+    """eps as a number, in units of u/p (collective).
+
+    A number is absolute. A formula in h is divided by the largest tension: (1/eps) D and the stiffness then stay in
+    proportion whatever the units. "auto" is `AUTO` where the tension is among the data, otherwise a share of the median
+    of D_i/A_ii over the free nodes. Where tensions differ so much that it would be below the floor of round-off
+    somewhere, it is the floor.
+
+    Raises:
+        InputError: If it is not positive and finite, or below the floor.
+    """
+    formula, automatic = options.formula, options.eps == "auto"
+    tension = problem.model.elastic.stiffness(problem.data)
+    if automatic and tension is None:
+        return _share_of_compliance(problem)
+    eps, place = formula.value(problem.level.h), f"{options.source} eps = {formula.text}"
+    if not 0 < eps < np.inf:
+        raise InputError(f"{place}: must be positive, it is {eps:g}")
+    if formula.scaled:
+        eps /= largest(problem.level.comm, tension)
+    floor = smallest_eps(problem)
+    if automatic:
+        return max(eps, floor)
+    if eps < floor:
+        raise InputError(
+            f"{place}: below the limit of round-off, {floor:.2g} on this mesh, at which contact "
+            "changes u by less than its last digit; take a larger eps, or the method vi"
+        )
+    return eps
+
+
+def _share_of_compliance(problem: Problem) -> float:
+    """A share of the median of D_i/A_ii over the free nodes, A being the stiffness at the present state (collective).
+
+    Raises:
+        NoPositiveDiagonal: If no A_ii is positive there.
+    """
+    diagonal = diagonal_of(problem)
+    good = (diagonal > 0) & (problem.weights > 0) & ~problem.fixed
+    everywhere = np.concatenate(problem.level.comm.allgather(problem.weights[good] / diagonal[good]))
+    if not len(everywhere):
+        raise NoPositiveDiagonal
+    return problem.eps_share * float(np.median(everywhere))
+
+
+class PenaltySolve:
+    """`solve_penalty`, with a check of eps at the solution.
+
+    Attributes:
+        eps: Penalty parameter in units of u/p; after a solve with "auto" the one that fits its solution.
+    """
+
+    def __init__(self, eps: float, share: float, *, automatic: bool, successive: bool, source: str):
+        """Prepare.
+
+        Args:
+            eps: Of the first solve, in units of u/p.
+            share: Of a step in time, as for `Method`.
+            automatic: Whether eps may be lowered. If not, a large penetration causes a warning.
+            successive: As for `solve_penalty`.
+            source: What messages call the problem.
+        """
+        self.eps, self._share = eps, share
+        self._automatic, self._successive, self._source = automatic, successive, source
+
+    def __call__(self, problem: Problem, *, tolerance: float = TOLERANCE, **how: Any) -> Outcome:
+        """Solve from the present state (collective).
+
+        Args:
+            problem: Holds the start, then the solution.
+            tolerance: As for `solve_penalty`; with a large one the solution is a start for a finer level, and eps is
+                not checked.
+            **how: As for `solve_penalty`.
+
+        Raises:
+            NotConverged: With PETSc's reason, or if no eps is found that fits its solution.
+        """
+        outcome = self._once(problem, tolerance, how)
+        if tolerance >= LIMIT or not self._automatic:
+            if tolerance < LIMIT and (found := large_penetration(problem)) and problem.level.comm.rank == 0:
+                warnings.warn(f"{self._source} {found}", PenetrationWarning, stacklevel=2)
+            return outcome
+        how = {**how, "patience": None, "least": 0}
+        for _ in range(MOST_SOLVES):
+            fitting = fitting_eps(problem, self.eps)
+            if fitting >= self.eps:
+                return outcome
+            if not problem.affine:
+                fitting = max(fitting, LOWERED * self.eps)
+            if (fitting := max(fitting, smallest_eps(problem))) >= self.eps:
+                break
+            _lift(problem, fitting / self.eps)
+            self.eps = fitting
+            outcome = joined(outcome, self._once(problem, tolerance, how))
+        raise NotConverged(
+            outcome.solver,
+            f"eps = 'auto' found no eps that fits the solution, down to {self.eps:.2g}; "
+            "take the method vi, or give eps as a number",
+            outcome.iterations, eps=None, h=problem.level.h,
+        )  # fmt: skip
+
+    def _once(self, problem: Problem, tolerance: float, how: dict[str, Any]) -> Outcome:
+        return solve_penalty(
+            problem, self.eps * self._share, successive=self._successive, tolerance=tolerance, **how
+        )  # fmt: skip
+
+
+def penetration_and_range(problem: Problem) -> tuple[float, float]:
+    """The largest penetration of the present state, and the range of its u where it is between the obstacles
+    (collective)."""
+    comm = problem.level.comm
+    u = np.clip(problem.w.x.array + problem.reference.x.array, *problem.obstacles())
+    return max(largest(comm, _excess(problem)), 0.0), max(largest(comm, u) - smallest(comm, u), 0.0)
+
+
+def large_penetration(problem: Problem) -> str | None:
+    """A remark, if the penetration is not small compared with the range of u (collective)."""
+    penetration, height = penetration_and_range(problem)
+    if penetration <= PENETRATION * height:
+        return None
+    share = "more than the" if penetration > height else f"{penetration / height:.1%} of the"
+    where = "range of u between the obstacles"
+    return f"penetration is {share} {where}: for accurate values take a smaller eps, or the method vi"
+
+
+def fitting_eps(problem: Problem, eps: float) -> float:
+    """The given eps if it fits the present solution, otherwise a smaller one that does (collective).
+
+    It fits if
+
+    - the penetration is at most `PENETRATION` times the range of u between the obstacles, and
+    - at each contact node the penalty D_i/eps is much stiffer than A_ii, the stiffness of the solution. Then the
+      penetration is small in each part of the domain, also in one that is much stiffer than the others. If the tension
+      is among the data, eps is that of the largest tension, and fits.
+
+    Args:
+        problem: Solved with this eps.
+        eps: In units of u/p.
+    """
+    comm, fitting = problem.level.comm, eps
+    penetration, height = penetration_and_range(problem)
+    if penetration == 0.0:
+        return eps
+    if FLAT * penetration < height and penetration > PENETRATION * height:
+        fitting = AIM * PENETRATION * height / penetration * eps
+    if problem.model.elastic.stiffness(problem.data) is None:  # otherwise eps is that of the largest tension
+        least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
+        if eps > TOO_SOFT * least:
+            fitting = min(fitting, least)
+    return eps if fitting < eps and _presses_by_round_off(problem, eps) else fitting
+
+
+def _presses_by_round_off(problem: Problem, eps: float) -> bool:
+    """Whether the contact forces are the round-off of a state that only touches the obstacle (collective)."""
+    force = total(problem.level.comm, problem.weights * _excess(problem)) / eps
+    return force <= negligible_force(problem, diagonal_of(problem) * ~problem.fixed)
+
+
+def _excess(problem: Problem) -> np.ndarray:
+    """The penetration at owned points of I."""
+    beyond = np.maximum(-np.minimum(*problem.gaps()), 0.0)
+    return np.where(problem.touchable, beyond, 0.0)
+
+
+def _compliance_in_contact(problem: Problem) -> np.ndarray:
+    """D_i/A_ii at owned contact nodes, A being the stiffness of the solution; elsewhere infinite (collective)."""
+    none = np.full(len(problem.weights), np.inf)
+    if not problem.level.pair.nodal:
+        return none
+    diagonal, weights = diagonal_of(problem), problem.weights
+    return np.divide(weights, diagonal, out=none, where=(_excess(problem) > 0) & (diagonal > 0))
+
+
+def _of_median_size(problem: Problem) -> np.ndarray:
+    """The factor by which D_i/A_ii changes if the cells at a node are of median size (collective).
+
+    D_i/A_ii is proportional to a power of the size: 2 if contact is in the domain, 1 if it is on the boundary. On a
+    graded mesh it is small in the small cells, but the penetration is not to be smaller there than elsewhere.
+    """
+    weights, level = problem.weights, problem.level
+    dim = level.mesh.topology.dim
+    size, power = (dim, 2.0) if not problem.data.thin else (dim - 1, 1.0)
+    good = problem.touchable & (weights > 0)
+    everywhere = np.concatenate(level.comm.allgather(weights[good]))
+    if size == 0 or not len(everywhere):
+        return np.ones(len(weights))
+    relative = np.where(good, weights / float(np.median(everywhere)), 1.0)
+    return np.asarray(relative ** (-power / size))
+
+
+def _lift(problem: Problem, ratio: float) -> None:
+    """Move u back towards the obstacle where it is beyond it, so that the contact forces stay as they are with an eps
+    that is smaller by this ratio (collective)."""
+    if not problem.level.pair.nodal:
+        return
+    lower, upper = (np.maximum(-gap, 0.0) for gap in problem.gaps())
+    w = problem.w.x.array[: len(lower)]
+    w += np.where(problem.touchable, (1.0 - ratio) * (lower - upper), 0.0)
+    problem.w.x.scatter_forward()

@@ -1,0 +1,85 @@
+"""Sessions for contributors: `nox -s quick` in two minutes; `./obstacle test`, `docs` and `coverage` call the others.
+
+All sessions run in the environment that the script `obstacle` makes and keeps; a container has no lint.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nox
+
+nox.options.default_venv_backend = "none"
+nox.options.sessions = ["quick"]
+ROOT = Path(__file__).parent
+LAUNCHER = str(ROOT / "obstacle")
+BIN = ROOT / ".venv" / "bin"
+ON_ALL_CORES = ("-n", "auto", "--maxprocesses", "8", "--dist", "worksteal")
+NOT_SLOW = ("-m", "not slow")
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Lint and format, dead code, types, and the order of imports."""
+    if (ROOT / ".venv" / "image").exists():
+        session.skip("in a container: the tests alone")
+    session.run(LAUNCHER, "--version", silent=True, external=True)  # sets up what is missing
+    for words in (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("vulture",), ("mypy",),
+                  ("lint-imports", "--config", "pyproject.toml")):  # fmt: skip
+        session.run(str(BIN / words[0]), *words[1:], external=True)
+
+
+@nox.session
+def quick(session: nox.Session) -> None:
+    """Lint, and the quick tests on one rank."""
+    session.notify("lint")
+    session.notify("tests", ("--ranks", "1", *session.posargs))
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """The quick tests, or with --all every test: on 1 rank, then one half of the files on 2 ranks, the others on 3.
+
+    Arguments: [--ranks N] [--all] [ARGUMENTS OF PYTEST...]. Tests that are named by file or id run on all ranks.
+    """
+    given = list(session.posargs)
+    ranks = ["1", "2", "3"]
+    alone = given[:1] == ["--ranks"]
+    if alone:
+        ranks, given = given[1:2], given[2:]
+    chosen = NOT_SLOW
+    if given[:1] == ["--all"]:
+        chosen, given = (), given[1:]
+    named = any(Path(word.partition("::")[0]).exists() for word in given)
+    for number in ranks:
+        words = [*(() if named else chosen), *(ON_ALL_CORES if number == "1" else ())]
+        if not (alone or named or number == "1"):
+            words.append("--by-file")
+        session.log(f"tests on {number} rank{'s' * (number != '1')}")
+        session.run(LAUNCHER, "--ranks", number, "pytest", *words, *given, external=True)
+
+
+@nox.session
+def coverage(session: nox.Session) -> None:
+    """All tests on one rank, and the lines that none runs."""
+    session.run(LAUNCHER, "pytest", "--cov", "--cov-report=term:skip-covered", *session.posargs, external=True)
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """The pages as a site in out/docs; a warning is an error."""
+    session.run(
+        str(BIN / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
+        "--constraint", str(ROOT / ".venv" / "constraints.txt"), "--editable", f"{ROOT}[docs]", external=True,
+    )  # fmt: skip
+    # what is generated of modules that are gone would stay
+    session.run("rm", "-rf", "docs/generated", "docs/reference", "out/docs", external=True)
+    words = ("-W", "--keep-going", "-q", "-b", "html", "docs", "out/docs")
+    session.run(str(BIN / "python"), "-m", "sphinx", *words, external=True)
+    session.log("the documentation is in out/docs/index.html")
+
+
+@nox.session
+def releases(session: nox.Session) -> None:
+    """All tests on several releases of Debian."""
+    session.run("tests/releases.sh", *session.posargs, external=True)

@@ -1,0 +1,1 @@
+"""The command line with invalid input, killed processes and full disks."""

@@ -1,0 +1,193 @@
+"""Files that are not scenes, and invalid scenes: very large input, contradictions, missing and truncated meshes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from tests.cli.broken.case import SCENE, Broken, Content
+from tests.cli.broken.lines import LINES, scene_text
+
+PLAIN = scene_text({**LINES}).encode()
+NAMES = 20000
+
+
+def broken_files() -> Iterator[Broken]:
+    """Scene files that cannot be read, or hold too much."""
+    yield Broken("no scene file", [SCENE, "no such"])
+    doubling = "".join(f'a{k} = "a{k - 1} + a{k - 1}"\n' for k in range(1, 60))
+    many = "".join(f"n{k} = {k}\n" for k in range(NAMES))
+    cases: list[tuple[str, Content, list[str]]] = [
+        ("a folder", os.mkdir, []),
+        ("a pipe that nobody writes to", os.mkfifo, []),
+        ("a link to itself", lambda path: path.symlink_to(path.name), []),
+        ("a device without end", lambda path: path.symlink_to("/dev/zero"), []),
+        ("empty", b"", ["[effects]"]),
+        ("a comment", b"# nothing\n", ["[effects]"]),
+        ("Latin-1", 'title = "K\u00f6rper"\n'.encode("latin-1") + PLAIN, ["UTF-8"]),
+        ("UTF-16", PLAIN.decode().encode("utf-16"), ["UTF-8"]),
+        ("random bytes", bytes(range(256)) * 8, []),
+        ("NUL bytes", b"\0" * 4096, []),
+        ("a picture", b"\x89PNG\r\n\x1a\n" + bytes(200), []),
+        ("JSON", b'{"mesh": {"shape": "rectangle"}}\n', ["TOML"]),
+        ("a key twice", PLAIN.replace(b"cells = 4", b"cells = 4\ncells = 5"), ["TOML", "line"]),
+        ("a table twice", PLAIN + b"[mesh]\ncells = 8\n", ["TOML", "mesh"]),
+        ("a table and a list of tables", PLAIN + b"[boundary]\nvalue = 1\n", ["TOML", "boundary"]),
+        ("cut off in a text", PLAIN[: PLAIN.index(b'rectangle"') + 4], ["TOML"]),
+        ("cut off in a table's name", PLAIN[: PLAIN.index(b"[mesh]") + 4], ["TOML"]),
+        ("an assignment without value", PLAIN.replace(b"cells = 4", b"cells ="), ["TOML"]),
+        ("a colon", PLAIN.replace(b"cells = 4", b"cells: 4"), ["TOML"]),
+        ("1e5 brackets", b"a = " + b"[" * 100000 + b"]" * 100000, []),
+        ("1e5 nested tables", b"a = " + b"{a = " * 100000 + b"1" + b"}" * 100000, []),
+        ("1e4 dots in a key", b"a" + b".a" * 10000 + b" = 1\n", []),
+        ("1e5 characters in a key", b"[mesh]\n" + b"a" * 100000 + b" = 1\n", ["[mesh]"]),
+        ("1e5 tables of a boundary", PLAIN + b"[[boundary]]\nvalue = nan\n" * 20000, ["boundary"]),
+        ("64 MB", b"#" * (64 << 20), []),
+        ("names that double", _bomb(doubling, "a59", "[exact] u"), ["[exact]"]),
+        (
+            "names that double, in an obstacle",
+            _bomb(doubling, "a59 + q7", "[obstacle] lower"),
+            ["lower", "q7"],
+        ),
+        ("2e4 names", _bomb(many, "q7", "[obstacle] lower"), ["q7"]),
+        ("names in a circle", _bomb('a = "b"\nb = "a"\n', "a", "[obstacle] lower"), ["[define] a", "'b'"]),
+        ("a name of itself", _bomb('a = "a + 1"\n', "a", "[obstacle] lower"), ["[define] a"]),
+        ("a name that is taken", _bomb("sin = 1\n", "1", "[obstacle] lower"), ["[define] sin"]),
+        ("a word of Python as a name", _bomb("lambda = 1\n", "1", "[obstacle] lower"), ["[define] lambda"]),
+        ("a name of Python's own", _bomb("__builtins__ = 1\n", "__builtins__.x", "[obstacle] lower"), ["[obstacle]"]),
+    ]
+    for what, content, names in cases:
+        yield Broken(f"scene file: {what}", [SCENE, *names], files={SCENE: content})
+
+
+def contradictions() -> Iterator[Broken]:
+    """Scenes whose lines are right one by one, but not together."""
+    cases: list[tuple[str, dict[str, str | None], list[str]]] = [
+        ("no mesh", {"[mesh] shape": None}, ["[mesh]", "shape"]),
+        ("shape and file", {"[mesh] file": '"a.msh"'}, ["[mesh]", "file"]),
+        ("no tension", {"[effects] tension": None}, ["[effects]", "tension"]),
+        ("tension negative in places", {"[effects] tension": '"x - 0.5"'}, ["tension", "(0"]),
+        ("tension zero", {"[effects] tension": "0"}, ["tension", "positive"]),
+        ("tension of materials without materials", {"[effects] tension": "{steel = 1}"}, ["tension", "steel"]),
+        ("obstacles cross", {"[obstacle] lower": '"x"'}, ["[obstacle]", "lower", "upper", "0.5"]),
+        ("a boundary value below", {"[obstacle] lower": "0.1"}, ["[[boundary]]", "lower", "0.1"]),
+        ("a boundary value above", {"[obstacle] upper": "-0.001"}, ["[[boundary]]", "upper", "0.001"]),
+        ("a side that is not there", {"[[boundary]] on": '"lft"'}, ["on", "'lft'", "left"]),
+        ("no side", {"[[boundary]] on": "[]"}, ["[[boundary]]", "on"]),
+        ("on and where", {"[[boundary]] where": '"x == 0"'}, ["on", "where"]),
+        ("where nowhere", {"[[boundary]] on": None, "[[boundary]] where": '"x > 7"'}, ["where", "x > 7"]),
+        ("where by distance", {"[[boundary]] on": None, "[[boundary]] where": '"distance < 1"'}, ["where", "distance"]),
+        ("no value", {"[[boundary]] value": None}, ["[[boundary]]", "value"]),
+        ("nothing holds it", {key: None for key in LINES if "bound" in key or "obst" in key}, ["[[boundary]]"]),
+        ("log of a coordinate", {"[obstacle] lower": '"ln(x) - 1"'}, ["[obstacle] lower", "(0"]),
+        ("overflow at a point", {"[effects] load": '"exp(1000*x)"'}, ["[effects] load", "inf"]),
+        ("triangles in a box", {"[mesh] shape": '"box"', "[mesh] cell": '"triangle"'}, ["[mesh] cell"]),
+        ("an element for other cells", {"[mesh] cell": '"triangle"', "[solve] element": '"Q1"'}, ["[solve]", "Q1"]),
+        ("refined quadrilaterals", {"[mesh] cell": '"quadrilateral"', "[mesh] refine": "1"}, ["[mesh] refine"]),
+        ("too many refinements", {"[mesh] refine": "20"}, ["[mesh]", "memory", "refine"]),
+        ("1e8 cells", {"[mesh] cells": "100000000"}, ["[mesh]", "memory", "cells"]),
+        ("a thin strip", {"[mesh] x": "[0, 1e-9]", "[mesh] cells": "100"}, ["[mesh]", "memory"]),
+        ("eps that turns negative", {"[solve] eps": '"0.5 - 10*h"'}, ["[solve] eps", "positive"]),
+        ("eps by place", {"[solve] eps": '"x"'}, ["[solve] eps", "'x'"]),
+        ("floor in the solution", {"[exact] u": '"floor(x)"'}, ["[exact] u", "floor"]),
+        ("distance in the solution", {"[exact] u": '"distance"'}, ["[exact] u", "distance"]),
+        ("pressure without solution", {"[exact] pressure": "0"}, ["[exact]", "'u'"]),
+        ("a field outside of a functional", {"[report] q": '"u + 1"'}, ["[report] q", "integral"]),
+        ("a figure of a later one", {"[report] q": '"q2"', "[report] q2": "1"}, ["[report] q", "q2"]),
+        ("a figure named like a field", {"[report] p": "1"}, ["[report] p"]),
+        ("a figure with a strange name", {"[report] 'a-b'": "1"}, ["[report] a-b"]),
+        ("a part that is not there", {"[report] q": "\"integral(u, 'nowhere')\""}, ["[report] q", "nowhere"]),
+        ("a part without name", {"[report] q": '"integral(u, x)"'}, ["[report] q", "quotes"]),
+        ("at a place outside", {"[report] q": '"at(u, 7, 7)"'}, ["[report] q", "(7, 7)"]),
+        ("at with one coordinate", {"[report] q": '"at(u, 0.5)"'}, ["[report] q", "coordinate"]),
+        ("at a place that is no number", {"[report] q": '"at(u, 0/0, 0)"'}, ["[report] q"]),
+        ("max of no argument", {"[report] q": '"max()"'}, ["[report] q", "max"]),
+        ("normal flux in the domain", {"[report] q": '"integral(normal_flux)"'}, ["[report] q", "normal_flux"]),
+        ("an exact solution with a pole", {"[exact] u": '"1/x"'}, ["[exact] u"]),
+        ("an exact solution that is NaN", {"[exact] u": '"sqrt(x - 2)"'}, ["[exact] u"]),
+    ]  # fmt: skip
+    for what, changed, names in cases:
+        text = scene_text({**LINES, **changed})
+        yield Broken(f"scene: {what}", [SCENE, *names], files={SCENE: text.encode()})
+
+
+def broken_meshes(right: Mapping[str, bytes]) -> Iterator[Broken]:
+    """Mesh files torn at every tenth, and holding what is no mesh.
+
+    Args:
+        right: Mesh files that can be read, by name; an .xdmf with its .h5.
+    """
+    for name, content in right.items():
+        mesh = name if name.endswith((".msh", ".geo", ".xdmf")) else name.replace(".h5", ".xdmf")
+        for tenth in range(10):
+            torn = content[: len(content) * tenth // 10]
+            beside = {other: whole for other, whole in right.items() if Path(other).stem == Path(name).stem}
+            yield _mesh(f"{name} torn at {tenth}/10", mesh, {**beside, name: torn}, [Path(name).stem])
+    cases: list[tuple[str, str, Content | None, list[str]]] = [
+        ("not there", "none.msh", None, ["no such"]),
+        ("a folder", "a.msh", os.mkdir, []),
+        ("a pipe", "a.msh", os.mkfifo, []),
+        ("a folder, XDMF", "a.xdmf", os.mkdir, []),
+        ("with a strange ending", "a.vtk", b"", [".msh"]),
+        ("a text", "a.msh", b"no mesh at all\n", []),
+        ("random bytes", "a.msh", bytes(range(256)) * 20, []),
+        ("a text, XDMF", "a.xdmf", b"no mesh at all\n", []),
+        ("XDMF without grid", "a.xdmf", b"<Xdmf><Domain></Domain></Xdmf>", ["mesh"]),
+        ("XML that doubles", "a.xdmf", _billion_laughs(), []),
+        ("a node that is not a number", "a.msh", _msh(nodes={2: ("nan", 0)}), []),
+        ("a node at infinity", "a.msh", _msh(nodes={2: ("1e999", 0)}), []),
+        ("a triangle without area", "a.msh", _msh(nodes={2: (0, 0)}), ["area"]),
+        ("a triangle with a node that is not there", "a.msh", _msh(triangles=((1, 2, 9), (1, 3, 4))), []),
+        ("a triangle twice", "a.msh", _msh(triangles=((1, 2, 3), (1, 2, 3), (1, 3, 4))), []),
+        ("no triangles", "a.msh", _msh(triangles=()), []),
+        ("cubic triangles", "a.msh", _msh(kind=21, triangles=((1, 2, 3, 4, 5, 6, 1, 2, 3, 4),)), ["degree"]),
+        ("a count of 1e9", "a.msh", _msh().replace(b"$Nodes\n6", b"$Nodes\n1000000000"), []),
+        ("a negative count", "a.msh", _msh().replace(b"$Nodes\n6", b"$Nodes\n-6"), []),
+        ("geometry with a mistake", "a.geo", b"Point(1) = {0, 0, 0, 1;\n", []),
+        ("geometry without surface", "a.geo", b"Point(1) = {0, 0, 0, 1};\n", ["cells"]),
+        ("geometry that is open", "a.geo", b"Point(1) = {0, 0, 0};\nPoint(2) = {1, 0, 0};\nLine(1) = {1, 2};\n"
+                                            b"Curve Loop(1) = {1};\nPlane Surface(1) = {1};\n", []),
+    ]  # fmt: skip
+    for what, name, given, names in cases:
+        yield _mesh(f"mesh file: {what}", name, {} if given is None else {name: given}, [name, *names])
+    shape_in_file = scene_text({**LINES, "[mesh] shape": None, "[mesh] file": '"a.msh"', "[mesh] cells": None,
+                                "[mesh] x": None, "[[boundary]] on": '"lft"'})  # fmt: skip
+    quadrilaterals = scene_text({"[mesh] file": '"a.msh"', "[effects] tension": "1", "[[boundary]] value": "0",
+                                 "[solve] element": '"P1"'})  # fmt: skip
+    yield Broken("mesh file: an element for other cells", [SCENE, "[solve] element", "quadrilateral", "Q1"],
+                 files={SCENE: quadrilaterals.encode(), "a.msh": _msh(kind=3, triangles=((1, 2, 3, 4),))})  # fmt: skip
+    yield Broken("mesh file: a part that is not there", [SCENE, "lft"], files={SCENE: shape_in_file.encode(),
+                                                                               "a.msh": _msh()})  # fmt: skip
+
+
+def _mesh(what: str, mesh: str, files: Mapping[str, Content], names: list[str]) -> Broken:
+    lines = {"[mesh] file": f'"{mesh}"', "[effects] tension": "1", "[effects] load": "-1", "[[boundary]] value": "0"}
+    return Broken(what, names, files={SCENE: scene_text(lines).encode(), **files})
+
+
+def _bomb(definitions: str, formula: str, key: str) -> bytes:
+    changed = {"[obstacle] upper": None, "[define] c": None, "[effects] load": "-1", key: f'"{formula}"'}
+    lines: dict[str, str | None] = {**LINES, **changed}
+    del lines["title"], lines["u"]
+    return f"[define]\na0 = 'x'\n{definitions}{scene_text(lines)}".encode()
+
+
+def _msh(
+    nodes: Mapping[int, tuple[object, object]] | None = None,
+    triangles: tuple[tuple[int, ...], ...] = ((1, 2, 3), (1, 3, 4)),
+    kind: int = 2,
+) -> bytes:
+    """A Gmsh file, version 2.2, of a square with its diagonal; node 5 is its middle, node 6 is outside."""
+    places: dict[int, tuple[object, object]] = {1: (0, 0), 2: (1, 0), 3: (1, 1), 4: (0, 1), 5: (0.5, 0.5), 6: (0.5, 2)}
+    places |= dict(nodes or {})
+    points = "\n".join(f"{number} {x} {y} 0" for number, (x, y) in places.items())
+    cells = "\n".join(f"{k} {kind} 2 1 1 {' '.join(map(str, cell))}" for k, cell in enumerate(triangles, start=1))
+    head = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+    text = f"{head}$Nodes\n6\n{points}\n$EndNodes\n$Elements\n{len(triangles)}\n{cells}\n$EndElements\n"
+    return text.encode()
+
+
+def _billion_laughs() -> bytes:
+    rows = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">\n' for k in range(1, 12))
+    return f'<?xml version="1.0"?><!DOCTYPE Xdmf [<!ENTITY a0 "ha">\n{rows}]><Xdmf>&a11;</Xdmf>\n'.encode()

@@ -1,0 +1,96 @@
+"""Runs all cases on one rank and on three: some in separate processes, all of them in one process."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.cli.broken.case import LIMIT, Broken, complaint
+from tests.cli.broken.collection import collect, prepare
+from tests.processes import end, launch, launch_module, records, start
+
+EVERY = {1: 8, 3: 24}  # which cases have processes of their own: each so manyth, and what only a process can show
+AT_ONCE = {1: 2, 3: 1}
+PATIENCE = 4 * LIMIT  # seconds after which a process is ended
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A case that was tried.
+
+    Attributes:
+        case: Which.
+        ranks: On how many.
+        alone: Whether in a process, or an mpirun, of its own.
+        said: What the user saw.
+        seconds: Time it took.
+        complaint: What was wrong with the refusal; None if it held.
+    """
+
+    case: Broken
+    ranks: int
+    alone: bool
+    said: str
+    seconds: float
+    complaint: str | None
+
+
+def run(root: Path, environment: Mapping[str, str], ranks: Sequence[int] = (1, 3)) -> Iterator[Tried]:
+    """All cases on each number of ranks (one rank).
+
+    Args:
+        root: An empty folder.
+        environment: Of the processes.
+        ranks: Numbers of ranks.
+    """
+    prepare(root, environment)
+    cases = collect(root)
+    for count in ranks:
+        apart = [k for k, case in enumerate(cases) if case.petsc or k % EVERY[count] == 0]
+        with ThreadPoolExecutor(AT_ONCE[count]) as pool:
+            started = [pool.submit(_alone, root, cases[k], k, count, environment) for k in apart]
+            yield from (one.result() for one in started)
+        within = [k for k, case in enumerate(cases) if not case.petsc]
+        while within:
+            for tried, number in _within(root, cases, within, count, environment):
+                yield tried
+                within = within[within.index(number) + 1 :]
+
+
+def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mapping[str, str]) -> Tried:
+    folder = root / f"alone-{ranks}" / str(number)
+    case.lay_out(folder)
+    command = launch(ranks, "-m", "fenicsx_obstacle", *case.command())
+    began = time.perf_counter()
+    process = start(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    try:
+        said, status = process.communicate(timeout=PATIENCE)[1], process.returncode
+    except subprocess.TimeoutExpired:
+        said, status = "", None
+    finally:
+        end(process)
+    seconds = time.perf_counter() - began
+    return Tried(case, ranks, True, said, seconds, complaint(case, status, said, seconds, folder))
+
+
+def _within(
+    root: Path, cases: Sequence[Broken], numbers: Sequence[int], ranks: int, environment: Mapping[str, str]
+) -> Iterator[tuple[Tried, int]]:
+    """Cases in one process, until one of them ends it."""
+    command = launch_module(ranks, "tests.cli.broken.inside", str(root))
+    started: int | None = numbers[0]
+    for record in records(command, environment, PATIENCE, json.dumps(list(numbers)) + "\n"):
+        if "begins" in record:
+            started = record["begins"]
+            continue
+        number, started = record["number"], None
+        case, folder = cases[number], root / f"inside-{ranks}" / str(number)
+        wrong = complaint(case, record["status"], record["said"], record["seconds"], folder)
+        yield Tried(case, ranks, False, record["said"], record["seconds"], wrong), number
+    if started is not None:
+        yield Tried(cases[started], ranks, False, "", PATIENCE, "took the process down, or did not end"), started

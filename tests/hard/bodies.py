@@ -1,0 +1,208 @@
+"""Scenes with an elastic body on one mesh: penalty and SNES VI on the same discrete problem, against what is known."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.answers.bodies import BodyAnswer, BodyContext
+from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.problems.vector_valued import ContactTable
+from fenicsx_obstacle.scenes.scene import Scene
+from tests.hard.invariants import Finding, violated
+from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
+
+SOLVED = 1e-8  # relative: how far solves are from the discrete solution
+UNIT = "unit"  # name under [define] of the factor of all stiffnesses and loads, 1 in MPa
+PASCALS = 1e6
+AUTO = 1e-3  # eps = "auto" in units of h/E
+
+
+@dataclass(frozen=True)
+class _Solved:
+    answer: BodyAnswer
+    u: np.ndarray
+    energy: float  # a(u, u)
+
+    @property
+    def nodes(self) -> ContactTable:
+        return self.answer.nodes
+
+    @property
+    def work(self) -> float:
+        """sum p_i^2 D_i."""
+        return float(self.nodes.pressure**2 @ self.nodes.areas)
+
+
+class _Form:
+    """a(v, v) for values of v at local dofs (collective)."""
+
+    def __init__(self, context: BodyContext):
+        self._u, self._comm = context.body.u, context.body.level.comm
+        self._form = releases.form(2 * context.body.law.energy)
+
+    def at(self, values: np.ndarray) -> float:
+        kept = self._u.x.array.copy()
+        self._u.x.array[:] = values
+        found = total(self._comm, float(fem.assemble_scalar(self._form)))
+        self._u.x.array[:] = kept
+        return found
+
+
+def judge_body(
+    scene: Scene,
+    comm: MPI.Comm,
+    epsilons: Sequence[float | str],
+    refuse: str,
+    known: Mapping[str, float],
+    *,
+    units: bool,
+) -> Iterator[Row]:
+    """Solve by SNES VI, and by the penalty for each eps in units of h/E; a row for each answer (collective).
+
+    Args:
+        scene: With an elastic body.
+        comm: Communicator.
+        epsilons: From large to small.
+        refuse: Part of the message with which the scene must be rejected; empty where it has a solution.
+        known: Names of [report] whose values are 0 by equilibrium, symmetry or a formula, and how far they may be off.
+        units: Solve with pascals for megapascals as well.
+    """
+    start, found = time.perf_counter(), []
+    ways: list[tuple[str, float | str | None]] = [("vi", None), *(("penalty", eps) for eps in epsilons)]
+    try:
+        with closing(BodyContext(scene, comm)) as context:
+            form, scale = _Form(context), None
+            for method, eps in ways:
+                start = time.perf_counter()
+                if isinstance(eps, float) and scale is None:
+                    auto = context.answer(asked(scene, "penalty", "auto")).eps
+                    assert auto is not None
+                    scale = auto / AUTO
+                try:
+                    one = _solved(context, form, method, eps * scale if isinstance(eps, float) and scale else eps)
+                except NotConverged as error:
+                    yield row_of(scene, method, eps, FAILED, start, message=str(error))
+                    continue
+                except InputError as error:
+                    if refuse or FLOOR not in str(error):
+                        raise
+                    yield row_of(scene, method, eps, REJECTED, start, message=str(error))
+                    continue
+                found.append(one)
+                findings = [*_of_one(one), *_known(one, known)]
+                findings += _beside(one, found[0], form) if found[0] is not one else []
+                yield _verdict(scene, method, eps, start, one, findings, refuse, off=_off(one, found[0]))
+    except InputError as error:
+        expected = bool(refuse) and refuse in str(error)
+        yield row_of(scene, "", None, REJECTED if expected else FAILED, start, message=str(error))
+        return
+    if units and UNIT in scene.tables.define and found:
+        start, other = time.perf_counter(), scene.change({f"define.{UNIT}": PASCALS})
+        with closing(BodyContext(other, comm)) as context:
+            one = _solved(context, _Form(context), "vi", None)
+            yield _verdict(scene, "vi", None, start, one, _in_pascals(found[0], one), "", trial="pascals")
+
+
+def _solved(context: BodyContext, form: _Form, method: str, eps: float | str | None) -> _Solved:
+    answer = context.answer(asked(context.scene, method, eps))
+    u = answer.u.x.array.copy()
+    return _Solved(answer, u, form.at(u))
+
+
+def _verdict(
+    scene: Scene, method: str, eps: float | str | None, start: float, one: _Solved, findings: Sequence[Finding],
+    refuse: str, *, off: float | None = None, trial: str = "",
+) -> Row:  # fmt: skip
+    wrong = violated(findings)
+    message = f"should be rejected: {refuse}" if refuse else "; ".join(map(str, wrong))
+    digits: dict[str, Any] = {"off": off, "from_heights": None, "line": None, "left": None}
+    record = {**one.answer.record, "monotone": None, "digits": digits}
+    return row_of(scene, method, eps, FAILED if message else RIGHT, start, record, findings, message, trial)
+
+
+def _of_one(one: _Solved) -> list[Finding]:
+    """Signs, complementarity, and the law of the penalty at the nodes."""
+    p, gap, eps = one.nodes.pressure, one.nodes.gap, one.answer.eps
+    most = float(p.max(initial=0.0))
+    size = float(np.abs(gap).max(initial=0.0))
+    findings = [Finding("pressure >= 0", "p >= 0", -float(p.min(initial=0.0)), SOLVED * most)]
+    if eps is None:
+        findings.append(Finding("complementarity", "min(p, gap) = 0",
+                                float(np.abs(np.minimum(p / (most or 1.0), gap / (size or 1.0))).max(initial=0.0)),
+                                SOLVED))  # fmt: skip
+    else:
+        margin = SOLVED * (eps * most + 1e-4 * size)
+        law = float(np.abs(np.maximum(-gap, 0.0) - eps * p).max(initial=0.0))
+        findings += [
+            Finding("penetration", "eps max|p_h|", float((-gap).max(initial=0.0)), eps * most + margin),
+            Finding("law of the penalty", "(3.7)", law, margin),
+        ]
+    return findings
+
+
+def _known(one: _Solved, known: Mapping[str, float]) -> list[Finding]:
+    report = one.answer.record.get("report", {})
+    return [Finding(f"known: {name}", "equilibrium", abs(float(report[name])), limit) for name, limit in known.items()]
+
+
+def _beside(one: _Solved, exact: _Solved, form: _Form) -> list[Finding]:
+    """The penalty and the variational inequality: a(e, e) <= eps/4 sum p_i^2 D_i, and the size of the pressure."""
+    eps = one.answer.eps
+    assert eps is not None
+    apart, size = form.at(one.u - exact.u), float(np.sqrt(exact.energy))
+    return [
+        Finding("penalty and inequality: energy norm", "Thm 3.3", float(np.sqrt(max(apart, 0.0))),
+                float(np.sqrt(eps * exact.work)) / 2 + SOLVED * size),
+        Finding("penalty and inequality: size of the pressure", "Thm 3.2", float(np.sqrt(one.work)),
+                float(np.sqrt(exact.work)) * (1 + SOLVED)),
+    ]  # fmt: skip
+
+
+def _off(one: _Solved, exact: _Solved) -> float:
+    most = float(np.abs(exact.nodes.pressure).max(initial=0.0))
+    return float(np.abs(one.nodes.pressure - exact.nodes.pressure).max(initial=0.0)) / max(most, 1e-300)
+
+
+def _in_pascals(before: _Solved, one: _Solved) -> list[Finding]:
+    size = float(np.abs(before.nodes.forces).max(initial=0.0))
+    new, old = (nodes.forces[_by_place(nodes)] for nodes in (one.nodes, before.nodes))
+    apart = float(np.abs(new / PASCALS - old).max(initial=0.0))
+    more = abs(one.answer.iterations - before.answer.iterations)
+    return [
+        Finding("other units: steps", "equations scale", more, 1),
+        Finding("other units: the same forces", "equations scale", apart, SOLVED * size),
+    ]
+
+
+def _by_place(nodes: ContactTable) -> np.ndarray:
+    """Rows in the order of places, whatever their round-off."""
+    order: np.ndarray = np.lexsort(np.round(nodes.points, 9).T)
+    return order
+
+
+def fields_of(scene: Scene, comm: MPI.Comm) -> dict[str, np.ndarray]:
+    """Contact nodes and pressures of each method, in the order of places, the same on every rank (collective)."""
+    found: dict[str, np.ndarray] = {}
+    for method in ("vi", "penalty"):
+        with closing(BodyContext(scene, comm)) as context:
+            nodes = context.answer(asked(scene, method, None if method == "vi" else "auto")).nodes
+        order = _by_place(nodes)
+        found |= {"points": nodes.points[order], f"{method}.p": nodes.pressure[order]}
+    return found
+
+
+def agree_on(one: dict[str, np.ndarray], other: dict[str, np.ndarray], method: str) -> list[Finding]:
+    """Findings of one method on one rank and on another number of ranks."""
+    p, q = one[f"{method}.p"], other[f"{method}.p"]
+    apart = float(np.abs(p - q).max()) if p.shape == q.shape else np.inf
+    return [Finding("ranks: the same pressure", "unique", apart, SOLVED * float(np.abs(p).max()))]

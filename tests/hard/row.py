@@ -1,0 +1,34 @@
+"""A row: one answer of a hard scene with its verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.solvers.options import SolverOptions
+from tests.hard.invariants import Finding
+
+RIGHT, REJECTED, FAILED = "right", "rejected", "FAILED"
+FLOOR = "limit of round-off"  # words of the refusal
+Row = dict[str, Any]
+
+
+def asked(scene: Scene, method: str, eps: float | str | None) -> SolverOptions:
+    """The options that a row asks for; None is for no eps, a text for a formula in h."""
+    return scene.options_with(method=method, **({} if eps is None else {"eps": eps}))
+
+
+def row_of(
+    scene: Scene, method: str, eps: float | str | None, verdict: str, start: float, record: Any = None,
+    findings: Sequence[Finding] = (), message: str = "", trial: str = "",
+) -> Row:  # fmt: skip
+    """The row of an answer, or of what there is in its place."""
+    keys = ("eps", "dofs", "newton_iterations", "newton_total", "energy", "contact", "penetration", "u_range",
+            "digits", "monotone", "report", "errors")  # fmt: skip
+    figures = {} if record is None else {key: record[key] for key in keys if key in record}
+    return {
+        "scene": scene.name, "method": method, "asked": eps, "trial": trial, "verdict": verdict, "message": message,
+        "seconds": time.perf_counter() - start, **figures, "findings": [finding.record for finding in findings],
+    }  # fmt: skip

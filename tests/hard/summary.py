@@ -1,0 +1,154 @@
+"""Summary of the rows of the suite: verdicts and values of each scene, curves for pictures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tests.hard.cases import Case
+from tests.hard.judge import EPS, METHODS
+from tests.hard.row import Row
+from tests.theory.statement import Curve, Panel
+
+RESOLVED = 0.1  # change of the contact force from one mesh to the next
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Of one scene.
+
+    Attributes:
+        case: The scene.
+        verdicts: How often each was given.
+        unknowns: On the finer mesh.
+        monotone: Whether the maximum principle holds on it; None where nothing was solved.
+        steps: Most Newton steps on the finest level, by method.
+        penetration: Largest penetration over eps max|p_h|: 1 at most by theory, with the maximum principle.
+        work: Largest a(e, e) over (eps/4) ||p_h||_I^2: 1 at most by theory.
+        moved: Largest relative change of the contact force between the meshes, by SNES VI; None without force.
+        off: Largest |p_eps - p_h| over max|p_h| at eps = 1e-14.
+        plain: The same of the pressure computed from the stored u.
+        units: Largest change of the number of steps in other units.
+        seconds: Of all processes.
+    """
+
+    case: Case
+    verdicts: Counter[str]
+    unknowns: int | None
+    monotone: bool | None
+    steps: dict[str, int]
+    penetration: float | None
+    work: float | None
+    moved: float | None
+    off: float | None
+    plain: float | None
+    units: int | None
+    seconds: float
+
+
+def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
+    """The figures of one scene from its rows."""
+    solved = [row for row in rows if row.get("dofs") and not row["trial"]]
+    fine = [row for row in solved if row["mesh"] == case.meshes[1]]
+    small = [row["digits"] for row in solved if row["asked"] == EPS[-2] and row.get("digits")]
+    ratios = {name: _ratios(solved, name) for name in ("penetration", "penalty and inequality: energy norm")}
+    work = _most(ratios["penalty and inequality: energy norm"])
+    steps = [_limits(row, "other units: steps")[0] for row in rows if "units: steps" in str(row["findings"])]
+    return Summary(
+        case=case,
+        verdicts=Counter(row["verdict"] for row in rows),
+        unknowns=fine[0]["dofs"] if fine else None,
+        monotone=fine[0]["monotone"] if fine else None,
+        steps={method: max(row["newton_iterations"] for row in solved if row["method"] == method)
+               for method in ("vi", *METHODS) if any(row["method"] == method for row in solved)},
+        penetration=_most(ratios["penetration"]),
+        work=None if work is None else work**2,
+        moved=_moved(case, solved),
+        off=_most(digits["off"] for digits in small),
+        plain=_most(digits["from_heights"] for digits in small),
+        units=None if not steps else int(max(steps)),
+        seconds=sum(row.get("seconds", 0.0) for row in rows),
+    )  # fmt: skip
+
+
+def _limits(row: Row, name: str) -> tuple[float, float]:
+    found = next(finding for finding in row["findings"] if finding["name"] == name)
+    return found["observed"], found["limit"]
+
+
+def _ratios(rows: Sequence[Row], name: str) -> list[float]:
+    """Observed over limit where eps is so large that solvers' accuracy is no part of the limit."""
+    found = []
+    for row in rows:
+        if (row["eps"] or 0.0) >= 1e-7 and any(finding["name"] == name for finding in row["findings"]):
+            observed, limit = _limits(row, name)
+            if observed is not None and limit:
+                found.append(observed / limit)
+    return found
+
+
+def _most(values: Iterable[float | None]) -> float | None:
+    return max((value for value in values if value is not None), default=None)
+
+
+def _moved(case: Case, rows: Sequence[Row]) -> float | None:
+    """Contact forces of the two meshes, by the inequality."""
+    forces: list[dict[str, float]] = []
+    for mesh in case.meshes:
+        for row in rows:
+            if row["mesh"] == mesh and row["method"] == "vi":
+                contact = row["contact"]
+                forces.append({side: contact[side]["force"] for side in ("lower", "upper") if side in contact})
+    if len(forces) < 2 or max(forces[1].values(), default=0.0) <= 0.0:
+        return None
+    size = max(forces[1].values())
+    return max(abs(forces[0][side] - forces[1][side]) for side in forces[1]) / size
+
+
+def panels(all_figures: Sequence[tuple[Summary, Sequence[Row]]]) -> list[Panel]:
+    """Newton steps over eps: the most of each family, on the finer mesh, by method."""
+    numbers = [eps for eps in EPS if isinstance(eps, float)]
+    families = list(dict.fromkeys(figures.case.family for figures, _ in all_figures if figures.unknowns))
+    titles = {"penalty": "from the coarser levels", "successive": "(3.4)*, from no contact"}
+    made = []
+    for method in METHODS:
+        curves = []
+        for family in families:
+            most = {eps: 0 for eps in numbers}
+            for figures, rows in all_figures:
+                for row in rows if figures.case.family == family else ():
+                    if row["method"] == method and row["asked"] in most and not row["trial"] and "dofs" in row:
+                        most[row["asked"]] = max(most[row["asked"]], row["newton_iterations"])
+            curves.append(Curve(family, numbers, list(most.values())))
+        made.append(Panel(f"most Newton steps of a family: {titles[method]}", "eps", "steps", curves))
+    return made
+
+
+def digits_panels(rows: Sequence[Row]) -> list[Panel]:
+    """The round-off of the pressure, and what theory says of it."""
+    plain = _pairs(rows, "line", "from_heights", shifted=False)
+    left = _pairs(rows, "left", "moved", shifted=True)
+    return [
+        _beside("p from u: -(u - g)^+/eps", "machine epsilon |g| / (eps max|p|)", plain),
+        _beside("p from the unknown u - g, u shifted by 2^20 sizes", "machine epsilon |g| A_ii / (D_i max|p|)",
+                left),
+    ]  # fmt: skip
+
+
+def _pairs(rows: Sequence[Row], x: str, y: str, *, shifted: bool) -> list[tuple[float, float]]:
+    found: list[tuple[float, float]] = []
+    for row in rows:
+        digits: dict[str, Any] = row.get("digits") or {}
+        if ("heights +" in row.get("trial", "")) == shifted and digits.get(x) and digits.get(y):
+            found.append((digits[x], digits[y]))
+    return sorted(found)
+
+
+def _beside(title: str, theory: str, pairs: Sequence[tuple[float, float]]) -> Panel:
+    x, y = ([pair[k] for pair in pairs] for k in (0, 1))
+    ends = [min(x), max(x)] if x else [1e-16, 1.0]
+    return Panel(
+        title, theory, "relative error of p", [Curve("answers", x, y, line=False), Curve("theory", ends, ends)]
+    )

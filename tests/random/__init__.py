@@ -1,0 +1,1 @@
+"""Random scenes with known solutions."""

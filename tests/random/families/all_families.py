@@ -1,0 +1,65 @@
+"""All families with known solutions."""
+
+from __future__ import annotations
+
+from hypothesis import strategies as st
+
+from tests.random.families import (
+    anisotropic,
+    axial,
+    bearings,
+    boundary_values,
+    concentrated,
+    conditions,
+    curves,
+    discs,
+    drifts,
+    equilibria,
+    files,
+    films,
+    layers,
+    residuals,
+    sectors,
+    smooth,
+    solids,
+    supported,
+    touching,
+    varying,
+)
+from tests.random.families.family import Family
+
+# u is a closed form, and a bound of the error is compared with the true one
+TRUTHS: dict[str, st.SearchStrategy[Family]] = {
+    "layers": layers.layers(),
+    "layers in contact": layers.layers_in_contact(),
+    "waves": layers.waves(),
+    "inclusion": curves.inclusions(),
+    "pole": curves.poles(),
+    "polynomial": smooth.polynomials(),
+    "smooth tension": varying.varying(),
+    "conditions": conditions.conditions(),
+    "rings": discs.rings(),
+    "sectors": sectors.sectors(),
+    "corner": sectors.corners(),
+    "touching": touching.touching(),
+    "supported": supported.supported(),
+    "anisotropic": anisotropic.anisotropic(),
+    "axial": axial.axial(),
+    "bearings": bearings.bearings(),
+    "loaded string": concentrated.loaded_strings(),
+    "loaded line": concentrated.loaded_lines(),
+    "tetrahedra": solids.tetrahedra(),
+}
+KNOWN: dict[str, st.SearchStrategy[Family]] = {
+    **TRUTHS,
+    "boundary values": boundary_values.jumps(),
+    "ends of boundary parts": boundary_values.ends(),
+    "obstacle alone": equilibria.unheld(),
+    "feeble support": equilibria.feebles(),
+    "soft obstacle alone": equilibria.softs(),
+    "residual of one's own": residuals.forms(),
+    "drift along x": drifts.strips(),
+    "drift from a point": drifts.radial(),
+    "film": films.films(),
+    **({"CAD": files.cad()} if files.there() else {}),
+}

@@ -1,0 +1,303 @@
+"""Closed forms with concentrated loads of finite energy: at points of a string, and along a line inside a membrane.
+
+u has a kink there. Contact is beside it, or on one side up to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import sympy
+from dolfinx import mesh as dmesh
+from hypothesis import assume
+from hypothesis import strategies as st
+from mpi4py import MPI
+from sympy import Expr
+
+from fenicsx_obstacle import releases
+from fenicsx_obstacle.scenes.scene import Scene
+from tests.random.families.closed import (
+    ClosedForm,
+    Line,
+    Piecewise,
+    distance,
+    expression,
+    load_of,
+    x,
+)
+from tests.random.families.elements import Field
+from tests.random.families.family import Family, Judgement, toml
+from tests.random.families.meshes import shifts
+from tests.random.families.strategies import place, power
+from tests.random.families.supported import SHAPES
+
+OBSTACLES = ("0", "x**2", "x**3 - x", "sin(3*x)", "exp(-x)")
+TENSIONS = ("1", "0.01", "1 + x", "exp(x)", "2 + sin(9*x)", "1/(1 + x**2)")
+FOUNDATIONS = ("0", "0", "3", "300", "1 + x")
+OBSTACLES_2D = ("0", "x**2 - x*y", "x**3*y - y**2", "exp(x)*sin(2*y)", "sin(3*x + y)")
+TENSIONS_2D = ("1", "7.3", "exp(x - y)", "2 + sin(5*x)*cos(3*y)", "1/(1 + x**2 + y**2)")
+FACTORS = ("1", "0.1", "2 + x*y", "(1 + y)**2", "exp(x)")
+LINE = "line"
+BORNE = 0.6  # half of the length of this part, up to a factor
+GAUSS = 12  # points between two places where expressions change
+
+
+@dataclass(frozen=True)
+class LoadedString(Family):
+    """-(tension u')' + foundation u = load + sum of forces at points + p on the unit interval.
+
+    Attributes:
+        cells: Of the mesh.
+        options: Of `solve`.
+        obstacle: A formula; u itself without contact and forces.
+        stiff: Of the tension.
+        foundation: A formula.
+        contact: Where it ends; 0: there is none.
+        size: u is above the obstacle by the squared distance from there, times this.
+        pressure: In contact.
+        points: Where there are kinks, beyond the contact set.
+        kinks: By how much the slope rises there.
+        pressed: Points in contact, where forces press.
+        end: 'value', or 'force' at the right end.
+        upper: Whether all is upside down.
+    """
+
+    cells: int
+    options: dict[str, Any]
+    obstacle: str
+    stiff: str
+    foundation: str
+    contact: float
+    size: float
+    pressure: float
+    points: tuple[float, ...]
+    kinks: tuple[float, ...]
+    pressed: tuple[float, ...]
+    end: str
+    upper: bool
+
+    name = "loaded string"
+
+    def _parts(self) -> list[tuple[float, float, Expr]]:
+        """Intervals, and u on each without the sign."""
+        ends = sorted({0.0, self.contact, *self.points, 1.0})
+        found = []
+        for left, right in pairwise(ends):
+            u = expression(self.obstacle)
+            if self.contact > 0 and left >= self.contact:
+                u += self.size * (x - self.contact) ** 2
+            for point, kink in zip(self.points, self.kinks, strict=True):
+                if left >= point:
+                    u += kink * (x - point)
+            found.append((left, right, u))
+        return found
+
+    def _text(self, values: list[Expr]) -> str:
+        found = f"({values[-1]})"
+        for (_, right, _), value in reversed(list(zip(self._parts(), values, strict=True))[:-1]):
+            found = f"where(x < {right!r}, {value}, {found})"
+        return found
+
+    def scene(self) -> Scene:
+        """The scene."""
+        sign, mu, k = -1 if self.upper else 1, expression(self.stiff), expression(self.foundation)
+        parts, loads = self._parts(), []
+        for _, right, u in parts:
+            load = sympy.expand(-sympy.diff(mu * sympy.diff(u, x), x) + k * u)
+            loads.append(sign * (load - (self.pressure if right <= self.contact else 0)))
+        forces = [
+            (point, -kink * float(mu.subs(x, point))) for point, kink in zip(self.points, self.kinks, strict=True)
+        ]
+        forces += [(point, -2.5) for point in self.pressed]
+        last = parts[-1][2]
+        if self.end == "force":
+            forces.append((1.0, float((mu * sympy.diff(last, x)).subs(x, 1))))
+        given = [(0.0, parts[0][2], "left")] + ([] if self.end == "force" else [(1.0, last, "right")])
+        boundary = [{"on": name, "value": sign * float(u.subs(x, at))} for at, u, name in given]
+        data: dict[str, Any] = {"tension": self.stiff, "load": self._text(loads)}
+        if forces:
+            data["point_load"] = [{"at": at, "force": sign * force} for at, force in forces]
+        if self.foundation != "0":
+            data["foundation"] = self.foundation
+        if self.contact > 0:
+            data["upper" if self.upper else "lower"] = f"{sign}*({self.obstacle})"
+        return Scene(mesh={"shape": "interval", "cells": self.cells}, boundary=boundary, **data)
+
+    def judge(self, judgement: Judgement) -> None:
+        answer = judgement.solve(self.scene, **self.options)
+        if answer is not None:
+            judgement.certificate(answer, *self.error(Field(answer.u)))
+
+    def error(self, field: Field) -> tuple[float, float]:
+        """Of a field, with the energy of the foundation, and the norm of u (collective)."""
+        ends, sign = np.sort(field.vertices[:, :, 0], axis=1), -1 if self.upper else 1
+        cells, found = np.arange(len(ends)), np.zeros(2)
+        t, weights = np.polynomial.legendre.leggauss(GAUSS)
+        mu, k = (sympy.lambdify(x, expression(text), "numpy") for text in (self.stiff, self.foundation))
+        for left, right, u in self._parts():
+            a, b = (np.clip(ends[:, side], left, right) for side in (0, 1))
+            points = a[:, None] + (b - a)[:, None] * (t + 1) / 2
+            measure = (b - a)[:, None] * weights / 2
+            true, slope = (sign * sympy.lambdify(x, one, "numpy")(points) for one in (u, sympy.diff(u, x)))
+            off = field.gradient(cells, points[..., None])[..., 0] - slope
+            apart = field.at(cells, points[..., None]) - true
+            found += [np.sum(measure * (mu(points) * off**2 + k(points) * apart**2)),
+                      np.sum(measure * mu(points) * slope**2)]  # fmt: skip
+        error, norm = np.sqrt(field.comm.allreduce(found))
+        return float(error), float(norm)
+
+    def text(self) -> str:
+        return toml(self.scene(), f"solve(scene, {self.options})")
+
+
+@st.composite
+def loaded_strings(draw: st.DrawFn) -> LoadedString:
+    """Points at vertices and inside cells."""
+    cells, contact = draw(st.integers(4, 40)), draw(st.one_of(st.just(0.0), place(0.1, 0.6)))
+    vertices = st.integers(1, cells - 1).map(lambda k: k / cells)
+    anywhere = st.one_of(place(0.02, 0.98), vertices)
+    drawn = draw(st.lists(anywhere, max_size=3, unique=True))
+    points = tuple(sorted(one for one in drawn if one > contact))
+    pressed = tuple(one for one in drawn if one < contact)
+    assume(points or pressed)
+    kink = power(-1, 1) if contact > 0 else st.one_of(power(-1, 1), power(-1, 1).map(lambda one: -one))
+    asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
+    asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
+    return LoadedString(
+        cells, {"element": "P1", **asked}, draw(st.sampled_from(OBSTACLES)), draw(st.sampled_from(TENSIONS)),
+        draw(st.sampled_from(FOUNDATIONS)), contact, draw(st.sampled_from([1.0, 10.0])),
+        draw(st.sampled_from([0.0, 1.0, 30.0])), points, tuple(draw(kink) for _ in points), pressed,
+        draw(st.sampled_from(["value", "value", "force"])), draw(st.booleans()),
+    )  # fmt: skip
+
+
+def lined(comm: MPI.Comm, cells: int, slope: float, stretch: float, scatter: float) -> tuple[dmesh.Mesh, Any]:
+    """A grid on a parallelogram with a line of edges in the middle, and the tags of these (collective).
+
+    Args:
+        comm: Communicator.
+        cells: Half of those along each side.
+        slope: Of the line.
+        stretch: Along x.
+        scatter: How far other inner vertices are moved before, in parts of a cell.
+    """
+    mesh = dmesh.create_rectangle(comm, [-np.ones(2), np.ones(2)], [2 * cells, 2 * cells],
+                                  ghost_mode=releases.FACET_GHOSTS)  # fmt: skip
+    h = 1 / cells
+    facets = dmesh.locate_entities(mesh, 1, lambda x: np.abs(x[0]) < h / 4)
+    tags = dmesh.meshtags(mesh, 1, facets, np.ones(len(facets), dtype=np.int32))
+    x = mesh.geometry.x
+    inside = np.all(np.abs(x[:, :2]) < 1 - h / 2, axis=1) & (np.abs(x[:, 0]) > h / 4)
+    x[:, :2] += scatter * h * shifts(x[:, :2] / h) * inside[:, None]
+    x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
+    return mesh, tags
+
+
+@dataclass(frozen=True)
+class LoadedLine(ClosedForm):
+    """u has a kink along a line of the mesh, by a load there and maybe a wire.
+
+    Attributes:
+        obstacle: A formula; of u on one side of the line without contact.
+        stiff: Of the tension.
+        factor: Of the kink.
+        wire: Shape of the springs along the line, in `SHAPES`.
+        springs: They times this.
+        contact: Whether there is contact on one side of the line, where another function is negative.
+        size: Of w beyond.
+        pressure: In contact.
+        angle: Of the direction in which w rises.
+        upper: Whether all is upside down.
+        borne: The largest pressure of an obstacle along a part of the line instead; 0: there is none.
+    """
+
+    obstacle: str
+    stiff: str
+    factor: str
+    wire: str
+    springs: float
+    contact: bool
+    size: float
+    pressure: float
+    angle: tuple[float, float]
+    upper: bool
+    borne: float
+
+    name = "loaded line"
+
+    @property
+    def _line(self) -> Line:
+        """x = stretch slope y."""
+        return Line((1.0, -self.mesh["stretch"] * self.mesh["slope"]), 0.0)
+
+    @property
+    def _other(self) -> Line:
+        return Line(self.angle, 0.113)
+
+    def _parts(self, *values: Expr) -> Piecewise:
+        """Below both lines; below the first; below the second; beyond."""
+        one, other = (self._line, True), (self._other, True)
+        return Piecewise(list(zip(((one, other), (one,), (other,), ()), values, strict=True)))
+
+    def u(self) -> list[Piecewise]:
+        psi, sign = expression(self.obstacle), -1 if self.upper else 1
+        w = self.size * distance(self._other) ** 2 if self.contact else sympy.Integer(0)
+        kink = distance(self._line) * expression(self.factor)
+        return [self._parts(*(sign * one for one in (psi, psi + w, psi + kink, psi + w + kink)))]
+
+    def tension(self) -> Piecewise:
+        return self._parts(*[expression(self.stiff)] * 4)
+
+    def data(self) -> dict[str, Any]:
+        (u,), sign, zero = self.u(), -1 if self.upper else 1, sympy.Integer(0)
+        load = u.map(load_of, self.tension())
+        found = {"tension": self.stiff}
+        if self.contact:
+            load = load.map(lambda one, p: one - p, self._parts(sign * sympy.Float(self.pressure), zero, zero, zero))
+            found["upper" if self.upper else "lower"] = f"{sign}*({self.obstacle})"
+        return {**found, "load": load.text(self.spelling)}
+
+    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
+        """The scene (collective)."""
+        table, sign = self.mesh, -1 if self.upper else 1
+        mesh, tags = lined(comm, table["cells"], table["slope"], table["stretch"], table["scatter"])
+        a, b = self._line.direction
+        flux = f"{-sign * float(np.hypot(a, b))!r}*({self.stiff})*({self.factor})"
+        along: dict[str, Any] = {"on": LINE}
+        if self.borne > 0:
+            along["upper" if self.upper else "lower"] = f"{self.value()} - {sign}*max(abs(y - 0.1) - {BORNE}, 0)^2"
+            flux = f"{flux} - {sign * self.borne!r}*max(0, 1 - ((y - 0.1)/{BORNE})^2)"
+        if self.springs > 0:
+            along["spring"] = f"{self.springs!r}*{SHAPES[self.wire].text(self.spelling)}"
+            flux = f"{flux} + {along['spring']}*({self.value()})"
+        along["flux"] = flux
+        return Scene(
+            mesh=mesh, facet_tags=tags, facet_names={LINE: 1}, boundary=[{"value": self.value()}, along], **self.data()
+        )
+
+    def text(self) -> str:
+        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.options}"
+
+
+@st.composite
+def loaded_lines(draw: st.DrawFn) -> LoadedLine:
+    """Slanted lines, flat cells and moved vertices."""
+    slope = draw(st.sampled_from([0.0, 0.0, 0.5, -1.3]))
+    mesh = {"shape": "own", "cells": draw(st.integers(2, 7)), "slope": slope,
+            "stretch": draw(st.sampled_from([1.0, 1.0, 0.3])) / (1 + abs(slope)),
+            "scatter": draw(st.sampled_from([0.0, 0.2, 0.3]))}  # fmt: skip
+    asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
+    asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
+    kind = draw(st.sampled_from(["none", "contact", "contact", "borne"]))
+    found = LoadedLine(
+        mesh, {"element": "P1", **asked}, draw(st.integers(0, 9)), draw(st.sampled_from(OBSTACLES_2D)),
+        draw(st.sampled_from(TENSIONS_2D)), draw(st.sampled_from(FACTORS)), draw(st.sampled_from(sorted(SHAPES))),
+        draw(st.sampled_from([0.0, 0.0, 0.5, 20.0, 200.0, 1e4])), kind == "contact", draw(st.sampled_from([1.0, 4.0])),
+        draw(st.sampled_from([0.0, 1.0, 30.0])), draw(st.sampled_from([(0.0, 1.0), (1.0, 0.0), (0.6, -0.8)])),
+        draw(st.booleans()), draw(st.sampled_from([1.0, 30.0])) if kind == "borne" else 0.0,
+    )  # fmt: skip
+    assume(found.short)
+    return found

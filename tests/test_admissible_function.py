@@ -1,0 +1,172 @@
+"""The function v_h of the proof is in K: between two close obstacles, and with boundary values between nodes."""
+
+import numpy as np
+import pytest
+
+from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.estimation.clipped import Clipped, _ClippedCells
+from fenicsx_obstacle.scenes import catalogue
+
+WAVE = "0.1*sin(16*pi*x)"  # 0 at all nodes of 8 cells, P1 and P2
+CLOSE, FAR = 0.101, 0.5  # distance of the obstacles
+# ||u'|| of the string between the obstacles at the distance `CLOSE`, u = `CLOSE` at both ends, on 2048 and 4096 cells
+TRUE = 1.71331
+SHAPES = {"interval": [{"value": CLOSE}], "rectangle": [{"on": ["left", "right"], "value": CLOSE}]}
+
+
+def between(shape, distance, element="P1", lower=WAVE, **more):
+    """The error bound for two obstacles with the same waves, one period in each cell; u_h is constant."""
+    parts = [{**part, "value": distance} for part in SHAPES[shape]]
+    scene = Scene(mesh={"shape": shape, "cells": 8, **more.pop("mesh", {})}, tension=1, load=0, boundary=parts,
+                  lower=lower, upper=f"{distance} + {WAVE}", **more)  # fmt: skip
+    return solve(scene.change({"solve.element": element}), bound=True).bound
+
+
+@pytest.mark.parametrize(("shape", "element", "more"), [
+    ("interval", "P1", {}),
+    ("rectangle", "P1", {}),
+    ("rectangle", "P2", {}),
+    ("rectangle", "P1", {"axial_symmetry": True, "mesh": {"x": [1, 2]}}),
+])  # fmt: skip
+def test_close_obstacles(shape, element, more):
+    """The upper obstacle lowers v_h below the lower one, which it was above at first: no function in K is found."""
+    bound = between(shape, CLOSE, element, **more)
+    assert not bound.guaranteed and not bound.certified
+    assert "no function between the obstacles is known" in bound.words
+
+
+def test_the_bound_of_close_obstacles_was_too_small():
+    """The truth is above what the terms of one obstacle at a time give (1.546)."""
+    scene = Scene(mesh={"shape": "interval", "cells": 2048}, tension=1, load=0, lower=WAVE, upper=f"{CLOSE} + {WAVE}",
+                  boundary=[{"value": CLOSE}])  # fmt: skip
+    u = solve(scene, method="vi")
+    x = np.linspace(0, 1, 2049)
+    slopes = np.diff(np.asarray(u.at(x[:, None])).ravel()) * 2048
+    assert np.sqrt(np.mean(slopes**2)) == pytest.approx(TRUE, rel=1e-4)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_obstacles_farther_apart_keep_the_certificate(shape):
+    """A lower obstacle that v_h stays above leaves the bound as it was."""
+    assert between(shape, FAR, lower=-1.0).guaranteed
+    assert between(shape, FAR, lower=f"-1 + {WAVE}").guaranteed
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("cells", [6, 16])
+def test_contact_with_both_obstacles_keeps_the_certificate(element, cells):
+    """A membrane that touches a lower and an upper obstacle in different cells."""
+    scene = catalogue.scene("two_obstacle_square").change({"mesh.cells": cells, "solve.element": element})
+    answer = solve(scene, bound=True)
+    assert answer.bound.guaranteed and answer.record["bound"]["effectivity"] >= 1
+
+
+def test_two_flat_obstacles_that_touch():
+    """Where both obstacles are the same number, v_h is that number, and in K."""
+    flat = Scene(mesh={"shape": "interval", "cells": 10}, tension=1, load=3, lower="where(x < 0.5, 0, -x + 0.5)",
+                 upper=0, boundary=[{"value": 0, "on": "left"}])  # fmt: skip
+    bound = solve(flat, bound=True, eps=1e-3).bound
+    assert bound.guaranteed and np.abs(bound.admissible.x.array).max() <= 0.5
+
+
+KINKS = {  # mesh 8 x 8: energy error of u_h, and int u - u_h; by Fourier series
+    "abs": ("max(0, 0.06 - abs(x - 0.5625))", 0.079722, 0.00240384),
+    "mod": ("0.1*max(0, 1 - abs((8*x) % 1 - 0.6)/0.2)", 0.370883, None),
+}
+
+
+@pytest.mark.parametrize("name", KINKS)
+def test_kinks_between_nodes(name):
+    """Boundary values that are 0 at all nodes: u_h = 0, the error is all of u."""
+    value, error, volume = KINKS[name]
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, boundary=[{"value": value}],
+                  report={"volume": "integral(u)"})  # fmt: skip
+    answer = solve(scene, bound=True)
+    assert answer.bound.certified and answer.bound.total >= error and answer.bound.energy is None
+    assert answer.bound.total <= 6 * error  # and no more than the extension of the boundary values costs
+    if volume is not None:
+        assert answer.record["bound"]["outputs"]["volume"]["error"] >= volume
+
+
+def test_kinks_of_tables(folder):
+    """The same boundary values from a file."""
+    x = np.arange(41) / 40
+    z = np.where(np.arange(41) % 5 == 3, 0.1, 0.0)
+    (folder / "edge.csv").write_text("x,z\n" + "".join(f"{a},{b}\n" for a, b in zip(x, z, strict=True)))
+    (folder / "scene.toml").write_text(
+        'mesh = {shape = "rectangle", cells = 8}\neffects = {tension = 1}\nboundary = [{value = {file = "edge.csv"}}]\n'
+    )
+    bound = solve(Scene.read(folder / "scene.toml"), bound=True).bound
+    assert bound.total >= KINKS["mod"][1] and bound.energy is None
+
+
+@pytest.mark.parametrize(("cells", "error"), [(8, 0.23790), (32, 0.05751)])
+def test_kinks_with_p2(cells, error):
+    """A trapezoid on one side of the square: its corners are inside edges."""
+    parts = [{"on": "top", "value": "min(1, 10*min(x, 1 - x))"}, {"on": ["left", "right", "bottom"], "value": 0}]
+    scene = Scene(mesh={"shape": "rectangle", "cells": cells}, tension=1, boundary=parts)
+    assert solve(scene.change({"solve.element": "P2"}), bound=True).bound.total >= error
+
+
+def test_kinks_with_axial_symmetry():
+    """Against the solution on a mesh eight times as fine, with the kinks at nodes."""
+
+    def scene(cells):
+        return Scene(mesh={"shape": "rectangle", "x": [1, 2], "cells": cells}, tension=1, axial_symmetry=True,
+                     boundary=[{"value": "max(0, 0.1 - abs(y - 0.5))*(2 - x)"}])  # fmt: skip
+
+    coarse, fine = solve(scene(5), bound=True), solve(scene(40))
+    assert coarse.energy == pytest.approx(0.0, abs=1e-14)  # u_h = 0
+    true = np.sqrt(2 * fine.energy)
+    assert coarse.bound.total >= true > 0.1
+
+
+def test_kinks_at_nodes_are_in_the_space():
+    """Continuous piecewise linear boundary values with kinks at nodes are exact: nothing is added."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load=1,
+                  boundary=[{"value": "abs(x - 0.5) + max(0, y - 0.25)"}])  # fmt: skip
+    bound = solve(scene, bound=True).bound
+    assert bound.guaranteed and bound.data <= 1e-10 and bound.energy is not None
+
+
+class _Linear:
+    """A linear obstacle on cells, as far as `Clipped` asks."""
+
+    def __init__(self, at_corners):
+        self.at_corners = at_corners
+
+    def linear(self, cells):
+        none = np.zeros(len(cells))
+        return self.at_corners[cells], none + 1.0, none
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_slope_of_clipped_obstacles(dim):
+    """Where an obstacle is cut off, its difference to a linear function has the slope of that function."""
+    rng = np.random.default_rng(0)
+    x = rng.random((50, dim + 1, dim)) * np.array([1.0, 0.1, 0.3])[:dim]
+    slopes = rng.normal(size=(50, dim))
+    at_corners = np.einsum("cix,cx->ci", x, slopes) + 100.0
+    cells = _ClippedCells(_Linear(at_corners), Clipped(None, 1.0, 0.0), x)
+    steep = cells.linear(np.arange(50))[2]
+    np.testing.assert_allclose(steep, np.linalg.norm(slopes, axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("value", "certified"), [("0.1*y + 0.2*z", True), ("0.2*y^2 + 0.1*z^2", False)])
+def test_boundary_values_reach_facets_with_obstacles(value, certified):
+    """On tetrahedra boundary values between the nodes are continued over the facets beside them: there v_h may then be
+    beyond an obstacle that it touches at the nodes."""
+    scene = Scene(mesh={"shape": "box", "cells": 2}, tension=1, load=-9,
+                  boundary=[{"on": "left", "value": value}, {"on": "top", "lower": f"{value} - x"}])  # fmt: skip
+    assert solve(scene, bound=True, eps=1e-8).bound.guaranteed == certified
+
+
+def test_far_apart_values_of_an_obstacle():
+    """-1e20 for 'no obstacle' beside values that count: the bound is no smaller than with -1e3 (once 3.9 and 3239)."""
+    totals = []
+    for far in ("-1e3", "-1e20"):
+        scene = Scene(mesh={"shape": "rectangle", "cells": 6}, tension=1, load=-20,
+                      lower=f"where(x < 0.53, 0.1*x*(1 - y) - 0.2*x^2, {far})",
+                      boundary=[{"where": "x == 1 and y <= 0.5", "value": 0}])  # fmt: skip
+        totals.append(solve(scene.change({"solve.element": "P2"}), bound=True, eps=1e-8).bound.total)
+    assert totals[1] >= totals[0]

@@ -1,0 +1,170 @@
+"""eps = "auto" fits the solution, in each part of the domain: values of the variational inequality, from any start."""
+
+import warnings
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import InputError, ObstacleProblem, PenetrationWarning, Scene, solve
+from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.releases import functionspace
+from fenicsx_obstacle.solvers.penalty_parameter import PENETRATION
+from tests.conftest import COMM
+
+NOTHING = 1e20  # no obstacle
+
+
+class Form:
+    """A form k(u, x) grad u . grad v - load v + reaction on the unit interval, square or cube; u = 0 around."""
+
+    def __init__(self, dim, cells, k, load=1.0, reaction=None, degree=1):
+        made = (dmesh.create_unit_interval, dmesh.create_unit_square, dmesh.create_unit_cube)[dim - 1]
+        self.V = V = functionspace(made(COMM, *[cells] * dim), "Lagrange", degree)
+        self.u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(V.mesh)
+        self.F = (k(self.u, x) * ufl.inner(ufl.grad(self.u), ufl.grad(v)) - load * v) * ufl.dx
+        if reaction is not None:
+            self.F += reaction(self.u) * v * ufl.dx
+        edge = fem.locate_dofs_geometrical(V, lambda x: np.isclose(abs(x[:dim] - 0.5).max(axis=0), 0.5))
+        self.bc = fem.dirichletbc(0.0, edge, V)
+
+    def problem(self, start=0.0, **obstacles):
+        self.u.interpolate(lambda x: start * np.prod(np.sin(np.pi * x[: self.V.mesh.topology.dim]), axis=0))
+        return ObstacleProblem(self.F, self.u, bcs=self.bc, **obstacles)
+
+
+def two_parts(place, contrast):
+    return lambda u, x: ufl.conditional(ufl.lt(x[0], place), 1.0, contrast)
+
+
+def only_left(place, height):
+    return lambda x: np.where(x[0] < place - 1e-9, height, NOTHING)
+
+
+CASES = {
+    "porous medium": (Form(2, 8, lambda u, x: 1e-6 + u**2, 3.0), {"upper": 0.2}),
+    "porous medium in space": (Form(3, 4, lambda u, x: 1e-8 + u**4, 2.0), {"lower": -0.01, "upper": 0.1}),
+    "power law": (Form(1, 60, lambda u, x: 1e-8 + ufl.inner(ufl.grad(u), ufl.grad(u)), 4.0), {"upper": 0.2}),
+    "power law, P2": (
+        Form(2, 6, lambda u, x: (1e-6 + ufl.inner(ufl.grad(u), ufl.grad(u))) ** 0.5, 3.0, degree=2),
+        {"upper": 0.15},
+    ),
+    "mostly soft": (Form(2, 16, two_parts(0.25, 1e-6)), {"upper": only_left(0.25, 2e-3)}),
+    "somewhat soft": (Form(2, 16, two_parts(0.25, 2e-2)), {"upper": only_left(0.25, 2e-3)}),
+    "mostly stiff": (Form(2, 16, two_parts(0.25, 1e6), -1.0), {"lower": -1e-8}),
+    "soft rod": (Form(1, 64, two_parts(0.1, 1e-8)), {"upper": only_left(0.1, 1e-4)}),
+    "reaction": (Form(2, 8, lambda u, x: 1e-4, 2.0, lambda u: 50 * u**3), {"lower": 0.0, "upper": 0.1}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_default_solve_is_the_inequality(name):
+    """Forms that degenerate at the start, and forms of several materials: forces as by method="vi", penetration below
+    the share that eps = "auto" promises, and the same values by a second solve."""
+    form, obstacles = CASES[name]
+    exact = form.problem(**obstacles).solve(method="vi")
+    expected, force = form.u.x.array.copy(), exact.record["contact"]
+    problem = form.problem(**obstacles)
+    found = problem.solve()
+    height = largest(COMM, expected) - smallest(COMM, expected)
+    for side in obstacles:
+        assert found.record["contact"][side]["force"] == pytest.approx(force[side]["force"], rel=0.01, abs=1e-12)
+    assert 0 < found.penetration <= PENETRATION * height
+    assert largest(COMM, np.abs(form.u.x.array - expected)) <= PENETRATION * height
+    first = form.u.x.array.copy()
+    again = problem.solve()
+    assert again.eps == found.eps
+    assert largest(COMM, np.abs(form.u.x.array - first)) <= 1e-8 * height
+
+
+@pytest.mark.parametrize("start", [1e-3, 1e-4])
+def test_a_glacier_from_flat_starts(start):
+    """-(|u'|^2 u')' = a, u >= 0; exact: max u = 0.119549 and a contact length of 0.4, whatever the start."""
+
+    def load(x):
+        return ufl.conditional(ufl.lt(abs(x[0] - 0.5), 0.15), 1.0, -1.0)
+
+    form = Form(1, 200, lambda u, x: ufl.inner(ufl.grad(u), ufl.grad(u)))
+    form.F -= (load(ufl.SpatialCoordinate(form.V.mesh)) - 1.0) * ufl.TestFunction(form.V) * ufl.dx
+    solution = form.problem(start, lower=0.0).solve()
+    assert largest(COMM, form.u.x.array) == pytest.approx(0.119549, rel=2e-3)
+    assert solution.area == pytest.approx(0.4, abs=2e-3)
+
+
+@pytest.mark.parametrize("contrast", [1e2, 1e6])
+def test_a_body_of_two_materials(contrast):
+    """Only a quarter of the foot is stiff, and bears nearly all of the force."""
+    mesh = dmesh.create_unit_square(COMM, 12, 12)
+    V = functionspace(mesh, "Lagrange", 1, 2)
+    u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    E = ufl.conditional(ufl.lt(x[0], 0.25), contrast, 1.0)
+    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1))
+    bc = fem.dirichletbc(np.array([0.0, -0.01]), top, V)
+    foot = dmesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0))
+    tags = dmesh.meshtags(mesh, 1, np.sort(foot), np.full(len(foot), 3, dtype=np.int32))
+    below = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(3)
+    F = E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    down = ufl.as_vector([0.0, -1.0])
+    problem = ObstacleProblem(F, u, bcs=bc, upper=0.0, of=ufl.dot(u, down), measure=below)
+    exact, found = problem.solve(method="vi"), problem.solve()
+    assert found.force.upper == pytest.approx(exact.force.upper, rel=1e-3)
+    assert found.penetration <= 1e-3 * 0.01
+    assert problem.solve().eps == found.eps
+
+
+def test_eps_of_ordinary_forms_stays():
+    """One material: a hundredth of the median of D_i/A_ii, as chosen before the solve."""
+    form = Form(2, 12, lambda u, x: 1.0, 8.0)
+    assert form.problem(upper=0.3).solve().eps == pytest.approx(1 / 12**2 / 400, rel=1e-9)
+
+
+def test_eps_follows_changed_coefficients():
+    """Another stiffness: eps is chosen anew."""
+    form = Form(2, 8, lambda u, x: 0.0, 8.0)
+    tension = fem.Constant(form.V.mesh, 1.0)
+    form.F += tension * ufl.inner(ufl.grad(form.u), ufl.grad(ufl.TestFunction(form.V))) * ufl.dx
+    problem = form.problem(upper=0.1)
+    eps = problem.solve().eps
+    tension.value = 4.0
+    assert problem.solve().eps == pytest.approx(eps / 4)
+
+
+def test_a_large_given_eps_warns():
+    """It is used as it is; the warning and the remark say what penetration is against the range of u."""
+    problem = Form(2, 8, lambda u, x: 1.0, 8.0).problem(upper=0.3)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        solution = problem.solve(eps=0.01)
+    words = [str(one.message) for one in caught if one.category is PenetrationWarning]
+    assert len(words) == (COMM.rank == 0)
+    assert solution.eps == 0.01 and "% of the range of u" in solution.summary()
+    assert any("range of u" in remark for remark in solution.record["remarks"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PenetrationWarning)
+        assert "remarks" not in problem.solve().record and "range of u" not in problem.solve().summary()
+
+
+HEAP = {"mesh": {"shape": "interval", "cells": 32}, "upper": 0.05, "boundary": [{"value": 0.0}]}
+
+
+@pytest.mark.parametrize("load", [1e3, 1e6])
+@pytest.mark.parametrize("exponent", [1.5, 3.0, 3.9])
+def test_scenes_with_power_laws_and_large_loads(exponent, load):
+    """The penetration is that of the pressure, whatever the exponent; forces as by method = "vi"."""
+    scene = Scene(**HEAP, power_law={"exponent": exponent}, load=load)
+    found = solve(scene).record
+    exact = solve(scene.change({"solve.method": "vi"})).record
+    assert found["penetration"] <= PENETRATION * 0.05
+    assert found["contact"]["upper"]["force"] == pytest.approx(exact["contact"]["upper"]["force"], rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["vinewtonssls", "newtonls"])
+def test_other_types_of_snes_are_refused_by_name(kind):
+    """The stopping test is made for vinewtonrsls, and newtonls ignores bounds."""
+    form = Form(2, 8, lambda u, x: 1.0, -10.0)
+    options = {"snes_type": kind, "ksp_type": "preonly", "pc_type": "lu"}
+    problem = ObstacleProblem(form.F, form.u, bcs=form.bc, lower=-0.3, petsc_options=options)
+    with pytest.raises(InputError, match=f"vi_snes_type = {kind}: the method vi is made for vinewtonrsls alone"):
+        problem.solve(method="vi")

@@ -1,0 +1,35 @@
+"""Limits of `hard` follow from the data and the operations: they hold for each arithmetic, and see what is wrong."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.hard.cases import case
+from tests.hard.judge import judge
+
+JUDGED = """
+from tests.hard.cases import case
+from tests.hard.judge import judge
+rows = judge(case("string_mu_jump").on(1), epsilons=(1e-12, 1e-14), methods=("penalty",))
+print([finding for row in rows for finding in row["findings"] if not finding["held"]])
+"""
+
+
+def test_energies_of_a_fine_string():
+    """Where the energies of penalty and inequality differ by less than round-off, none is called wrong."""
+    rows = list(judge(case("string_mu_jump").on(1), epsilons=(1e-12, 1e-14), methods=("penalty",)))
+    assert len(rows) == 3 and all(row["verdict"] == "right" for row in rows)
+    limits = [one["limit"] for row in rows for one in row["findings"] if one["name"].startswith("energy below")]
+    assert limits and max(limits) < 1e-10 * abs(rows[0]["energy"])
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["Haswell", "SkylakeX", "Nehalem"])
+def test_kinds_of_arithmetic(kind):
+    """With and without fused operations and wide registers in the linear algebra."""
+    said = subprocess.run([sys.executable, "-c", JUDGED], env={**os.environ, "OPENBLAS_CORETYPE": kind}, check=True,
+                          capture_output=True, text=True)  # fmt: skip
+    assert said.stdout.strip() == "[]"

@@ -1,0 +1,370 @@
+"""Saved answers: a folder holds one result, unchanged, or is refused with one message; no bytes make reading hang."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Solution, solve
+from fenicsx_obstacle.parallel import on_root
+from tests.conftest import COMM, DEMOS, as_version_02, membrane
+from tests.test_cli import CLEAN
+
+ELEMENTS = ["P1", "P2", "Q1", "Q1-gauss"]
+
+
+def result(folder, element="P1", load=-8, **more):
+    """A small result, saved."""
+    cell = "quadrilateral" if element[0] == "Q" else "triangle"
+    scene = membrane(mesh={"shape": "rectangle", "cells": 4, "cell": cell}, load=load, lower=-0.1, **more)
+    answer = solve(scene, element=element)
+    answer.save(folder)
+    return answer
+
+
+def with_time(folder, load=-8):
+    return result(folder, load=f"{load}*t", time={"end": 1, "steps": 2})
+
+
+@pytest.mark.parametrize("save", [result, with_time])
+def test_a_file_of_another_result_is_refused(save, folder):
+    """Each file of a folder, taken from another result of the same scene; one that is missing; one that is too many."""
+    save(folder / "one")
+    save(folder / "other", load=-9)
+    Answer.read(folder / "one")
+    names = on_root(COMM, lambda: sorted(file.name for file in (folder / "one").iterdir()))
+    assert {"fields.h5", "scene.toml", "history.csv"} <= set(names)
+    same = on_root(
+        COMM, lambda: [(folder / "one" / n).read_bytes() == (folder / "other" / n).read_bytes() for n in names]
+    )
+    assert sum(same) <= 2  # what ParaView needs to know of them
+    for name in (name for name, one in zip(names, same, strict=True) if not one):
+        on_root(COMM, lambda name=name: shutil.copytree(folder / "one", folder / name) and None)
+        on_root(COMM, lambda name=name: shutil.copy(folder / "other" / name, folder / name) and None)
+        with pytest.raises(InputError, match="is not the file that was saved with"):
+            Answer.read(folder / name)
+        on_root(COMM, (folder / name / name).unlink)
+        with pytest.raises(InputError, match="is missing"):
+            Answer.read(folder / name)
+
+
+def test_a_frame_too_many_is_refused(folder):
+    """Frames that an interrupted `save` has left belong to no steady result."""
+    with_time(folder / "moving")
+    result(folder / "still")
+    on_root(COMM, lambda: shutil.copy(folder / "moving" / "frames.h5", folder / "still") and None)
+    with pytest.raises(InputError, match=r"frames\.h5 is not the file"):
+        Answer.read(folder / "still")
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from tests.test_saved_folders import result, with_time
+folder, count = Path(sys.argv[1]), int(sys.argv[2])
+replace, left = Path.replace, [count]
+def killed(self, target):
+    if left[0] == 0:
+        os._exit(9)
+    left[0] -= 1
+    return replace(self, target)
+Path.replace = killed
+{save}(folder, load=-9)
+"""
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("old", [False, True], ids=["", "version 0.2"])
+@pytest.mark.parametrize("save", [result, with_time])
+def test_killed_between_two_renames(save, old, tmp_path):
+    """What is read then is one of the two results, whole, or nothing."""
+    energies = {save(tmp_path / str(load), load=load).energy for load in (-8, -9)}
+    files = [name for name in os.listdir(tmp_path / "-9")]
+    read = 0
+    for count in range(len(files) + 1):
+        folder = tmp_path / "result"
+        shutil.rmtree(folder, ignore_errors=True)
+        save(folder)
+        if old:
+            as_version_02(folder)
+        command = [sys.executable, "-c", KILLED.format(save=save.__name__), str(folder), str(count)]
+        done = subprocess.run(
+            command, env=CLEAN, cwd=Path(__file__).parent.parent, timeout=60, capture_output=True, check=False
+        )
+        assert done.returncode == (9 if count < len(files) else 0), done.stderr
+        try:
+            answer = Answer.read(folder)
+        except InputError as error:
+            assert "damaged" in str(error) or "missing" in str(error)
+            continue
+        assert answer.energy in energies and answer.scene.tables.effects["load"] in (-8, -9, "-8*t", "-9*t")
+        assert (answer.energy == max(energies)) == (answer.scene.tables.effects["load"] in (-8, "-8*t"))
+        read += 1
+    assert read == 2  # before the first rename and after the last
+
+
+FLIPPED = """
+import sys, random
+from pathlib import Path
+from fenicsx_obstacle import Answer, InputError
+folder, seed = Path(sys.argv[1]), int(sys.argv[2])
+file, draw = folder / "fields.h5", random.Random(seed)
+whole = file.read_bytes()
+for _ in range(60):
+    changed = bytearray(whole)
+    for _ in range(draw.choice((1, 2, 8))):
+        changed[draw.randrange(len(whole))] ^= 1 << draw.randrange(8)
+    file.write_bytes(changed)
+    try:
+        Answer.read(folder)
+        print("read", flush=True)
+    except InputError as error:
+        print("refused", len(str(error).splitlines()), flush=True)
+file.write_bytes(whole)
+"""
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("old", [False, True], ids=["", "version 0.2"])
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_bit_flips(element, old, tmp_path):
+    """A changed byte is noticed; without contents to compare with, the numbers may differ, but nothing hangs."""
+    result(tmp_path, element)
+    if old:
+        as_version_02(tmp_path)
+    command = [sys.executable, "-c", FLIPPED, str(tmp_path), "3"]
+    done = subprocess.run(command, env=CLEAN, timeout=100, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 60 and set(lines) <= {"read", "refused 1"}
+    assert old or "read" not in lines
+
+
+def _edit(name, change):
+    def edit(folder):
+        with h5py.File(folder / "fields.h5", "a") as file:
+            values = file[name][()]
+            del file[name]
+            file[name] = change(values)
+
+    return edit
+
+
+def _external(folder):
+    (folder / "secret").write_bytes(bytes(10**6))
+    with h5py.File(folder / "fields.h5", "a") as file:
+        shape = file["u"].shape
+        del file["u"]
+        file.create_dataset("u", shape, "f8", external=[(str(folder / "secret"), 0, h5py.h5f.UNLIMITED)])
+
+
+def _virtual(folder):
+    with h5py.File(folder / "fields.h5", "a") as file:
+        shape = file["u"].shape
+        file["kept"] = file["u"][()]
+        del file["u"]
+        layout = h5py.VirtualLayout(shape, "f8")
+        layout[:] = h5py.VirtualSource(str(folder / "other.h5"), "u", shape)
+        file.create_virtual_dataset("u", layout)
+
+
+def _link(folder):
+    shutil.copy(folder / "fields.h5", folder / "other.h5")
+    with h5py.File(folder / "fields.h5", "a") as file:
+        del file["u"]
+        file["u"] = h5py.ExternalLink("other.h5", "u")
+
+
+def _empty_claim(folder):
+    with h5py.File(folder / "fields.h5", "a") as file:
+        del file["u"]
+        file.create_dataset("u", (10**12,), "f8", chunks=(10**6,))
+
+
+def _circle(folder):
+    with h5py.File(folder / "fields.h5", "a") as file:
+        file.create_group("a")["b"] = file["/"]
+
+
+def _pickled(folder):
+    with h5py.File(folder / "fields.h5", "a") as file:
+        file["further"] = np.array(["a", "b"], dtype=object)
+
+
+def _nan(values):
+    return np.where(np.arange(values.size).reshape(values.shape) == 3, np.nan, values)
+
+
+DAMAGE = {
+    "NaN": _edit("u", _nan),
+    "infinite": _edit("pressure", lambda v: np.where(v == v[0], np.inf, v)),
+    "NaN in the obstacle": _edit("lower", _nan),
+    "a point that is not finite": _edit("points", _nan),
+    "too few": _edit("u", lambda v: v[:-1]),
+    "too many": _edit("contact", lambda v: np.append(v, 0.0)),
+    "whole numbers": _edit("u", lambda v: v.astype(int)),
+    "letters": _edit("u", lambda v: v.astype("S4")),
+    "a matrix": _edit("pressure", lambda v: np.column_stack([v, v])),
+    "points of a plane": _edit("points", lambda v: v[:, :2]),
+    "a cell out of range": _edit("cells", lambda v: v + 5),
+    "a cell below 0": _edit("cells", lambda v: v - 1),
+    "cells with five vertices": _edit("cells", lambda v: np.column_stack([v, v, v])[:, :5]),
+    "a cell that is a line": _edit("cells", lambda v: np.column_stack([v[:, :2], v[:, :1]])),
+    "numbers with a point": _edit("cells", lambda v: v.astype(float)),
+    "gdim": _edit("gdim", lambda v: 7),
+    "gdim 1": _edit("gdim", lambda v: 1),
+    "data in another file": _external,
+    "virtual data": _virtual,
+    "a link": _link,
+    "a claim": _empty_claim,
+    "a circle of groups": _circle,
+    "objects": _pickled,
+}
+FORGED = {
+    "a name of cells": _edit("element/cell", lambda v: np.array(b"hexahedron")),
+    "no name of cells": _edit("element/cell", lambda v: np.array(b"pyramid")),
+    "an interval": _edit("element/cell", lambda v: np.array(b"interval")),
+    "cells of another element": _edit("element/cells", lambda v: v[:, :-1]),
+    "too many nodes": _edit("element/cells", lambda v: np.column_stack([v, v])),
+    "two nodes": _edit("element/cells", lambda v: v[:, :2]),
+    "a node out of range": _edit("element/cells", lambda v: v + 5),
+    "a vertex twice": _edit("element/cells", lambda v: np.where(np.arange(v.shape[1]) == 1, v[:, :1], v)),
+    "half the cells": _edit("element/cells", lambda v: v[: len(v) // 2]),
+    "NaN in an element": _edit("element/pressure", _nan),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_forged_fields_are_refused(what, folder):
+    """Without contents to compare with: one message on all ranks, no hang, nothing from other files."""
+    result(folder)
+    on_root(COMM, as_version_02, folder)
+    Answer.read(folder)
+    on_root(COMM, DAMAGE[what], folder)
+    with pytest.raises(InputError, match="damaged") as caught:
+        Answer.read(folder)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("element", ["P2", "Q1-gauss"])
+@pytest.mark.parametrize("what", FORGED)
+def test_forged_elements_are_refused(what, element, folder):
+    """None ends the process."""
+    result(folder, element)
+    on_root(COMM, as_version_02, folder)
+    on_root(COMM, FORGED[what], folder)
+    with pytest.raises(InputError, match="damaged"):
+        Answer.read(folder)
+
+
+FIELDS = {
+    "a list": lambda r: [r],
+    "no contact": lambda r: {**r, "contact": 3},
+    "a force that is a text": lambda r: {**r, "contact": {**r["contact"], "lower": {"force": "much"}}},
+    "a side without force": lambda r: {**r, "contact": {**r["contact"], "lower": {}}},
+    "no area": lambda r: {**r, "contact": {"lower": {"force": 1.0}}},
+    "a title that is a number": lambda r: {**r, "title": 3},
+    "h = 0": lambda r: {**r, "h": 0.0},
+    "h that is not a number": lambda r: {**r, "h": float("nan")},
+    "eps that is a text": lambda r: {**r, "eps": "auto"},
+    "seconds": lambda r: {**r, "seconds": [1, 2]},
+    "no dofs": lambda r: {key: value for key, value in r.items() if key != "dofs"},
+    "report": lambda r: {**r, "report": {"force": [1]}},
+    "a bound": lambda r: {**r, "bound": {"total": 1}},
+    "a bound that is a text": lambda r: {**r, "bound": "small"},
+    "steps": lambda r: {**r, "newton_iterations": "many"},
+    "time": lambda r: {**r, "time": {"t": 1}},
+    "meshes": lambda r: {**r, "adaptive": {"tolerance": 1}},
+    "remarks": lambda r: {**r, "mesh_remarks": 3},
+    "files": lambda r: {**r, "files": ["fields.h5"]},
+    "no files": lambda r: {**r, "files": {}},
+    "a file elsewhere": lambda r: {**r, "files": {**r["files"], "../one": "0"}},
+}
+
+
+@pytest.mark.parametrize("what", FIELDS)
+def test_wrong_fields_of_answer_json(what, folder):
+    result(folder)
+
+    def change():
+        record = json.loads((folder / "answer.json").read_text())
+        (folder / "answer.json").write_text(json.dumps(FIELDS[what](record)))
+
+    on_root(COMM, change)
+    with pytest.raises(InputError, match=r"damaged|missing"):
+        Answer.read(folder)
+
+
+def test_answer_json_that_nests(folder):
+    result(folder)
+    on_root(COMM, lambda: (folder / "answer.json").write_text("[" * 100000) and None)
+    with pytest.raises(InputError, match="damaged"):
+        Answer.read(folder)
+
+
+@pytest.mark.serial
+def test_the_command_solve_keeps_the_contents(tmp_path):
+    """answer.json is written anew with the seconds of the command: what it says of the files stays right."""
+    from tests.test_cli import run
+
+    done = run("solve", DEMOS / "disk.toml", "--cells", 4, "--output", tmp_path / "out", "--plot")
+    assert done.returncode == 0, done.stderr
+    assert "files" not in Answer.read(tmp_path / "out").record
+    assert "files" in json.loads((tmp_path / "out" / "answer.json").read_text())
+
+
+def test_a_problem_of_ones_own(folder):
+    """Solution.read checks the same."""
+    problem = Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 4}).problem(COMM)
+    assert isinstance(problem, ObstacleProblem)
+    problem.solve().save(folder)
+    Solution.read(folder)
+    on_root(COMM, lambda: (folder / "history.csv").open("a").write("\n") and None)
+    with pytest.raises(InputError, match=r"history\.csv is not the file"):
+        Solution.read(folder)
+
+
+CHECKPOINT = {
+    "no rows": ("rows", lambda v: np.array(b"[1]")),
+    "rows without t": ("rows", lambda v: np.array(b'[{"step": 1}]')),
+    "rows that nest": ("rows", lambda v: np.array(b"[" * 10**5)),
+    "rows that are numbers": ("rows", lambda v: np.arange(3.0)),
+    "no times": ("times", lambda v: v[:0]),
+    "times that are not numbers": ("times", lambda v: v * np.nan),
+    "a matrix of times": ("times", lambda v: v[:, None]),
+    "too many times": ("times", lambda v: np.append(v, v)),
+    "u0 is too short": ("u0", lambda v: v[:-1]),
+    "u0 is NaN": ("u0", _nan),
+    "u0 in letters": ("u0", lambda v: v.astype("S3")),
+    "points of a plane": ("points", lambda v: v[:, :2]),
+    "frames that are too short": ("frames/0000/u", lambda v: v[:-1]),
+    "a frame that is NaN": ("frames/0000/u", _nan),
+    "a frame without a moment": ("frames/0000/t", lambda v: np.arange(2.0)),
+    "a velocity": ("velocity", lambda v: np.arange(3.0)),
+}
+
+
+@pytest.mark.parametrize("what", CHECKPOINT)
+def test_a_damaged_checkpoint(what, folder):
+    """A state to continue from is checked like a result."""
+    data = {"mesh": {"shape": "rectangle", "cells": 4}, "load": "-8*t", "lower": -0.1, "rate": 1}
+    solve(membrane(time={"end": 1, "steps": 2, "start": 0}, **data), keep=folder)
+
+    def change():
+        name, edit = CHECKPOINT[what]
+        with h5py.File(folder / "checkpoint.h5", "a") as file:
+            values = file[name][()] if name in file else None
+            if name in file:
+                del file[name]
+            file[name] = edit(values)
+
+    on_root(COMM, change)
+    with pytest.raises(InputError, match=r"checkpoint\.h5: is damaged") as caught:
+        solve(membrane(time={"end": 2, "steps": 4, "start": 0}, **data), restart=folder)
+    assert len(str(caught.value).splitlines()) == 1
