@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import math
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+LISTED_PATCHES = 6  # separate contacts in a text
 LISTED = 40  # known names in a message
 SHOWN = 60  # characters of a value
 LONGEST = 160  # characters of a title or name where it is shown
@@ -94,6 +95,18 @@ def vector_in_words(values: Sequence[float]) -> str:
     """A vector as one writes it, without the round-off of components that are 0."""
     largest = max(map(abs, values), default=0.0)
     return f"({', '.join(f'{x:.6g}' if abs(x) > ROUND_OFF * largest else '0' for x in values)})"
+
+
+def patches_in_words(contact: Mapping[str, Any]) -> list[str]:
+    """Force, area, peak and place of each separate contact of a body, the largest forces first; none of one contact."""
+    patches = contact.get("patches", ())
+    if len(patches) < 2:
+        return []
+    most = max(math.hypot(*one["force"]) for one in patches)
+    listed = sorted(patches, key=lambda one: -round(math.hypot(*one["force"]) / most, 6))[:LISTED_PATCHES]
+    words = [f"at ({', '.join(f'{x:.4g}' for x in one['at'])}): force {vector_in_words(one['force'])}, "
+             f"area {one['area']:.6g}, peak {one['peak']:.6g}" for one in listed]  # fmt: skip
+    return [*words, *([f"and {len(patches) - len(listed)} more"] if len(patches) > len(listed) else [])]
 
 
 def nearest(word: str, known: Any) -> str:

@@ -523,3 +523,62 @@ def test_nodes_across_a_contact(count, places):
     places = np.array(places, dtype=float)
     arms = np.insert(places, places.shape[1], 0.0, axis=1)
     assert _nodes_across(arms, np.full(len(arms), 0.01), places.shape[1]) == count
+
+
+@pytest.mark.parametrize(("element", "method"), [("P1", "penalty"), ("P2", "vi"), ("Q2", "penalty")])
+def test_separate_contacts(element, method):
+    """Two stamps on one side and one on another: each patch has the forces and the peak of its nodes, whatever the
+    ranks; areas add up to the contact area."""
+    parts = [
+        {"on": "bottom", "value": [0, 0]},
+        {"on": "top", "obstacle": {"gap": "where(abs(x - 0.5) > 0.3, -0.002 - 0.001*x, 1)"}},
+        {"where": "abs(x - 1) + max(max(0.3 - y, y - 0.7), 0) < 1e-9", "obstacle": {"gap": "-0.003"}},
+    ]
+    cell = "quadrilateral" if element[0] == "Q" else "triangle"
+    scene = block(10, parts).change({"mesh.cell": cell, "solve.element": element, "solve.method": method})
+    answer = solve(scene)
+    nodes, found = answer.nodes, answer.record["contact"]["patches"]
+    x, y = nodes.points.T
+    touches = nodes.pressure > 1e-10 * nodes.pressure.max()
+    where = [touches & (y > 0.99) & (x < 0.5), touches & (y > 0.99) & (x > 0.5), touches & (x > 0.9) & (y < 0.9)]
+    assert len(found) == 3
+    for one, there in zip(found, where, strict=True):
+        assert np.allclose(one["force"], nodes.forces[there].sum(axis=0), rtol=1e-12, atol=1e-15)
+        assert one["peak"] == nodes.pressure[there].max() > 0
+        size = (nodes.pressure * nodes.areas)[there]
+        assert np.allclose(one["at"], size @ nodes.points[there] / size.sum())
+    assert np.isclose(sum(one["area"] for one in found), answer.area, rtol=1e-12)
+    assert answer.summary().count("  contact at (") == 3
+
+
+def test_no_contact_has_no_patches():
+    """Where nothing touches the list is empty, and the text names no contact."""
+    answer = solve(block(4, [*ROLLERS, {"on": "top", "obstacle": {"gap": 1}}]))
+    assert answer.record["contact"]["patches"] == [] and "  contact at" not in answer.summary()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("places", "name"),
+    [
+        (["x == 0", "x == 1"], "parts"),
+        (["y == 1 and x < 0.3", "y == 1 and x > 0.7"], "x"),
+        (["y == 1", "x == 1"], "parts"),
+    ],
+)
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_no_line_joins_separate_contacts(places, name, element):
+    """A line for each part of the contact boundary, each node after its neighbour; no part is drawn over another."""
+    parts = [{"where": f"{place} and y > 0.2 and y < 0.8" if place[0] == "x" else place, "obstacle": {"gap": -0.002}}
+             for place in places]  # fmt: skip
+    answer = solve(block(10, [{"on": "bottom", "value": [0, 0]}, *parts]), element=element)
+    page = answer.plot().page
+    pressure, gap = page.axes[1:3]
+    lines = [line.get_xydata() for line in pressure.lines if line.get_marker() == "."]
+    assert len(lines) == 2 and sum(map(len, lines)) == len(answer.nodes.points)
+    h = 0.05 if element == "P2" else 0.1
+    assert all(np.allclose(np.abs(np.diff(line[:, 0])), h) for line in lines)
+    spans = sorted((line[:, 0].min(), line[:, 0].max()) for line in lines)
+    assert spans[0][1] < spans[1][0]
+    label = gap.get_xlabel().replace("\n", " ")
+    assert label == name or (name == "parts" and "its parts one after the other" in label)

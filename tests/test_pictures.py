@@ -375,3 +375,16 @@ def test_contact_at_given_values_has_the_pressure_beside_it():
     edge = np.isclose(patch.points[:, 0], 0.5) & np.isin(patch.points[:, 1], (0, 1))
     assert np.count_nonzero(edge) == 2
     assert np.allclose(patch.fields["pressure"][edge], 3, rtol=0.05)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("dim", "lower", "filled"), [(1, 0, True), (1, -0.05, False), (2, 0, True), (2, -0.05, False)])
+def test_the_label_says_where_pressures_are_of_neighbours(dim, lower, filled):
+    """Only a picture whose pressure at given values is that of neighbours says so."""
+    shape = {"shape": ("interval", "rectangle")[dim - 1], "cells": 8}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(render, "find_spec", lambda name: None)
+        page = solve(membrane(mesh=shape, load=-3, lower=lower)).plot().page
+    labels = " ".join(axis.get_ylabel().replace("\n", " ") for axis in page.axes)
+    assert "computed at nodes, linear between" in labels
+    assert ("where u is given: the mean of the neighbours" in labels) == filled

@@ -168,6 +168,7 @@ class ContactNodes:
         nodes: Local numbers.
         dofs: Local dof of the normal component of each.
         weights: D_i = int w phi_i over the facets, for a weight w; a force is p_i D_i.
+        facet_nodes: Local numbers of the nodes of each owned contact facet, shape (facets, nodes of a facet).
         normals: Unit normals in the directions in which u is free, shape (nodes, components).
         turned: Nodes whose normal is along no coordinate axis.
     """
@@ -207,7 +208,8 @@ class ContactNodes:
         if total(mesh.comm, np.count_nonzero(negative)) > 0:
             raise InputError(f"{name}: measure: its weight is negative somewhere: a node would have a negative area")
         self._check_normals(level, on, sums, sizes, name)
-        self._beside = _weightless(level, facets, on)
+        self.facet_nodes = _facet_nodes(level, own)
+        self._beside = _weightless(level, self.facet_nodes, on)
         nodes = np.flatnonzero(on)
         mean = sums[nodes] / sizes[nodes, :1]
         unit = mean / np.linalg.norm(mean, axis=1, keepdims=True)
@@ -359,14 +361,10 @@ def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
     return normal, None if isinstance(rest, Zero) else rest
 
 
-def _weightless(
-    level: VectorLevel, facets: np.ndarray, on: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Nodes of weight 0 on owned contact facets, once for each facet, and the nodes and factors from which they are
-    extrapolated; None if there are none on any rank (collective)."""
+def _facet_nodes(level: VectorLevel, own: np.ndarray) -> np.ndarray:
+    """Nodes of owned facets, shape (facets, nodes of a facet) (collective)."""
     mesh, V = level.mesh, level.V
     dim, layout = mesh.topology.dim - 1, V.dofmap.dof_layout
-    own = facets[facets < mesh.topology.index_map(dim).size_local]
     mesh.topology.create_connectivity(dim, dim + 1)
     mesh.topology.create_connectivity(dim + 1, dim)
     cells_of, facets_of = mesh.topology.connectivity(dim, dim + 1), mesh.topology.connectivity(dim + 1, dim)
@@ -375,6 +373,21 @@ def _weightless(
     count = len(facets_of.links(0)) if facets_of.num_nodes else 0
     closures = [np.sort(layout.entity_closure_dofs(dim, k)) for k in range(count)]
     rows = [releases.cell_dofs(V)[c][closures[k]] for c, k in zip(cells, number, strict=True)]
+    return np.array(rows, dtype=np.int32).reshape(len(rows), len(layout.entity_closure_dofs(dim, 0)))
+
+
+def _weightless(
+    level: VectorLevel, rows: np.ndarray, on: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Nodes of weight 0 on owned contact facets, once for each facet, and the nodes and factors from which they are
+    extrapolated; None if there are none on any rank (collective).
+
+    Args:
+        level: With V.
+        rows: Nodes of these facets.
+        on: Whether a local node has a weight.
+    """
+    mesh, V = level.mesh, level.V
     flags = fem.Function(V)  # owners decide
     flags.x.array.reshape(len(on), level.components)[:, 0] = on
     flags.x.scatter_forward()

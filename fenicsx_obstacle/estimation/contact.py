@@ -26,7 +26,8 @@ class Contact:
         pressure: p_i at owned points of I, negative against the upper obstacle.
         lower: Whether a node presses against the lower obstacle.
         upper: Whether a node presses against the upper obstacle.
-        area: Of the contact set, see `contact_shares`; of obstacles on the boundary the length there.
+        shares: The part of D_i that is in contact, at owned points of I, see `contact_shares`.
+        area: Of the contact set; of obstacles on the boundary the length there.
         lower_force: Sum of D_i p_i there, >= 0.
         upper_force: Sum of -D_i p_i there, >= 0.
         penetration: Largest distance beyond an obstacle.
@@ -35,6 +36,7 @@ class Contact:
     pressure: np.ndarray = field(repr=False)
     lower: np.ndarray = field(repr=False)
     upper: np.ndarray = field(repr=False)
+    shares: np.ndarray = field(repr=False)
     area: float
     lower_force: float
     upper_force: float
@@ -77,6 +79,7 @@ def contact_of(problem: Problem, pressure: np.ndarray) -> Contact:
         pressure=pressure,
         lower=lower,
         upper=upper,
+        shares=shares,
         area=total(comm, D * shares) / problem.thickness,
         lower_force=total(comm, (D * pressure)[lower]),
         upper_force=total(comm, -(D * pressure)[upper]),

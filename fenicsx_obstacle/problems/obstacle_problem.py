@@ -397,7 +397,7 @@ class ObstacleProblem:
         from fenicsx_obstacle.problems.vector_valued import vector_solution
 
         von_mises = None if self._von_mises is None else self._von_mises.now()
-        return vector_solution(problem, state.p, von_mises, fields)
+        return vector_solution(problem, state.contact, von_mises, fields)
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fenicsx_obstacle.text import counted, of_outputs, vector_in_words, with_error
+from fenicsx_obstacle.text import counted, of_outputs, patches_in_words, vector_in_words, with_error
 
 PRESSURE_ROUNDOFF_SHOWN = 1e-3  # relative round-off of a pressure from which on it is reported
 
@@ -37,6 +37,7 @@ def summary(record: Mapping[str, Any], title: str) -> str:
         f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
         f"{r['seconds']['total']:.2f} s in all, {r['memory_mb']:.0f} MB",
         "  " + "; ".join(figures),
+        *(f"  contact {words}" for words in patches_in_words(r["contact"])),
         *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
         *(f"  warning: {remark}" for remark in r.get("remarks", ())),
         *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),

@@ -11,6 +11,8 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
@@ -21,12 +23,14 @@ from fenicsx_obstacle.discrete.points import locate, mean_over_cells
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.contact import Contact
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
 from fenicsx_obstacle.problems.solution import PARTITION, Solution
 from fenicsx_obstacle.problems.values import Force, Profile
 from fenicsx_obstacle.text import nearest, shown
 
+SAME = 1e-9  # of the size of the contact set: coordinates that differ by round-off
 NO_STRESS = "give the problem its stress in UFL, stress=sigma(u)"
 
 
@@ -300,21 +304,22 @@ class VonMises:
 
 
 def vector_solution(
-    problem: Problem, p: np.ndarray, von_mises: fem.Function | None, fields: tuple[Any, ...]
+    problem: Problem, contact: Contact, von_mises: fem.Function | None, fields: tuple[Any, ...]
 ) -> VectorSolution:
     """The solution of a solved problem (collective).
 
     Args:
         problem: Vector-valued.
-        p: Its pressure at owned dofs.
+        contact: Its contact.
         von_mises: Its von Mises stress.
         fields: Those of `Solution` after the level, from u to the tension.
     """
     assert isinstance(problem, VectorProblem)
-    nodes, gap = contact_table(problem, p), problem.gap_function(np.minimum(*problem.gaps()))
+    nodes, gap = contact_table(problem, contact.pressure), problem.gap_function(np.minimum(*problem.gaps()))
     solution = VectorSolution(problem.level, *fields, nodes=nodes, gap=gap, von_mises=von_mises)
-    contact = {"resultant": nodes.resultant.tolist(), "moment": np.asarray(nodes.moment()).tolist()}
-    record = {**solution.record, "contact": {**solution.record["contact"], **contact}}
+    more = {"resultant": nodes.resultant.tolist(), "moment": np.asarray(nodes.moment()).tolist(),
+            "patches": contact_patches(problem, contact, solution.contact)}  # fmt: skip
+    record = {**solution.record, "contact": {**solution.record["contact"], **more}}
     return replace(solution, record=record)
 
 
@@ -334,6 +339,49 @@ def contact_table(problem: VectorProblem, p: np.ndarray) -> ContactTable:
     points, *values = gathered
     order = np.lexsort(points.T[::-1])
     return ContactTable(points[order], *(value[order] for value in values))
+
+
+def contact_patches(problem: VectorProblem, contact: Contact, touching: fem.Function) -> list[dict[str, Any]]:
+    """Force, area, peak of abs(p) and middle of each connected patch of the contact set, in the order of their first
+    nodes; the same on every rank (collective).
+
+    Nodes in contact on one facet are connected. Areas and forces of all patches add up to those of the contact.
+
+    Args:
+        problem: Vector-valued.
+        contact: Of its solution.
+        touching: 1 at nodes in contact, in Q.
+    """
+    found, level = problem.data.contact, problem.level
+    pressed = np.zeros(len(level.nodes.T), dtype=bool)
+    pressed[level.node_of] = touching.x.array > 0.5
+    rows, there = found.facet_nodes, pressed[found.facet_nodes]
+    first = np.take_along_axis(rows, np.argmax(there, axis=1)[:, None], axis=1)
+    own = (found.dofs < level.owned) & pressed[found.nodes]
+    dofs, global_of = found.dofs[own], level.V.dofmap.index_map.local_to_global
+    sizes = found.weights[own] * contact.pressure[dofs]
+    columns = [global_of(found.nodes[own].astype(np.int32)), global_of(np.broadcast_to(first, rows.shape)[there]),
+               global_of(rows[there]), level.nodes.T[found.nodes[own], : level.mesh.geometry.dim],
+               sizes[:, None] * found.normals[own], found.weights[own] * contact.shares[dofs] / problem.thickness,
+               np.abs(contact.pressure[dofs])]  # fmt: skip
+    names, a, b, points, forces, areas, pressures = (np.concatenate(level.comm.allgather(one)) for one in columns)
+    order, shape = np.argsort(names), (len(names), len(names))
+    ends = tuple(order[np.searchsorted(names[order], one)] for one in (a, b))
+    patch = connected_components(coo_matrix((np.ones(len(a)), ends), shape=shape), directed=False)[1]
+    if not len(points):
+        return []
+    size = SAME * float(np.ptp(points, axis=0).max()) or 1.0
+    before, patches, seen = np.lexsort(np.round(points.T[::-1] / size)), list[dict[str, Any]](), set[int]()
+    for number in patch[before].tolist():
+        if number not in seen:
+            seen.add(number)
+            of = before[patch[before] == number]  # sums in one order on any number of ranks
+            weights = np.linalg.norm(forces[of], axis=1)
+            patches.append({
+                "force": forces[of].sum(axis=0).tolist(), "area": float(areas[of].sum()),
+                "peak": float(pressures[of].max()), "at": (weights @ points[of] / weights.sum()).tolist(),
+            })  # fmt: skip
+    return patches
 
 
 def facets_and_weight(measure: Any, mesh: dmesh.Mesh, name: str) -> tuple[np.ndarray, Any]:

@@ -22,6 +22,7 @@ WHOLE = 0.7  # of the size of the body: a part as large as that is the body
 VISIBLE = 0.03  # of the size of the picture: smaller displacements are magnified
 ARROWS = 25  # of the pressure
 ARROW = 0.18  # length of the longest one, in units of the side of the picture
+BETWEEN = 0.1  # of the size of the contact boundary: between its parts in a profile
 STRESS, SIZE = "von Mises stress, one value for each cell", "size of the displacement"
 
 
@@ -72,19 +73,44 @@ def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[fl
     scale = "to scale" if factor == 1.0 else f"displacements {factor:g} times as large"
     grey = "; grey: obstacle" if len(sides) == 1 else ""
     left.set_title(fill(f"{where}{scale}; arrows: contact pressure{grey}", 58), fontsize=9)
-    _profile(upper, lower, nodes)
+    _profile(upper, lower, nodes, _curves(rim(cells), ours))
     return page
 
 
-def _profile(upper: Any, lower: Any, nodes: ContactTable) -> None:
-    """Pressure and gap over the position along the contact boundary."""
-    s, name = _positions(nodes.points)
-    order = np.argsort(s)
-    s, p = s[order], nodes.pressure[order]
-    gap = np.where(np.isfinite(nodes.gap[order]), nodes.gap[order], np.nan)
-    upper.fill_between(s, p, color=VERMILION, alpha=0.25, linewidth=0)
-    upper.plot(s, p, color=VERMILION, marker=".", markersize=4)
-    lower.plot(s, gap, color=BLUE, marker=".", markersize=4)
+def _curves(edges: np.ndarray, ours: np.ndarray) -> list[np.ndarray]:
+    """Contact nodes in their order along each connected part of the contact boundary.
+
+    Args:
+        edges: Of the boundary, pairs of points.
+        ours: The point of each contact node.
+    """
+    node_of = dict(zip(ours.tolist(), range(len(ours)), strict=True))
+    beside: dict[int, list[int]] = {number: [] for number in range(len(ours))}
+    for a, b in edges.tolist():
+        if a in node_of and b in node_of:
+            beside[node_of[a]].append(node_of[b])
+            beside[node_of[b]].append(node_of[a])
+    found, left = list[np.ndarray](), dict.fromkeys(sorted(beside, key=lambda number: len(beside[number])))
+    while left:  # from an end, where there is one
+        curve = [next(iter(left))]
+        del left[curve[0]]
+        while further := [number for number in beside[curve[-1]] if number in left]:
+            curve.append(further[0])
+            del left[further[0]]
+        found.append(np.array(curve))
+    return sorted(found, key=min)
+
+
+def _profile(upper: Any, lower: Any, nodes: ContactTable, curves: Sequence[np.ndarray]) -> None:
+    """Pressure and gap over the position along the contact boundary, a line for each connected part of it."""
+    places, name = _positions(nodes.points, curves)
+    s, p = np.concatenate(places), np.concatenate([nodes.pressure[curve] for curve in curves])
+    gap = np.concatenate([np.where(np.isfinite(nodes.gap[curve]), nodes.gap[curve], np.nan) for curve in curves])
+    ends = np.cumsum([len(place) for place in places])[:-1]
+    for place, pressure, distance in zip(places, np.split(p, ends), np.split(gap, ends), strict=True):
+        upper.fill_between(place, pressure, color=VERMILION, alpha=0.25, linewidth=0)
+        upper.plot(place, pressure, color=VERMILION, marker=".", markersize=4)
+        lower.plot(place, distance, color=BLUE, marker=".", markersize=4)
     for axis in (upper, lower):
         axis.axhline(0, color="0.6", linewidth=0.8)
     pressed = s[p != 0]
@@ -97,7 +123,7 @@ def _profile(upper: Any, lower: Any, nodes: ContactTable) -> None:
             lower.set_ylim(seen.min() - 0.05 * np.ptp(seen), seen.max() + 0.05 * np.ptp(seen))
     upper.set_ylabel("contact pressure p,\nat nodes", fontsize=9)
     lower.set_ylabel("gap at nodes", fontsize=9)
-    lower.set_xlabel(name)
+    lower.set_xlabel(fill(name, 42))
 
 
 def _in_space(arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
@@ -198,11 +224,19 @@ def _arrows(axis: Any, points: np.ndarray, nodes: ContactTable, side: float) -> 
                 width=0.004, zorder=5)  # fmt: skip
 
 
-def _positions(points: np.ndarray) -> tuple[np.ndarray, str]:
-    """Positions along the contact boundary, and what they are called."""
-    spread = points - points.mean(axis=0)
-    along = np.linalg.svd(spread, full_matrices=False)[2][0]
-    axis = int(np.argmax(np.abs(along)))
-    if abs(along[axis]) > 0.9:
-        return points[:, axis], "xyz"[axis]
-    return spread @ along, "position along the contact boundary"
+def _positions(points: np.ndarray, curves: Sequence[np.ndarray]) -> tuple[list[np.ndarray], str]:
+    """Positions along each part of the contact boundary, and what they are called: a coordinate, where it orders the
+    nodes of all parts, otherwise the distance along the parts, one after the other."""
+    for axis in np.argsort(-np.ptp(points, axis=0)):
+        places = [points[curve, axis] for curve in curves]
+        spans = np.array(sorted((place.min(), place.max()) for place in places))
+        steps = [np.diff(place) for place in places]
+        if all((step > 0).all() or (step < 0).all() for step in steps) and (spans[1:, 0] >= spans[:-1, 1]).all():
+            return places, "xyz"[axis]
+    places, start = [], 0.0
+    apart = BETWEEN * float(np.ptp(points, axis=0).max())
+    for curve in curves:
+        lengths = np.linalg.norm(np.diff(points[curve], axis=0), axis=1)
+        places.append(start + np.concatenate([[0.0], np.cumsum(lengths)]))
+        start = places[-1][-1] + apart
+    return places, "distance along the contact boundary" + ", its parts one after the other" * (len(curves) > 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -12,6 +13,7 @@ from fenicsx_obstacle.discrete.meshing import GEOMETRY
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.scenes.boundary_table import part_place
+from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable
@@ -57,7 +59,7 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
         ("time", steps_of(scene)),
         ("solver", _solver(scene)),
         ("exact", _exact(scene)),
-        ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
+        ("report", _report(scene)),
         ("profile", _profiles(scene)),
         ("not included", [_not_included(scene)]),
     ]
@@ -76,10 +78,27 @@ def _explained_body(scene: Scene) -> list[tuple[str, list[str]]]:
         ("mesh", [_mesh(scene)]),
         ("time", _body_steps(scene)),
         ("solver", _body_solver(scene)),
-        ("report", [f"{name} = {formula.text}" for name, formula in scene.report.items()]),
+        ("report", _report(scene)),
         ("profile", _profiles(scene)),
         ("not included", ["friction; large displacements; contact of two elastic bodies; inertia"]),
     ]
+
+
+def _report(scene: Scene) -> list[str]:
+    """The formulas of [report], and how those count that integrate the contact set."""
+    lines = [f"{name} = {formula.text}" for name, formula in scene.report.items()]
+    if any(_counts_nodes(formula) for formula in scene.report.values()):
+        of_bodies = ", in [report] contact_area" if scene.model.vector_valued else ""
+        lines.append("integral(contact) counts nodes: each node in contact has its whole area, also at the edge of the "
+                     f"contact; contact.area of the result{of_bodies} is more accurate")  # fmt: skip
+    return lines
+
+
+def _counts_nodes(formula: Formula) -> bool:
+    """Whether a formula integrates the contact set."""
+    integrals = [node for node in ast.walk(formula.tree)
+                 if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "integral"]  # fmt: skip
+    return any(isinstance(part, ast.Name) and part.id == "contact" for node in integrals for part in ast.walk(node))
 
 
 def _profiles(scene: Scene) -> list[str]:

@@ -16,7 +16,7 @@ from fenicsx_obstacle.problems.summary import report_in_words, with_uncertainty
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.tables import StudyTable
-from fenicsx_obstacle.text import counted, title_of, vector_in_words, with_error
+from fenicsx_obstacle.text import counted, patches_in_words, title_of, vector_in_words, with_error
 
 NAME = "report.html"
 _PARTS = {  # of the bound: what makes each smaller
@@ -245,6 +245,7 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
     if "resultant" in contact:
         facts.append(("contact force", vector_in_words(contact["resultant"])))
+        facts += [("contact", words) for words in patches_in_words(contact)]
         names = {"half_width": "half-width of the contact", "peak": "peak of p", "approach": "approach"}
         facts += [(name, f"{contact[key]:.6g}") for key, name in names.items() if contact.get(key) is not None]
     for side in [side for side in ("lower", "upper") if side in contact and "resultant" not in contact]:

@@ -110,6 +110,8 @@ def _drawn(solution: Solution, arrays: dict[str, np.ndarray]) -> tuple[Any, str]
     if kind == 2 and gdim > 1:
         raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
     p = f"contact pressure p, computed {COMPUTED[solution.level.pair.pressure[0]]}, linear between"
+    if np.any(patch.fields["pressure"] != arrays["pressure"]):
+        p += " (where u is given: the mean of the neighbours)"
     if kind == 2:
         return _line(patch, u, p)
     if kind == 3 and np.ptp(patch.points[:, 2]) <= PLANE * np.ptp(patch.points, axis=0).max():
