@@ -15,11 +15,14 @@ from zlib import crc32
 
 from fenicsx_obstacle.launcher import environment
 
-CLEAN = environment()  # of processes that tests start
-os.environ.update(CLEAN)  # before MPI starts, also where pytest is called directly
+_kept = environment()
+CLEAN = {
+    name: value for name, value in _kept.items() if not name.startswith("PYTEST_")
+}  # of processes that tests start
+os.environ.update(_kept)  # before MPI starts, also where pytest is called directly
 if "PYTEST_XDIST_WORKER" in os.environ:  # started by a process in which MPI runs
-    for name in os.environ.keys() - CLEAN.keys():
-        del os.environ[name]
+    for _name in os.environ.keys() - _kept.keys():
+        del os.environ[_name]
 
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402

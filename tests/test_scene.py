@@ -86,7 +86,7 @@ MISTAKES = {
     "missing file": ('[mesh]\nfile = "none.msh"\n[effects]\ntension = 1\n', "no such mesh file"),
     "corner": (BASE + "[define]\n" + EDGE.replace("0", "zz"), "not TOML"),
     "infinite": (
-        BASE + 'load = "1/x"\n' + EDGE.replace("0", "1") + "[obstacle]\nlower = 'ln(x)'\n",
+        BASE + 'load = "1/x"\n' + EDGE.replace("0", "1") + "[obstacle]\nlower = 'ln(x - 0.5)'\n",
         "not a finite number",
     ),
     "negative tension": (BASE.replace("= 1", '= "x - 0.5"') + EDGE, r"must be positive; it is -\d"),

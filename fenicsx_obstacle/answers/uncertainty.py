@@ -11,6 +11,7 @@ nested ones perhaps at the same wrong place, and the values do not tell.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -20,6 +21,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.galerkin import GalerkinProblem
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
+from fenicsx_obstacle.errors import PenetrationWarning
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.solvers.choose import method_of
@@ -153,7 +155,9 @@ def on_coarser_meshes(
         elif below is not None and not solved:
             begin_from(problem, below)
         method = method_of(problem, _scaled(options, eps, times))
-        method.solve(problem, multigrid=multigrid)
+        with warnings.catch_warnings():  # eps is that of the finest mesh, for which the user is warned
+            warnings.simplefilter("ignore", PenetrationWarning)
+            method.solve(problem, multigrid=multigrid)
         state = state_of(problem, method)
         found.append(quantities({
             "energy": state.energy, "penetration": state.contact.penetration, "report": report(problem, state),

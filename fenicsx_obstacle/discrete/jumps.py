@@ -9,7 +9,7 @@ import numpy as np
 from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field, fields_in
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.parallel import largest, smallest, total
 
 HALVINGS = 30  # a Lipschitz function differs by 1e-9 of what it did, a root by 3e-5
 JUMP = 1e-3  # of the range of the datum, from which on a difference that is left is a jump
@@ -20,7 +20,7 @@ def jump_inside(data: Data) -> Field | None:
     """The first datum of effects and obstacles in the domain that jumps inside a cell; None if none does
     (collective)."""
     comm = data.level.comm
-    return next((field for field, cells in _jumps(data) if largest(comm, cells) > 0), None)
+    return next((field for field, cells in _jumps(data) if total(comm, np.count_nonzero(cells)) > 0), None)
 
 
 def cells_with_jumps(data: Data) -> np.ndarray:

@@ -188,10 +188,10 @@ def _attempt(
 
 
 def joined(first: Outcome, second: Outcome) -> Outcome:
-    """One outcome of two attempts."""
+    """One outcome of two attempts; the history of one without a step has nothing new."""
     return Outcome(
         first.solver, first.iterations + second.iterations, first.krylov + second.krylov,
-        first.history + second.history, first.seconds + second.seconds, second.reason,
+        first.history + (second.history if second.iterations else ()), first.seconds + second.seconds, second.reason,
         second.roundoff_limited, second.active,
     )  # fmt: skip
 

@@ -97,7 +97,7 @@ class PenaltySolve:
             successive: As for `solve_penalty`.
             source: What messages call the problem.
         """
-        self.eps, self._share = eps, share
+        self.eps, self._first, self._share = eps, eps, share
         self._automatic, self._successive, self._source = automatic, successive, source
 
     def __call__(self, problem: Problem, *, tolerance: float = TOLERANCE, **how: Any) -> Outcome:
@@ -112,6 +112,7 @@ class PenaltySolve:
         Raises:
             NotConverged: With PETSc's reason, or if no eps is found that fits its solution.
         """
+        self.eps = self._first  # each step in time depends on its start alone
         outcome = self._once(problem, tolerance, how)
         if tolerance >= LIMIT or not self._automatic:
             if tolerance < LIMIT and (found := large_penetration(problem)) and problem.level.comm.rank == 0:

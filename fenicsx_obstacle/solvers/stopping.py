@@ -124,7 +124,7 @@ class Stopping:
             krylov=krylov - self._krylov,
         )
         self.history.append(step)
-        if self.monitor is not None:
+        if self.monitor is not None and not (iteration == 0 and self.before is not None):  # the same state again
             self.monitor(problem, step, active)
         _log.info("step %d: %d in contact, %d changed, unbalanced %.1e of %.1e",
                   iteration, step.active, step.changed, unbalanced, forces)  # fmt: skip

@@ -142,17 +142,19 @@ def _checked(row: dict[str, Any]) -> bool:
     """Take the content off a row.
 
     Raises:
-        ValueError: If it is not that of the row.
+        ValueError: If it is not that of the row, or the row has no number of its run.
     """
-    if row.pop("content") != _content(row):
+    if row.pop("content") != _content(row) or not isinstance(row["run"], int):
         raise ValueError
     return True
 
 
 def _no_link(path: str, flags: int) -> int:
     """Open a file, but not what a link leads to, nor a pipe."""
+    if os.path.lexists(path) and not S_ISREG(os.lstat(path).st_mode):  # a pipe without a reader cannot be opened
+        raise OSError(errno.EINVAL, "is no file", path)
     number = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-    if not S_ISREG(os.fstat(number).st_mode):
+    if not S_ISREG(os.fstat(number).st_mode):  # it has been replaced meanwhile
         os.close(number)
         raise OSError(errno.EINVAL, "is no file", path)
     return number

@@ -80,7 +80,7 @@ def contradictions() -> Iterator[Broken]:
         ("where by distance", {"[[boundary]] on": None, "[[boundary]] where": '"distance < 1"'}, ["where", "distance"]),
         ("no value", {"[[boundary]] value": None}, ["[[boundary]]", "value"]),
         ("nothing holds it", {key: None for key in LINES if "bound" in key or "obst" in key}, ["[[boundary]]"]),
-        ("log of a coordinate", {"[obstacle] lower": '"ln(x) - 1"'}, ["[obstacle] lower", "(0"]),
+        ("log of a coordinate", {"[obstacle] lower": '"ln(x - 0.5)"'}, ["[obstacle] lower", "(0"]),
         ("overflow at a point", {"[effects] load": '"exp(1000*x)"'}, ["[effects] load", "inf"]),
         ("triangles in a box", {"[mesh] shape": '"box"', "[mesh] cell": '"triangle"'}, ["[mesh] cell"]),
         ("an element for other cells", {"[mesh] cell": '"triangle"', "[solve] element": '"Q1"'}, ["[solve]", "Q1"]),
