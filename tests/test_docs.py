@@ -30,7 +30,7 @@ pytestmark = pytest.mark.serial
 
 ROOT = DEMOS.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-OF_LAUNCHER = {"test", "docs", "coverage"}  # commands that the command line has not
+OF_LAUNCHER = {"test", "pytest", "docs", "coverage"}  # commands that the command line has not
 LAUNCHER = """#!/bin/bash
 ranks=1
 if [ "$1" = --ranks ]; then ranks=$2; shift 2; fi

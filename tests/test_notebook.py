@@ -9,6 +9,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 import pytest
 
+from fenicsx_obstacle.effects import effect
 from tests.conftest import COMM, DEMOS, slow_except
 
 NOTEBOOK = Path(__file__).parent.parent / "docs" / "kikuchi_in_an_hour.py"
@@ -48,6 +49,15 @@ def run(cell, names, file=NOTEBOOK):
 FIRST, *SECTIONS = cells_of(NOTEBOOK)
 TUTORIALS = sorted(file for file in DEMOS.glob("*.py") if "# %% [markdown]" in file.read_text())
 QUICK = {"membrane", "one_added_line"}
+
+
+@pytest.fixture(autouse=True)
+def no_effects_stay():
+    """Effects that a tutorial registers are not there for other tests of this process."""
+    yield
+    for key, one in list(effect._register.items()):
+        if not one.__module__.startswith("fenicsx_obstacle."):
+            del effect._register[key]
 
 
 @pytest.fixture(autouse=True)
