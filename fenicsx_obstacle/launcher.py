@@ -35,6 +35,7 @@ OF_ROOT = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
 _MPI = (
     "OMPI_COMM", "OMPI_ARGV", "OMPI_APP", "OMPI_MCA_ess", "OMPI_MCA_orte_ess", "OMPI_MCA_pmix", "PMIX", "PRTE", "PMI_",
 )  # fmt: skip
+PACKAGE = ["-m", "fenicsx_obstacle"]
 SESSIONS = {"test": "tests", "coverage": "coverage", "docs": "docs"}  # of noxfile.py
 PATIENCE = 1.0  # seconds in which mpirun may end by a signal that the terminal has sent to it as well
 
@@ -67,7 +68,7 @@ def run(ranks: int, command: Sequence[str], arguments: Sequence[str]) -> int:
     """Run a Python program on several ranks, pass signals on, and return the exit status.
 
     Once a rank ends with a status other than 0, mpirun kills those that are still ending, and that of Open MPI 5 and 6
-    says so. So ranks that end together leave their status in a file, and end with 0.
+    says so. So ranks of the package that end together leave their status in a file, and end with 0.
 
     Args:
         ranks: Their number.
@@ -80,11 +81,12 @@ def run(ranks: int, command: Sequence[str], arguments: Sequence[str]) -> int:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) != signal.SIG_IGN:  # as nohup and shells in the background leave them
                 signal.signal(number, _raise)
+        left = {"OBSTACLE_STATUS": str(status_file)} if command == PACKAGE else {}
         child: subprocess.Popen[bytes] | None = None
         try:
             child = subprocess.Popen(
                 [*mpirun(ranks), sys.executable, "-P", *command, *arguments],
-                stdout=subprocess.PIPE, env={**os.environ, "OBSTACLE_STATUS": str(status_file)},
+                stdout=subprocess.PIPE, env={**os.environ, **left},
             )  # fmt: skip
             lost = _copy(child)
             status = child.wait()
@@ -146,9 +148,7 @@ def main() -> int:
         given = ["--ranks", ranks, *others] if ranks else others
         words = ["-m", "nox", "--noxfile", str(ROOT / "noxfile.py"), "--session", SESSIONS[name], "--", *given]
         os.execv(sys.executable, [sys.executable, "-P", *words])
-    program, arguments = (
-        (["-m", "pytest"], others) if name == "pytest" else (["-m", "fenicsx_obstacle"], [name, *others])
-    )
+    program, arguments = (["-m", "pytest"], others) if name == "pytest" else (PACKAGE, [name, *others])
     number = int(ranks or (2 if name == "demo" else 1))
     if number == 1:
         os.execv(sys.executable, [sys.executable, "-P", *program, *arguments])
