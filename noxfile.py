@@ -21,8 +21,14 @@ NOT_SLOW = ("-m", "not slow")
 @nox.session
 def lint(session: nox.Session) -> None:
     """Lint and format, dead code, types, and the order of imports."""
+    check(session)
+
+
+def check(session: nox.Session) -> None:
+    """What `lint` does; nothing in a container."""
     if (ROOT / ".venv" / "image").exists():
-        session.skip("in a container: the tests alone")
+        session.log("in a container: the tests alone, without lint and types")
+        return
     session.run(LAUNCHER, "--version", silent=True, external=True)  # sets up what is missing
     for words in (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("vulture",), ("mypy",),
                   ("lint-imports", "--config", "pyproject.toml")):  # fmt: skip
@@ -32,13 +38,13 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def quick(session: nox.Session) -> None:
     """Lint, and the quick tests on one rank."""
-    session.notify("lint")
-    session.notify("tests", ("--ranks", "1", *session.posargs))
+    check(session)
+    session.run(LAUNCHER, "--ranks", "1", "pytest", *NOT_SLOW, *ON_ALL_CORES, *session.posargs, external=True)
 
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """The quick tests, or with --all every test: on 1 rank, then one half of the files on 2 ranks, the others on 3.
+    """Lint, then the quick tests, or with --all every test: on 1 rank, one half of the files on 2, the others on 3.
 
     Arguments: [--ranks N] [--all] [ARGUMENTS OF PYTEST...]. Tests that are named by file or id run on all ranks.
     """
@@ -47,6 +53,8 @@ def tests(session: nox.Session) -> None:
     alone = given[:1] == ["--ranks"]
     if alone:
         ranks, given = given[1:2], given[2:]
+    else:
+        check(session)
     chosen = NOT_SLOW
     if given[:1] == ["--all"]:
         chosen, given = (), given[1:]
