@@ -113,7 +113,7 @@ def _copy(child: subprocess.Popen[bytes]) -> bool:
     """Copy the output of mpirun, which takes no notice of output that cannot be written; whether some was lost."""
     assert child.stdout is not None
     lost = False
-    while text := child.stdout.read1():  # type: ignore[attr-defined]
+    while text := os.read(child.stdout.fileno(), 1 << 16):
         while text and not lost:
             try:
                 text = text[os.write(1, text) :]

@@ -75,12 +75,12 @@ def _beyond_round_off(
 ) -> np.ndarray:
     """What is more than round-off of an excess at local dofs, otherwise -inf (collective).
 
-    Round-off is relative to the heights that u certainly has, and to those of the obstacles in the cells around a node.
+    Round-off is relative to values that u certainly has, and to those of the obstacles in the cells around a node.
     Obstacles elsewhere may be as far off as they like.
 
     Args:
         data: Its obstacles.
-        excess: How far heights are beyond others.
+        excess: By how much values are beyond others.
         certain: Heights that u has.
         obstacles: One or both.
     """

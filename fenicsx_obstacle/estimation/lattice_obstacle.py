@@ -298,12 +298,12 @@ class LatticeObstacle:
         """Whether the obstacle may be above a state in each cell (collective where the obstacle needs the distance to
         the boundary); the arguments are those of `above`."""
         lowest = bernstein(self.sign * u).min(axis=1, initial=np.inf)
-        room = dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
+        allowance = dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
         found = np.zeros(len(u), dtype=bool)
-        for rows, group in self._known(np.flatnonzero(self._top + room >= lowest)):
+        for rows, group in self._known(np.flatnonzero(self._top + allowance >= lowest)):
             bounded = group.no_less(self.sign)
             degree, coefficient, margin = self._difference(bounded, u[rows])
-            touches = largest(coefficient, 3, degree) + bounded.rest + room[rows] > margin
+            touches = largest(coefficient, 3, degree) + bounded.rest + allowance[rows] > margin
             np.logical_or.at(found, rows, touches)
         return found
 
